@@ -1,0 +1,73 @@
+"""The two ways in which a request can fail: it makes no sense, or it has no solution that could be found."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class InputError(ValueError):
+    """The input names something impossible; the message says which field, its value, and what is allowed."""
+
+
+class SolveError(RuntimeError):
+    """No acceptable solution was found; the message names what was violated.
+
+    ``solution`` holds the best that was found, or None.
+    """
+
+    def __init__(self, message: str, solution: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+def positive(name: str, value: float, *, zero: bool = False) -> float:
+    """Return `value` as float if it is finite and > 0 (>= 0 with `zero`), else raise InputError naming it."""
+    number = finite(name, value)
+    if number < 0 or (number == 0 and not zero):
+        raise InputError(f"{name} is {number:g}; it must be {'at least' if zero else 'greater than'} 0")
+    return number
+
+
+def finite(name: str, value: Any) -> float:
+    """Return `value` as a finite float, else raise InputError naming it."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; it must be a number") from None
+    if not math.isfinite(number):
+        raise InputError(f"{name} is {number}; it must be a finite number")
+    return number
+
+
+def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -> NDArray[np.float64]:
+    """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
+    if array.shape != (size,):
+        got = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
+        raise InputError(f"{name} has {got}; it must be {size} numbers ({what})")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} is {array.tolist()}; every number must be finite")
+    return array
+
+
+def choice(name: str, value: str, allowed: Iterable[str]) -> str:
+    """Return `value` if it is one of `allowed`, else raise InputError with the nearest allowed word."""
+    options = list(allowed)
+    if value not in options:
+        raise InputError(f"{name} is {value!r}; it must be one of {', '.join(options)}{nearest(str(value), options)}")
+    return value
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return "; did you mean 'x'?" for the known word closest to `word`, or an empty string."""
+    match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {match[0]!r}?" if match else ""

@@ -1,0 +1,1 @@
+"""The physics as CasADi expressions: torsion, energy, second variation, shape."""

@@ -1,0 +1,70 @@
+"""Shape of an arm from its curvature: a Magnus integrator of order 6 on SE(3).
+
+The pose T = (R, p) of the Bishop frame obeys T' = T xi with the twist xi = (u_x, u_y, 0; 0, 0, 1). Each step is the
+exponential of the Magnus series at three Gauss points (Iserles, Munthe-Kaas, Norsett, Zanna, Acta Numerica 9 (2000);
+Blanes, Casas, Oteo, Ros, Phys. Rep. 470 (2009), eq. (257), here for right multiplication), exact for an arc of constant
+curvature.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+GAUSS_POINTS = np.array([0.5 - np.sqrt(15) / 10, 0.5, 0.5 + np.sqrt(15) / 10])
+"""Where a step of length 1 needs the curvature."""
+
+
+def _bracket(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Minus the Lie bracket of two twists (omega, v): the sign that right multiplication asks for."""
+    return ca.cross(b[0], a[0]), ca.cross(b[0], a[1]) + ca.cross(b[1], a[0])
+
+
+def _combine(*terms: tuple[float, tuple[Any, Any]]) -> tuple[Any, Any]:
+    return sum(c * t[0] for c, t in terms), sum(c * t[1] for c, t in terms)
+
+
+def _exponential(omega: Any, v: Any) -> tuple[Any, Any]:
+    """(R, p) = exp of the twist; power series for small angles, where the closed form cancels."""
+    x = ca.dot(omega, omega)
+    small = x < 1e-2
+    y = ca.if_else(small, 1.0, x)
+    angle = ca.sqrt(y)
+    closed = ca.sin(angle) / angle, (1 - ca.cos(angle)) / y, (angle - ca.sin(angle)) / (y * angle)
+    a, b, c = (ca.if_else(small, _series(x, k), closed[k - 1]) for k in (1, 2, 3))
+    hat = ca.skew(omega)
+    square = hat @ hat
+    return ca.DM.eye(3) + a * hat + b * square, v + b * (hat @ v) + c * (square @ v)
+
+
+def _series(x: Any, k: int) -> Any:
+    """sum_j (-x)^j / (2 j + k)!"""
+    total: Any = 0.0
+    for j in reversed(range(7)):
+        total = 1.0 / float(np.prod(np.arange(1, 2 * j + k + 1), dtype=float)) - x * total
+    return total
+
+
+def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
+    """Pose after a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
+    twist = [(ca.vertcat(curvature[:, k], 0), ca.vertcat(0, 0, 1)) for k in range(3)]
+    a1 = _combine((length, twist[1]))
+    a2 = _combine((np.sqrt(15) / 3 * length, twist[2]), (-np.sqrt(15) / 3 * length, twist[0]))
+    a3 = _combine((10 / 3 * length, twist[2]), (-20 / 3 * length, twist[1]), (10 / 3 * length, twist[0]))
+    c1 = _bracket(a1, a2)
+    c2 = _combine((-1 / 60, _bracket(a1, _combine((2, a3), (1, c1)))))
+    last = _bracket(_combine((-20, a1), (-1, a3), (1, c1)), _combine((1, a2), (1, c2)))
+    turn, shift = _exponential(*_combine((1, a1), (1 / 12, a3), (1 / 240, last)))
+    return rotation @ turn, position + rotation @ shift
+
+
+@lru_cache(maxsize=1)
+def step_function() -> ca.Function:
+    """(pose (12,), curvature (6,), length) -> pose: R by columns, then p."""
+    pose, curvature, length = ca.SX.sym("pose", 12), ca.SX.sym("u", 6), ca.SX.sym("h")
+    rotation, position = ca.reshape(pose[:9], 3, 3), pose[9:]
+    after = magnus_step(rotation, position, ca.reshape(curvature, 2, 3), length)
+    return ca.Function("step", [pose, curvature, length], [ca.vertcat(ca.vec(after[0]), after[1])], {"cse": True})

@@ -1,0 +1,143 @@
+"""One look for all pictures: colours, type, and how a picture reaches the disk."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import wraps
+from os import PathLike
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..equilibrium import Equilibrium
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
+"""Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
+
+INK = "#222222"
+FAINT = "#8A8A8A"
+DPI = 200
+FORMATS = ("png", "pdf", "svg")
+
+RC: Mapping[str, Any] = {
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8,
+    "legend.frameon": False,
+    "mathtext.fontset": "dejavusans",
+    "pdf.fonttype": 42,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "text.color": INK,
+    "xtick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.color": INK,
+    "ytick.labelsize": 8,
+}
+
+
+def styled(draw: Callable[P, T]) -> Callable[P, T]:
+    """Let `draw` make its artists with the look of this module, whatever the caller's matplotlib is set to."""
+
+    @wraps(draw)
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
+        import matplotlib
+
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(RC)
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def tube_colour(index: int) -> str:
+    """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
+    return TUBE_COLOURS[index % len(TUBE_COLOURS)]
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size in inches that draws into memory: no window, no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def picture_format(path: str | PathLike[str]) -> str:
+    """Format that the file name asks for; raises InputError where it is none of `FORMATS`."""
+    suffix = Path(path).suffix.lower().removeprefix(".")
+    if suffix not in FORMATS:
+        raise InputError(f"the picture's name is {str(path)!r}; it must end in .{', .'.join(FORMATS)}")
+    return suffix
+
+
+@styled
+def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
+    """Write `figure` as PNG (200 dpi), PDF or SVG, as the name ends; whole, or not at all."""
+    kind = picture_format(path)
+    # A picture depends on its data alone, so that the same data give the same file.
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    with atomic_write(path) as file:
+        figure.savefig(file, format=kind, dpi=DPI, metadata=metadata)
+    return Path(path)
+
+
+@contextmanager
+def atomic_write(path: str | PathLike[str]) -> Iterator[IO[bytes]]:
+    """A binary file that appears under `path` when the block ends without an error, and not before."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            yield file
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def caption(equilibrium: Equilibrium, title: str | None = None) -> str:
+    """Two lines above a picture: `title` or the robot's name, then joint values, tip and margin."""
+    name = title or equilibrium.robot.name or f"Concentric robot, {equilibrium.robot.n_tubes} tubes"
+    rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
+    parts = [f"rotations ({rotations})"]
+    if np.any(equilibrium.translations):
+        parts.append(f"translations ({_millimetres(equilibrium.translations)}) mm")
+    parts.append(f"tip ({_millimetres(equilibrium.tip_position)}) mm")
+    parts.append(f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}"))
+    return f"{name}\n{',  '.join(parts)}"
+
+
+def _millimetres(lengths: Array) -> str:
+    return ", ".join(number(length * 1e3, 1) for length in lengths)
+
+
+def number(value: float, digits: int) -> str:
+    """`value` with at most `digits` decimals, without trailing zeros, and never "-0"; a true minus sign."""
+    text = f"{value:.{digits}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text in ("-0", "") else text.replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,1 @@
+"""What a robot is: tubes, how they are held, and the sections that they form. Nothing symbolic."""

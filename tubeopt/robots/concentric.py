@@ -1,0 +1,78 @@
+"""Concentric tube robots: tubes one inside the other, each held and driven at its own proximal end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ..errors import InputError
+from ..tubes import Tube
+from .assembly import Array, Assembly, assemble
+from .limits import JointLimits, default_limits
+
+
+@dataclass(frozen=True)
+class ConcentricRobot:
+    """A concentric tube robot.
+
+    Args:
+        tubes: inner to outer; each fits into the next, and none is shorter than the next.
+        name: what to call it in tables and pictures.
+        joint_limits: what the actuators allow; None is what the lengths allow (see `limits`).
+
+    Raises:
+        InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits for another
+            number of tubes.
+    """
+
+    tubes: tuple[Tube, ...]
+    name: str = ""
+    joint_limits: JointLimits | None = None
+
+    def __post_init__(self) -> None:
+        tubes = tuple(self.tubes)
+        object.__setattr__(self, "tubes", tubes)
+        if not tubes:
+            raise InputError("tubes is empty; a robot needs at least one tube")
+        for i, (inner, outer) in enumerate(zip(tubes, tubes[1:], strict=False), start=1):
+            if inner.outer_diameter > outer.inner_diameter:
+                raise InputError(
+                    f"tube {i} does not fit into tube {i + 1}: its outer_diameter is {inner.outer_diameter:g} m; "
+                    f"it must be at most the other's inner_diameter, {outer.inner_diameter:g} m"
+                )
+            if inner.length < outer.length - 1e-12:
+                raise InputError(
+                    f"tube {i} is shorter than tube {i + 1} around it: its overall length is {inner.length:g} m; "
+                    f"it must be at least {outer.length:g} m"
+                )
+        if self.joint_limits is not None and len(self.joint_limits.rotations) != len(tubes):
+            raise InputError(
+                f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {len(tubes)}"
+            )
+
+    @property
+    def n_tubes(self) -> int:
+        """Number of tubes n."""
+        return len(self.tubes)
+
+    @property
+    def home_translations(self) -> Array:
+        """(n,) translations at home, where every transition from straight to curved lies at the plate: zeros, m."""
+        return np.zeros(self.n_tubes)
+
+    @property
+    def limits(self) -> JointLimits:
+        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
+        return self.joint_limits or default_limits(self.tubes)
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Sections at `translations` (n,), m; raises InputError where a tube leaves its actuator."""
+        return assemble(self.tubes, translations)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the robot as YAML that `load_robot` reads back."""
+        from ..study.robot_file import save_robot
+
+        save_robot(self, path)

@@ -1,0 +1,46 @@
+"""Joint limits: what the actuators allow, and the default that a robot's geometry implies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..tubes import Tube
+
+Ranges = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Least and greatest value of every joint: rotations (rad) and translations (m) as (n, 2) pairs.
+
+    Raises:
+        InputError: a range is not two finite numbers in order, or the two tables differ in length.
+    """
+
+    rotations: Ranges
+    translations: Ranges
+
+    def __post_init__(self) -> None:
+        for name in ("rotations", "translations"):
+            table = tuple((float(low), float(high)) for low, high in getattr(self, name))
+            for i, (low, high) in enumerate(table):
+                if not (np.isfinite([low, high]).all() and low <= high):
+                    raise InputError(f"limit of {name[:-1]} {i + 1} is [{low:g}, {high:g}]; it must be least, greatest")
+            object.__setattr__(self, name, table)
+        if len(self.rotations) != len(self.translations):
+            raise InputError(
+                f"limits name {len(self.rotations)} rotations and {len(self.translations)} translations; "
+                "they must be as many as there are tubes"
+            )
+
+
+def default_limits(tubes: Sequence[Tube]) -> JointLimits:
+    """Rotations a turn from home; translations from wholly withdrawn to wholly advanced."""
+    return JointLimits(
+        rotations=((-2 * np.pi, 2 * np.pi),) * len(tubes),
+        translations=tuple((-tube.curved_length, tube.straight_length) for tube in tubes),
+    )

@@ -1,0 +1,1 @@
+"""Algorithms: a problem in, a raw solution and its status out."""

@@ -1,0 +1,99 @@
+"""Newton's method and energy descent on a reduced problem.
+
+`newton` goes where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
+that it ends in a minimum, or in a saddle if symmetry holds it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from ..robots.assembly import Array
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate
+
+LAST_STEP = 1e-7
+"""A Newton step below this (rad) is the last: the next would be round-off."""
+
+LONGEST_STEP = 1.0
+"""Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
+
+MOST_ITERATIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonResult:
+    """Last state, whether it converged, iterations done, and the largest ratio of successive steps."""
+
+    state: Evaluation
+    converged: bool
+    iterations: int
+    contraction: float
+
+
+def newton(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int = 20) -> NewtonResult:
+    """Full Newton steps from z (U,); stops early where they grow instead of shrinking."""
+    state = evaluate(problem, rotations, z)
+    last, contraction = np.inf, 0.0
+    for iteration in range(1, iterations + 1):
+        try:
+            step = np.linalg.solve(state.hessian, -state.gradient)
+        except np.linalg.LinAlgError:
+            return NewtonResult(state, False, iteration, np.inf)
+        size = _turn(problem, step)
+        if not np.isfinite(size) or (size > 2 * last and size > np.pi):
+            return NewtonResult(state, False, iteration, np.inf)
+        state = evaluate(problem, rotations, state.z + step)
+        if size > LAST_STEP:
+            contraction = max(contraction, size / last)
+        last = size
+        if size <= LAST_STEP:
+            return NewtonResult(state, True, iteration, contraction)
+    return NewtonResult(state, False, iterations, contraction)
+
+
+def descend(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int = MOST_ITERATIONS) -> NewtonResult:
+    """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
+
+    For tubes off the centreline, which have no such energy, call it on the concentric problem.
+    """
+    state = evaluate(problem, rotations, z)
+    for iteration in range(1, iterations + 1):
+        step, curved_down = _downhill(state)
+        size = _turn(problem, step)
+        if size <= LAST_STEP and not curved_down:
+            return NewtonResult(evaluate(problem, rotations, state.z + step), True, iteration, 0.0)
+        step *= min(1.0, LONGEST_STEP / size) if size else 1.0
+        slope = float(state.gradient @ step)
+        if size <= LAST_STEP:
+            return NewtonResult(state, True, iteration, 0.0)
+        for _ in range(40):
+            trial = evaluate(problem, rotations, state.z + step)
+            if trial.energy <= state.energy + 1e-4 * slope + 1e-14 * (1 + abs(state.energy)):
+                break
+            step, slope = step / 2, slope / 2
+        state = trial
+    return NewtonResult(state, False, iterations, 0.0)
+
+
+def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
+    """Starting points (U,) on either side of an unstable equilibrium, along its most unstable direction."""
+    direction = np.linalg.eigh(state.hessian)[1][:, 0]
+    direction *= 0.05 / _turn(problem, direction)
+    return state.z + direction, state.z - direction
+
+
+def _turn(problem: ReducedProblem, step: Array) -> float:
+    """Largest change of a rotation that a step in z makes, rad."""
+    return float(np.abs(problem.factor @ step).max(initial=0.0))
+
+
+def _downhill(state: Evaluation) -> tuple[Array, bool]:
+    """Newton step where the energy is convex; else the step of the Hessian with its eigenvalues made positive."""
+    _, step, failed = dposv(state.hessian, -state.gradient)
+    if not failed:
+        return step, False
+    values, vectors = np.linalg.eigh(state.hessian)
+    return -vectors @ ((vectors.T @ state.gradient) / np.maximum(np.abs(values), 1e-2)), True

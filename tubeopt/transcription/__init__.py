@@ -1,0 +1,1 @@
+"""The torsion boundary-value problem as finitely many equations."""

@@ -1,0 +1,59 @@
+"""CasADi functions on NumPy arrays without the cost of converting them at each call."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..mechanics.shape import step_function
+from ..mechanics.torsion import section_functions
+from ..robots.assembly import Array
+
+
+class Buffered:
+    """A function of dense arguments bound to arrays of its own: write `inputs`, call, read `outputs`.
+
+    Every array is the transpose of the CasADi matrix (whose storage is by columns), so a function mapped over N points
+    has (N, rows) arrays. The arrays are overwritten by the next call.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._trigger = function.buffer()
+        self.inputs = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
+        self.outputs = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array))
+
+    def __call__(self, *arguments: Any) -> list[Array]:
+        """Outputs at `arguments`, one per input; None leaves an input as it is."""
+        for array, value in zip(self.inputs, arguments, strict=True):
+            if value is not None:
+                array[...] = value
+        self._trigger()
+        return self.outputs
+
+
+@lru_cache(maxsize=256)
+def _bound(key: tuple[Any, ...], thread: int) -> Buffered:
+    kind, count = key[0], key[1]
+    if kind == "steps":
+        return Buffered(step_function().mapaccum(count))
+    function: Callable[..., Any] = section_functions(key[2], key[3])[kind]
+    return Buffered(function.map(count))  # type: ignore[attr-defined]
+
+
+def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
+    """`mechanics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
+    return _bound((kind, count, n_tubes, eccentric), threading.get_ident())
+
+
+def shape_steps(count: int) -> Buffered:
+    """`mechanics.shape.step_function` accumulated over `count` steps, bound to arrays of this thread."""
+    return _bound(("steps", count), threading.get_ident())

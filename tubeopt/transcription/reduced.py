@@ -1,0 +1,231 @@
+"""The collocated torsion problem with everything eliminated but theta at the collocation points.
+
+Along an arm theta_i(s) = alpha_i - int (|beta_i| + min(s, r)) M_i(r) / kt_i dr: what the boundary conditions and the
+linear parts of the equations say. Collocated, theta = alpha - Gamma M(theta), with Gamma = S B of quadrature weights B
+and, for Gauss points, a symmetric positive definite S / kt = L L'. In the coordinates z of theta = alpha + L z the
+elastic energy of concentric tubes is  z'z / 2 + sum of weights times V(theta):  its gradient is the collocation
+residual, its Hessian I + L' B V'' L has the stability margin as its smallest eigenvalue (capped at 1, which the
+torsion that nothing couples always has).
+
+Tubes off the centreline add the stretch of each tube, theta' = g w, which no energy of this form has:
+
+    theta = alpha - Gamma M - P [(g - 1) . W M],   P, W: integration from the base and from the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..robots.assembly import Array, Assembly
+from .buffered import section_function
+from .mesh import Mesh
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedProblem:
+    """Numbers of one assembly on one mesh, ready for any rotations; N collocation points, U unknowns.
+
+    Attributes:
+        assembly, mesh: what is solved.
+        stiffness, moment: (N, n) kb_i, m_i at the points.
+        weight: (N,) quadrature weights, m.
+        point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
+        factor: (U, U) L, rad per sqrt(J).
+        rows, columns, entries: where the second variation (N, n, n) goes in a (U, U) matrix.
+        stretch: (P, W) for tubes off the centreline.
+    """
+
+    assembly: Assembly
+    mesh: Mesh
+    stiffness: Array
+    moment: Array
+    weight: Array
+    point: Index
+    tube: Index
+    factor: Array
+    rows: Index
+    columns: Index
+    entries: Index
+    stretch: tuple[Array, Array] | None
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns U."""
+        return len(self.point)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """State of a reduced problem: `theta` (N, n), the energy (J), residual and its Jacobian in z, moments M (N, n),
+    twist w = theta' / g at the points times (g - 1), as (N, n), zero for concentric tubes."""
+
+    z: Array
+    theta: Array
+    energy: float
+    gradient: Array
+    hessian: Array
+    moment: Array
+    extra_twist: Array | None
+
+
+def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
+    """Eliminate everything but theta at the collocation points of the tubes that are coupled there."""
+    elements = np.flatnonzero(mesh.collocated)
+    degree, n = mesh.tableau.degree, assembly.n_tubes
+    section = np.repeat(mesh.section[elements], degree)
+    # Concentric straight tubes are carried along; tubes off the centreline are stretched wherever the arm is curved.
+    unknown = (assembly.present if assembly.eccentric else assembly.curved)[section]
+    tube, point = np.nonzero(unknown.T)
+    weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
+    index = np.full(unknown.shape, -1)
+    index[point, tube] = np.arange(len(point))
+    pair = (index[:, :, None] >= 0) & (index[:, None, :] >= 0)
+    rows = np.broadcast_to(index[:, :, None], pair.shape)[pair]
+    columns = np.broadcast_to(index[:, None, :], pair.shape)[pair]
+    factor = np.zeros((len(point), len(point)))
+    green = _green(mesh, elements)
+    for i in range(n):
+        mine = tube == i
+        if mine.any():
+            chosen = np.ix_(point[mine], point[mine])
+            compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+            factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+    return ReducedProblem(
+        assembly=assembly,
+        mesh=mesh,
+        stiffness=(assembly.bending_stiffness * assembly.present)[section],
+        moment=(assembly.bending_stiffness * assembly.curvature * assembly.curved)[section],
+        weight=weight,
+        point=point,
+        tube=tube,
+        factor=factor,
+        rows=rows,
+        columns=columns,
+        entries=np.flatnonzero(pair),
+        stretch=_integrals(mesh, elements) if assembly.eccentric else None,
+    )
+
+
+def _green(mesh: Mesh, elements: Index) -> Array:
+    """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
+    tableau = mesh.tableau
+    start, length = mesh.start[elements], mesh.length[elements]
+    s = (start[:, None] + length[:, None] * tableau.nodes).ravel()
+    green = np.minimum(s[:, None], s)
+    local = tableau.matrix @ (tableau.matrix / tableau.weights).T
+    k = tableau.degree
+    for e in range(len(elements)):
+        block = slice(e * k, (e + 1) * k)
+        green[block, block] = start[e] + length[e] * local
+    return green
+
+
+def _integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
+    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
+    k, count = mesh.tableau.degree, len(elements)
+    length = np.repeat(mesh.length[elements], k)
+    whole = np.tile(mesh.tableau.weights, count) * length
+    element = np.repeat(np.arange(count), k)
+    before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
+    within = np.tile(mesh.tableau.matrix, (count, count)) * length
+    up_to = np.where(same, within, before * whole)
+    return up_to, whole - up_to
+
+
+def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
+    """Energy, residual, Jacobian and moments at z (U,) for base rotations (n,)."""
+    assembly, count = problem.assembly, len(problem.weight)
+    theta = np.tile(rotations, (count, 1))
+    theta[problem.point, problem.tube] += problem.factor @ z
+    if count == 0:
+        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), np.zeros_like(theta), None)
+    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
+    balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
+    moment, stiffness, bending, *stretch = balance(theta, problem.stiffness, problem.moment, *place)
+    weighted = problem.weight[:, None] * moment
+    gradient = z + problem.factor.T @ weighted[problem.point, problem.tube]
+    second = np.zeros((problem.size, problem.size))
+    # CasADi stores dM_i/dtheta_j by columns: [point, j, i].
+    blocks = stiffness.reshape(count, assembly.n_tubes, -1).swapaxes(1, 2) * problem.weight[:, None, None]
+    second[problem.rows, problem.columns] = blocks.ravel()[problem.entries]
+    hessian = problem.factor.T @ second @ problem.factor
+    hessian.flat[:: problem.size + 1] += 1.0
+    energy = 0.5 * float(z @ z) + float(problem.weight @ bending[:, 0])
+    moment = moment.copy()
+    extra = None
+    if problem.stretch is not None:
+        extra, residual, slope = _stretch_terms(problem, moment, blocks, stretch)
+        gradient -= residual
+        hessian -= slope
+    return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
+
+
+def _stretch_terms(
+    problem: ReducedProblem, moment: Array, blocks: Array, stretch: list[Array]
+) -> tuple[Array, Array, Array]:
+    """(g - 1) w at the points, and what it adds to theta, with its Jacobian, both in z coordinates."""
+    assert problem.stretch is not None
+    up_to, beyond = problem.stretch
+    kt = problem.assembly.torsional_stiffness
+    count, n = moment.shape
+    twist = -(beyond @ moment) / kt
+    extra = (stretch[0] - 1) * twist
+    change = up_to @ extra
+    slope_g = stretch[1].reshape(count, n, n).swapaxes(1, 2)
+    slope_moment = blocks / problem.weight[:, None, None]
+    # d(change)[a, i] / d(theta)[b, j] = sum_c P_ac (dg_c w_c delta_cb - (g - 1)_c W_cb dM_b / kt)
+    direct = up_to[:, None, :, None] * np.einsum("bij,bi->ibj", slope_g, twist)[None]
+    through = np.einsum("ac,ci,cb,bij->aibj", up_to, (stretch[0] - 1) / kt, beyond, slope_moment, optimize=True)
+    jacobian = direct - through
+    p, t = problem.point, problem.tube
+    chosen = jacobian[p[:, None], t[:, None], p[None, :], t[None, :]]
+    solve = np.linalg.solve
+    return extra, solve(problem.factor, change[p, t]), solve(problem.factor, chosen @ problem.factor)
+
+
+def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
+    """z (U,) of given rotations theta (N, n) at the collocation points."""
+    p, t = problem.point, problem.tube
+    return np.asarray(np.linalg.solve(problem.factor, theta[p, t] - rotations[t]))
+
+
+def points(problem: ReducedProblem) -> Array:
+    """(N,) arc length of the collocation points, m."""
+    mesh = problem.mesh
+    start, length = mesh.start[mesh.collocated], mesh.length[mesh.collocated]
+    return np.asarray((start[:, None] + length[:, None] * mesh.tableau.nodes).ravel())
+
+
+def residual(problem: ReducedProblem, state: Evaluation) -> float:
+    """Largest violation of the collocation equations, as an error of theta at the points, rad."""
+    return float(np.abs(problem.factor @ state.gradient).max(initial=0.0))
+
+
+def margin(problem: ReducedProblem, state: Evaluation) -> float:
+    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1.
+
+    For tubes off the centreline the second variation is taken with d = 0 at the solved rotations: the difference is
+    below the error of the model itself.
+    """
+    values = np.linalg.eigvalsh(second_variation(problem, state)) if problem.size else np.ones(1)
+    return min(1.0, float(values[0]))
+
+
+def second_variation(problem: ReducedProblem, state: Evaluation) -> Array:
+    """(U, U) second variation in z coordinates, in which its torsional part is the identity."""
+    assembly = problem.assembly
+    if not assembly.eccentric:
+        return state.hessian
+    count = len(problem.weight)
+    stiffness = section_function("balance", count, assembly.n_tubes, False)(
+        state.theta, problem.stiffness, problem.moment
+    )[1]
+    blocks = stiffness.reshape(count, assembly.n_tubes, -1) * problem.weight[:, None, None]
+    second = np.zeros((problem.size, problem.size))
+    second[problem.rows, problem.columns] = blocks.ravel()[problem.entries]
+    return np.asarray(problem.factor.T @ second @ problem.factor + np.eye(problem.size))
