@@ -249,6 +249,17 @@ def follow_branch(
     return current
 
 
+def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
+    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
+    shift = tuple(equilibrium.translations.tolist())
+    problem = reduced_problem(equilibrium.robot, shift, discretisation)
+    theta = sample_rotation(equilibrium, points(problem))
+    result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
+    if not result.converged:
+        raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
+    return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
+
+
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     """theta (len(arc_length), n) of an equilibrium by cubic Hermite interpolation; constant beyond its ends."""
     s = equilibrium.arc_length
@@ -275,7 +286,7 @@ def to_equilibrium(
     if len(mesh.length):
         rotation = arms.along(arms.rotations_at(problem, arm, arms.end_points()))
         torsion = arms.along(arms.torsion_at(problem, arm, arms.end_points()))
-        tips = rotation[np.arange(len(rotations)), np.searchsorted(s, assembly.end - 1e-12)]
+        tips = rotation[np.arange(len(rotations)), np.searchsorted(s, np.maximum(assembly.end - 1e-12, 0.0))]
     else:
         rotation, torsion, tips = rotations[:, None].copy(), np.zeros((len(rotations), 1)), rotations.copy()
     error = arms.rotation_error(problem, rotations, arm, solution.margin)
@@ -297,7 +308,7 @@ def to_equilibrium(
         torsion=torsion,
         tip_rotations=tips,
         section_start=assembly.start,
-        tube_end=assembly.end,
+        tube_end=np.maximum(assembly.end, 0.0),
         margin=solution.margin,
         energy=arms.elastic_energy(problem, arm, state),
         residual=residual(problem, state),

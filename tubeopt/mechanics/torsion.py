@@ -79,7 +79,9 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> tu
 def section_functions(n: int, eccentric: bool) -> dict[str, Callable[..., Any]]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.
 
-    `curvature`: u.  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for eccentric tubes only.
+    `curvature`: u.  `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
+    eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
+    with respect to theta.
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
@@ -87,7 +89,14 @@ def section_functions(n: int, eccentric: bool) -> dict[str, Callable[..., Any]]:
     outputs = [here.moment, ca.densify(ca.jacobian(here.moment, theta)), here.bending_energy]
     if eccentric:
         outputs += [here.stretch, ca.densify(ca.jacobian(here.stretch, theta))]
-    return {
-        "curvature": ca.Function("curvature", inputs, [here.curvature], {"cse": True}),
-        "balance": ca.Function("balance", inputs, outputs, {"cse": True}),
+    y = ca.SX.sym("y", n)
+    form = ca.bilin(outputs[1], y, y)
+    turned = ca.densify(ca.jacobian(here.curvature, theta))
+    table = {
+        "curvature": (inputs, [here.curvature]),
+        "curvature_slope": (inputs, [turned]),
+        "balance": (inputs, outputs),
+        "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
+        "variation": ([*inputs, y], [form, ca.gradient(form, theta)]),
     }
+    return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

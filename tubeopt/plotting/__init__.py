@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .shape import draw_shape, plot_shape
+from .shape import plot_shape, plot_shapes
 from .style import save_figure, tube_colour
-from .torsion import draw_torsion, plot_torsion
+from .torsion import plot_torsion, plot_torsions
 
-__all__ = ["draw_shape", "draw_torsion", "plot_shape", "plot_torsion", "save_figure", "tube_colour"]
+__all__ = ["plot_shape", "plot_shapes", "plot_torsion", "plot_torsions", "save_figure", "tube_colour"]

@@ -14,6 +14,7 @@ from ..robots.assembly import Array
 if TYPE_CHECKING:
     from ..equilibrium import Equilibrium
 
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """k four-sided facets: corners (k, 4, 3) m, outward normals (k, 3), colours (k, 4) as RGBA in [0, 1]."""
@@ -108,7 +109,7 @@ def ring_mesh(
 
 def plate_mesh(radius: float, thickness: float, colour: Array) -> Mesh:
     """A disc whose upper face lies at z = 0: the base plate, cut fine enough to be sorted by depth."""
-    angle = np.linspace(0, 2 * np.pi, 73)
+    angle = np.linspace(0, 2 * np.pi, 121)
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     top = _quads(np.stack([r * circle for r in np.linspace(0, radius, 7)]))
     down = np.array([0, 0, -thickness])

@@ -11,20 +11,18 @@ import numpy as np
 from ..robots.assembly import Array
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
-from .stage import MM, Box, View, draw_box, facets, rule_step, widest_view
-from .style import FAINT, INK, caption, new_figure, number, save_figure, styled, tube_colour
+from .stage import MM, Box, View, draw_box, facets, note, rule_step, widest_view
+from .style import FAINT, INK, caption, finish, new_figure, number, styled, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
     from ..equilibrium import Equilibrium
 
 GHOST_OPACITY = 0.25
 PLATE_COLOUR = np.array([0.80, 0.82, 0.85, 1.0])
 BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
-CLOSE_UP = 1.7
-"""Radius of a close-up, in outer diameters of the thickest tube."""
 
 
 @styled
@@ -35,7 +33,7 @@ def plot_shape(
     ghosts: Sequence[Equilibrium] = (),
     view: tuple[float, float] | None = None,
 ) -> Figure:
-    """Picture of the robot's shape, 7.0 x 5.0 in.
+    """Picture of the robot's shape to scale, with close-ups of the ends of its tubes.
 
     Args:
         equilibrium: what to draw.
@@ -47,38 +45,59 @@ def plot_shape(
         InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(7.0, 5.0)
-    draw_shape(figure, equilibrium, ghosts=ghosts, view=view)
-    if path is not None:
-        save_figure(figure, path)
-    return figure
+    figure.suptitle(caption(equilibrium), fontsize=9, x=0.02, ha="left")
+    _draw_shapes(figure, [equilibrium], ghosts, view)
+    return finish(figure, path)
 
 
 @styled
-def draw_shape(
-    figure: Figure | SubFigure,
-    equilibrium: Equilibrium,
+def plot_shapes(
+    equilibria: Sequence[Equilibrium],
+    path: str | PathLike[str] | None = None,
     *,
-    ghosts: Sequence[Equilibrium] = (),
+    titles: Sequence[str] | None = None,
     view: tuple[float, float] | None = None,
-    title: str | None = None,
-    close_ups: bool = True,
-) -> None:
-    """Draw the shape into `figure`, or a part of one: the robot to scale, and a column of close-ups beside it.
+) -> Figure:
+    """Picture of several shapes side by side, from one side and at one scale; close-ups of the last one.
 
-    Args: as `plot_shape`; `title` replaces the robot's name, `close_ups=False` leaves out the column.
+    Args:
+        equilibria: what to draw, left to right.
+        path, view: as in `plot_shape`.
+        titles: a heading for each; None is the robot's name.
     """
-    shapes = np.concatenate([each.position for each in (equilibrium, *ghosts)])
-    seen = View(*view) if view is not None else widest_view(shapes)
-    ends = exposed(equilibrium) if close_ups else []
-    grid = figure.add_gridspec(max(len(ends), 3), 2 if ends else 1, width_ratios=(3.6, 1) if ends else None)
-    scene = figure.add_subplot(grid[:, 0])
-    _draw_scene(scene, equilibrium, ghosts, seen)
+    figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
+    scenes = _draw_shapes(figure, equilibria, (), view)
+    for scene, equilibrium, title in zip(scenes, equilibria, titles or [None] * len(equilibria), strict=True):
+        scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
+    return finish(figure, path)
+
+
+def _draw_shapes(
+    figure: Figure,
+    equilibria: Sequence[Equilibrium],
+    ghosts: Sequence[Equilibrium],
+    view: tuple[float, float] | None,
+) -> list[Axes]:
+    """Fill `figure` with a scene for each equilibrium and a column of close-ups; return the scenes."""
+    everyone = [*equilibria, *ghosts]
+    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
+    meshes = [_scene_mesh(equilibrium, ghosts) for equilibrium in equilibria]
+    box = Box.around(np.concatenate([mesh.corners.reshape(-1, 3) for mesh in meshes]))
+    last = equilibria[-1]
+    ends = exposed(last)
+    widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0]
+    grid = figure.add_gridspec(max(len(ends), 3), len(widths), width_ratios=widths)
+    scenes = [figure.add_subplot(grid[:, column]) for column in range(len(equilibria))]
+    for scene, equilibrium, mesh in zip(scenes, equilibria, meshes, strict=True):
+        draw_box(scene, box, seen)
+        _draw_shadows(scene, [equilibrium, *ghosts], box, seen)
+        scene.add_collection(facets(mesh, seen))
+        _name_tubes(scene, equilibrium, seen)
     for row, (tube, _, end) in enumerate(reversed(ends)):
-        close_up = figure.add_subplot(grid[row, 1])
-        _draw_close_up(close_up, scene, equilibrium, tube, end, seen)
-    if ends:
-        _draw_scale_bar(close_up)
-    figure.suptitle(caption(equilibrium, title), fontsize=9, x=0.02, ha="left")
+        close_up = figure.add_subplot(grid[row, -1])
+        _draw_close_up(close_up, scenes[-1], last, tube, end, seen)
+    _draw_scale_bar(close_up)
+    return scenes
 
 
 def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
@@ -136,59 +155,53 @@ def plate_radius(equilibrium: Equilibrium) -> float:
     return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
 
 
-def _draw_scene(axes: Axes, equilibrium: Equilibrium, ghosts: Sequence[Equilibrium], view: View) -> None:
-    """The robot on its plate, with its shadow on the floor, to scale."""
+def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
+    """The robot on its plate, and the ghosts."""
     radius = plate_radius(equilibrium)
     parts = [surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR), robot_mesh(equilibrium)]
-    parts += [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts]
-    whole = Mesh.join(parts)
-    box = Box.around(whole.corners.reshape(-1, 3))
-    draw_box(axes, box, view)
-    for each in (equilibrium, *ghosts):
-        floored = np.column_stack([each.position[:, :2], np.full(len(each.position), box.low[2] / MM)])
-        shadow = view.project(floored)
+    return Mesh.join(parts + [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts])
+
+
+def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view: View) -> None:
+    """Every centreline as it falls straight down onto the floor."""
+    for equilibrium in equilibria:
+        fallen = equilibrium.position.copy()
+        fallen[:, 2] = box.low[2] / MM
+        shadow = view.project(fallen)
         axes.plot(shadow[:, 0], shadow[:, 1], color=FAINT, lw=1.3, alpha=0.4, solid_capstyle="round", zorder=1)
-    axes.add_collection(facets(whole, view))
-    _name_tubes(axes, equilibrium, view)
 
 
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
-    """Name each tube beside the middle of where it shows, and the tip."""
+    """Name each tube to the lower right of the middle of where it shows, and the tip to the upper left of it."""
     line = Centreline(equilibrium)
     for i, start, end in exposed(equilibrium):
-        at, beside = _beside(line, (start + end) / 2, view)
-        _label(axes, f"tube {i + 1}", at, 7 * beside, tube_colour(i))
-    at, beside = _beside(line, line.length, view)
-    _label(axes, "tip", at, -9 * beside, INK)
+        middle = (start + end) / 2
+        beside = _beside(line, middle, view)
+        at = view.project(line.position([middle])[0])[:2] + equilibrium.robot.tubes[i].outer_diameter / 2 * MM * beside
+        note(axes, f"tube {i + 1}", at, 5 * beside, colour=tube_colour(i))
+    beside = _beside(line, line.length, view)
+    at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * MM * beside
+    note(axes, "tip", at, -3 * beside)
 
 
-def _beside(line: Centreline, s: float, view: View) -> tuple[Array, Array]:
-    """Where arc length `s` is seen, mm, and the unit vector in the picture that points to the arm's lower right."""
-    at = view.project(line.position([s])[0])[:2]
+def _beside(line: Centreline, s: float, view: View) -> Array:
+    """(2,) unit vector in the picture, square to the arm at arc length `s`, to its right if it points upwards."""
     tangent = view.project(line.axes(np.array([s]))[2][0])[:2]
     beside = np.array([tangent[1], -tangent[0]])
     length = float(np.linalg.norm(beside))
-    return at, beside / length if length > 1e-9 else np.array([1.0, 0.0])
+    return beside / length if length > 1e-9 else np.array([1.0, 0.0])
 
 
-def _label(axes: Axes, text: str, at: Array, shift: Array, colour: str) -> None:
-    axes.annotate(
-        text,
-        (float(at[0]), float(at[1])),
-        (float(shift[0]), float(shift[1])),
-        textcoords="offset points",
-        ha="left" if shift[0] >= 0 else "right",
-        va="center" if abs(shift[0]) > abs(shift[1]) else "bottom" if shift[1] > 0 else "top",
-        color=colour,
-        zorder=6,
-    )
+def close_up_radius(equilibrium: Equilibrium) -> float:
+    """Radius of what a close-up shows, m."""
+    return 1.7 * max(tube.outer_diameter for tube in equilibrium.robot.tubes)
 
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, tube: int, end: float, view: View) -> None:
     """The end of one tube seen from the same side, in a circle that is drawn in the scene too."""
     from matplotlib.patches import Circle, ConnectionPatch
 
-    radius = CLOSE_UP * max(each.outer_diameter for each in equilibrium.robot.tubes)
+    radius = close_up_radius(equilibrium)
     centre = Centreline(equilibrium).position([end])[0]
     shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius)), view, centre)
     rim = Circle((0, 0), radius * MM, facecolor="white", edgecolor=FAINT, lw=0.8)
@@ -223,4 +236,4 @@ def _draw_scale_bar(axes: Axes) -> None:
     low, high = axes.get_xlim()
     length, y = rule_step(high - low), 1.1 * low
     axes.plot([-length / 2, length / 2], [y, y], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False)
-    axes.annotate(f"{number(length, 3)} mm", (0, y), (0, -3), textcoords="offset points", ha="center", va="top")
+    axes.text(0, 1.05 * y, f"{number(length, 3)} mm", ha="center", va="top")

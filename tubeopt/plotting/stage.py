@@ -140,22 +140,27 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
         start, stop = view.project(ends / MM)[:, :2]
         outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
         outward *= np.sign(outward @ ((start + stop) / 2 - middle))
-        rules = _spaced(box, axis, float(np.linalg.norm(stop - start)), 0.06 * height)
+        rules = _spaced(box, axis, stop - start, height)
         if axis < 2 and view.axes[0, axis] ** 2 < 0.5:
             # The two scales meet at the front corner, where only one of them has room for its number.
             rules = rules[np.abs(rules - front[axis]) > box.step / 2]
         points = np.tile(edge, (len(rules), 1))
         points[:, axis] = rules
         for value, at in zip(rules, view.project(points / MM)[:, :2], strict=True):
-            _note(axes, number(value, 3), at, 5 * outward)
+            note(axes, number(value, 3), at, 5 * outward)
         if axis < 2:
-            _note(axes, f"{name} (mm)", (start + stop) / 2, 21 * outward, size=9)
+            note(axes, f"{name} (mm)", (start + stop) / 2, 21 * outward, size=9)
         else:
-            _note(axes, f"{name} (mm)", (start + stop) / 2, 28 * outward, size=9, rotation=90)
+            note(axes, f"{name} (mm)", (start + stop) / 2, 28 * outward, size=9, rotation=90)
 
 
-def _spaced(box: Box, axis: int, length: float, room: float) -> Array:
-    """Those rules of an edge seen `length` long that may carry numbers `room` apart; `length` and `room` in mm."""
+def _spaced(box: Box, axis: int, edge: Array, height: float) -> Array:
+    """The rules along `axis` that may carry numbers without crowding, if its edge is seen as `edge` (2,).
+
+    `height` is that of the whole box as seen, which fills about four inches: numbers are wider than high.
+    """
+    length = float(np.linalg.norm(edge))
+    room = (0.09 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * height
     gap = length * box.step / (box.high[axis] - box.low[axis])
     every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
     rules = box.rules(axis)
@@ -163,7 +168,9 @@ def _spaced(box: Box, axis: int, length: float, room: float) -> Array:
     return kept
 
 
-def _note(axes: Axes, text: str, at: Array, shift: Array, *, size: float = 8, rotation: float = 0) -> None:
+def note(
+    axes: Axes, text: str, at: Array, shift: Array, *, size: float = 8, rotation: float = 0, colour: str = INK
+) -> None:
     """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it."""
     horizontal = "left" if shift[0] > 2 else "right" if shift[0] < -2 else "center"
     vertical = "center" if abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
@@ -176,8 +183,9 @@ def _note(axes: Axes, text: str, at: Array, shift: Array, *, size: float = 8, ro
         va=vertical,
         fontsize=size,
         rotation=rotation,
-        color=INK,
+        color=colour,
         annotation_clip=False,
+        zorder=6,
     )
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
 from ..errors import InputError
 from ..robots.assembly import Array
+from ..study.output import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,36 +98,33 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     kind = picture_format(path)
     # A picture depends on its data alone, so that the same data give the same file.
     metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    with atomic_write(path) as file:
-        figure.savefig(file, format=kind, dpi=DPI, metadata=metadata)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
     return Path(path)
 
 
-@contextmanager
-def atomic_write(path: str | PathLike[str]) -> Iterator[IO[bytes]]:
-    """A binary file that appears under `path` when the block ends without an error, and not before."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            yield file
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
+    """Return `figure`, saved under `path` if that is given."""
+    if path is not None:
+        save_figure(figure, path)
+    return figure
 
 
-def caption(equilibrium: Equilibrium, title: str | None = None) -> str:
-    """Two lines above a picture: `title` or the robot's name, then joint values, tip and margin."""
+def caption(equilibrium: Equilibrium, title: str | None = None, *, narrow: bool = False) -> str:
+    """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each."""
     name = title or equilibrium.robot.name or f"Concentric robot, {equilibrium.robot.n_tubes} tubes"
     rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
-    parts = [f"rotations ({rotations})"]
+    joints = [f"rotations ({rotations})"]
     if np.any(equilibrium.translations):
-        parts.append(f"translations ({_millimetres(equilibrium.translations)}) mm")
-    parts.append(f"tip ({_millimetres(equilibrium.tip_position)}) mm")
-    parts.append(f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}"))
-    return f"{name}\n{',  '.join(parts)}"
+        joints.append(f"translations ({_millimetres(equilibrium.translations)}) mm")
+    margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
+    state = [
+        f"tip ({_millimetres(equilibrium.tip_position)}) mm",
+        margin if equilibrium.stable else f"{margin}, unstable",
+    ]
+    if narrow:
+        return "\n".join([name, *joints, *state])
+    return f"{name}:  {',  '.join(state)}\n{',  '.join(joints)}"
 
 
 def _millimetres(lengths: Array) -> str:

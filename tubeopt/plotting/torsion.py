@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..robots.assembly import Array
-from .style import FAINT, INK, caption, new_figure, save_figure, styled, tube_colour
+from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
     from ..equilibrium import Equilibrium
 
@@ -21,7 +22,10 @@ MM = 1e3
 
 @styled
 def plot_torsion(equilibrium: Equilibrium, path: str | PathLike[str] | None = None) -> Figure:
-    """Picture of the rotation and the torsion of every tube over arc length, 7.0 x 5.0 in.
+    """Picture of the rotation and the torsion of every tube over arc length.
+
+    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends. Curves of outer tubes are
+    thicker, so that curves that coincide stay visible inside one another.
 
     Args:
         equilibrium: what to draw.
@@ -30,33 +34,41 @@ def plot_torsion(equilibrium: Equilibrium, path: str | PathLike[str] | None = No
     Raises:
         InputError: the name of the picture does not end in a known format.
     """
-    figure = new_figure(7.0, 5.0)
-    draw_torsion(figure, equilibrium)
-    if path is not None:
-        save_figure(figure, path)
-    return figure
+    return plot_torsions([equilibrium], path)
 
 
 @styled
-def draw_torsion(figure: Figure | SubFigure, equilibrium: Equilibrium, *, title: str | None = None) -> None:
-    """Draw theta_i(s) in deg above theta_i'(s) in deg/mm into `figure`, or a part of one.
+def plot_torsions(
+    equilibria: Sequence[Equilibrium],
+    path: str | PathLike[str] | None = None,
+    *,
+    titles: Sequence[str] | None = None,
+) -> Figure:
+    """`plot_torsion` of several equilibria of one robot side by side, with the same scales.
 
-    Each curve ends where its tube ends. Curves of outer tubes are thicker, so that curves that coincide stay visible
-    inside one another. `title` replaces the robot's name.
+    Args:
+        equilibria: what to draw, left to right.
+        path: as in `plot_torsion`.
+        titles: a heading for each; None is the robot's name.
     """
-    above, below = figure.subplots(2, 1, sharex=True)
-    _draw_curves(above, equilibrium, np.degrees(equilibrium.rotation))
-    _draw_curves(below, equilibrium, np.degrees(equilibrium.torsion) / MM)
-    _draw_inputs(above, equilibrium)
+    count = len(equilibria)
+    figure = new_figure(7.0 if count == 1 else 4.0 * count, 5.0)
+    panels = figure.subplots(2, count, sharex=True, sharey="row", squeeze=False)
+    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles or [None] * count, strict=True):
+        _draw_curves(above, equilibrium, np.degrees(equilibrium.rotation))
+        _draw_curves(below, equilibrium, np.degrees(equilibrium.torsion) / MM)
+        _draw_inputs(above, equilibrium)
+        rows = _mark_sections(above, below, equilibrium, room=0.12 if count == 1 else 0.22)
+        below.set_xlabel("arc length s from the base plate (mm)")
+        above.set_title(caption(equilibrium, title, narrow=count > 1), loc="left", pad=8 + 9 * rows)
+    above, below = panels[:, 0]
     above.set_ylabel("rotation \N{GREEK SMALL LETTER THETA} (deg)")
     below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")
-    below.set_xlabel("arc length s from the base plate (mm)")
-    _mark_sections(above, equilibrium, names=True)
-    _mark_sections(below, equilibrium, names=False)
+    below.set_xlim(0, 1.02 * MM * max(float(each.tube_end.max()) for each in equilibria))
     _widen(above, 20.0)
     _widen(below, 0.02)
-    below.set_xlim(0, float(equilibrium.tube_end.max()) * MM * 1.02)
-    figure.suptitle(caption(equilibrium, title), fontsize=9, x=0.02, ha="left")
+    _add_legend(figure, above)
+    return finish(figure, path)
 
 
 def _draw_curves(axes: Axes, equilibrium: Equilibrium, values: Array) -> None:
@@ -65,56 +77,67 @@ def _draw_curves(axes: Axes, equilibrium: Equilibrium, values: Array) -> None:
         end = equilibrium.tube_end[i]
         inside = equilibrium.arc_length <= end + 1e-12
         s, value = equilibrium.arc_length[inside] * MM, values[i, inside]
-        axes.plot(s, value, color=tube_colour(i), lw=1.4 + 1.1 * i, solid_capstyle="butt", label=f"tube {i + 1}")
-        axes.plot(s[-1:], value[-1:], "o", color=tube_colour(i), ms=4 + 1.1 * i, clip_on=False, zorder=4)
+        axes.plot(s, value, color=tube_colour(i), lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}")
+        axes.plot(s[-1:], value[-1:], "o", color=tube_colour(i), ms=3.6 + 0.9 * i, clip_on=False, zorder=4)
     axes.grid(axis="y", color="#E6E8EB", lw=0.5)
     axes.set_axisbelow(True)
 
 
 def _draw_inputs(axes: Axes, equilibrium: Equilibrium) -> None:
     """The rotation imposed behind the plate, at the left edge: its distance to the curve is the wind-up there."""
-    for i, rotation in enumerate(np.degrees(equilibrium.rotations)):
-        axes.plot([0], [rotation], ">", mfc="white", mec=tube_colour(i), ms=6 + i, clip_on=False, zorder=5)
+    for i, rotation in reversed(list(enumerate(np.degrees(equilibrium.rotations)))):
+        axes.plot([0], [rotation], ">", mfc="white", mec=tube_colour(i), ms=5 + 2 * i, clip_on=False, zorder=5)
+
+
+def _add_legend(figure: Figure, axes: Axes) -> None:
+    """Names of the curves in `axes` and of the sign of an input, below all panels."""
     handles, labels = axes.get_legend_handles_labels()
     (mark,) = axes.plot([], [], ">", mfc="white", mec=INK, ms=6)
-    axes.legend(
+    figure.legend(
         [*reversed(handles), mark],
         [*reversed(labels), "rotation imposed behind the plate"],
-        loc="lower left",
-        bbox_to_anchor=(0, 1.08),
+        loc="outside lower center",
         ncols=len(handles) + 1,
-        borderaxespad=0,
-        handlelength=1.6,
-        columnspacing=1.4,
+        handlelength=1.8,
+        columnspacing=1.6,
     )
 
 
-def _mark_sections(axes: Axes, equilibrium: Equilibrium, *, names: bool) -> None:
-    """A thin line at every breakpoint, named by what happens there."""
-    marks: dict[float, list[str]] = {}
-    for start in equilibrium.section_start:
-        marks.setdefault(round(float(start) * MM, 6), [])
+def breakpoints(equilibrium: Equilibrium) -> dict[float, str]:
+    """What happens at which arc length in front of the plate, mm: "tube 2 curves", "tube 3 ends"."""
+    events: dict[float, list[str]] = {}
     for i, tube in enumerate(equilibrium.robot.tubes):
         end = float(equilibrium.tube_end[i])
-        bend = end - tube.curved_length
-        if bend > 0 and tube.curved_length > 0:
-            marks.setdefault(round(bend * MM, 6), []).append(f"{i + 1} curves")
-        if end > 0:
-            marks.setdefault(round(end * MM, 6), []).append(f"{i + 1} ends")
-    for s, events in marks.items():
-        axes.axvline(s, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
-        if names and events:
-            axes.annotate(
-                "tube " + ", ".join(events),
-                (s, 1),
-                (0, 2),
-                xycoords=("data", "axes fraction"),
-                textcoords="offset points",
-                ha="center",
-                va="bottom",
-                fontsize=7,
-                color=FAINT,
-            )
+        for s, what in ((end - tube.curved_length, "curves"), (end, "ends")):
+            if s > 1e-9 and (what == "ends" or tube.curved_length > 0):
+                events.setdefault(round(s * MM, 6), []).append(f"{i + 1} {what}")
+    return {s: "tube " + ", ".join(events[s]) for s in sorted(events)}
+
+
+def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: float) -> int:
+    """A thin line at every breakpoint, named on top; return how many rows of names that took.
+
+    Names less than `room` (a fraction of the width) apart go into different rows.
+    """
+    width = float(equilibrium.tube_end.max()) * MM
+    reached: list[float] = []
+    for s, what in breakpoints(equilibrium).items():
+        for axes in (above, below):
+            axes.axvline(s, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
+        row = next((k for k, last in enumerate(reached) if s - last > room * width), len(reached))
+        reached[row : row + 1] = [s]
+        above.annotate(
+            what,
+            (s, 1),
+            (0, 2 + 9 * row),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=7,
+            color=FAINT,
+        )
+    return len(reached)
 
 
 def _widen(axes: Axes, least: float) -> None:

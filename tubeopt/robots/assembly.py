@@ -30,10 +30,9 @@ class Assembly:
         curvature: (n,) precurvature of the curved parts, 1/m.
         offset, offset_angle: (n,) m, rad.
         transmission: (n,) |beta_i|, the length from where tube i is held to the plate, m.
-        end: (n,) arc length of each tube's end, m; 0 where nothing of it is left in front of the plate.
+        transition, end: (n,) arc length where each tube begins to curve and where it ends, m; negative behind the plate.
         start, length: (m,) arc length where each section begins, and its length, m.
         present, curved: (m, n) whether tube i is there, and whether it is curved there.
-        moves: (m + 1, n) whether the breakpoint before section k (after the last one) moves along with tube i.
     """
 
     bending_stiffness: Array
@@ -42,12 +41,12 @@ class Assembly:
     offset: Array
     offset_angle: Array
     transmission: Array
+    transition: Array
     end: Array
     start: Array
     length: Array
     present: Mask
     curved: Mask
-    moves: Mask
 
     @property
     def n_tubes(self) -> int:
@@ -62,7 +61,7 @@ class Assembly:
     @property
     def total_length(self) -> float:
         """Arc length of the tip, m."""
-        return float(self.end.max())
+        return max(0.0, float(self.end.max()))
 
     @property
     def eccentric(self) -> bool:
@@ -104,14 +103,12 @@ def assemble(
                 f"it must be at most its straight_length, {straight[i]:g} m"
             )
     beta = np.minimum(beta, 0.0)
-    transition = np.maximum(beta + straight, 0.0)
-    end = np.maximum(beta + np.array([tube.length for tube in tubes]), 0.0)
+    transition = beta + straight
+    end = beta + np.array([tube.length for tube in tubes])
     curvature = np.array([tube.curvature for tube in tubes])
-    cuts = _merge(np.concatenate([[0.0], transition, end]))
-    middle = (cuts[:-1] + cuts[1:])[:, None] / 2
-    present = middle < end
+    cuts = _merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
+    present, curved = where(transition, end, curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
     zero = np.zeros(n)
-    at = np.abs(cuts[:, None] - transition) <= ROUND_OFF, np.abs(cuts[:, None] - end) <= ROUND_OFF
     return Assembly(
         bending_stiffness=np.array([tube.bending_stiffness for tube in tubes]),
         torsional_stiffness=np.array([tube.torsional_stiffness for tube in tubes]),
@@ -119,13 +116,19 @@ def assemble(
         offset=zero if offset is None else offset,
         offset_angle=zero if offset_angle is None else offset_angle,
         transmission=-beta,
+        transition=transition,
         end=end,
         start=cuts[:-1],
         length=np.diff(cuts),
         present=present,
-        curved=present & (middle > transition) & (curvature != 0),
-        moves=(at[0] | at[1]) & (cuts[:, None] > ROUND_OFF),
+        curved=curved,
     )
+
+
+def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:
+    """Which tubes are present, and which are curved, at arc length s between the breakpoints."""
+    present = np.asarray(s < end)
+    return present, present & (s > transition) & (curvature != 0)
 
 
 def _merge(points: Array) -> Array:

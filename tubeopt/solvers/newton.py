@@ -71,7 +71,7 @@ def descend(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: 
             return NewtonResult(state, True, iteration, 0.0)
         for _ in range(40):
             trial = evaluate(problem, rotations, state.z + step)
-            if trial.energy <= state.energy + 1e-4 * slope + 1e-14 * (1 + abs(state.energy)):
+            if trial.energy <= state.energy + 1e-4 * slope + 1e-13 * abs(state.energy):
                 break
             step, slope = step / 2, slope / 2
         state = trial
@@ -92,6 +92,8 @@ def _turn(problem: ReducedProblem, step: Array) -> float:
 
 def _downhill(state: Evaluation) -> tuple[Array, bool]:
     """Newton step where the energy is convex; else the step of the Hessian with its eigenvalues made positive."""
+    if not len(state.z):
+        return state.z, False
     _, step, failed = dposv(state.hessian, -state.gradient)
     if not failed:
         return step, False

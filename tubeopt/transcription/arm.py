@@ -10,6 +10,7 @@ import numpy as np
 from ..mechanics.shape import GAUSS_POINTS
 from ..robots.assembly import Array
 from .buffered import section_function, shape_steps
+from .mesh import Mesh
 from .reduced import Evaluation, ReducedProblem
 from .tableau import Tableau, tableau
 
@@ -40,24 +41,32 @@ class Profile:
 
 
 def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Profile:
-    """Integrate the moments from the tip, where torsion is 0, then the twist from the base."""
-    mesh, kt = problem.mesh, problem.assembly.torsional_stiffness
+    """theta_i(s) of a solved problem."""
+    assembly = problem.assembly
+    moment = state.moment / assembly.torsional_stiffness
+    return integrate(problem.mesh, rotations, assembly.transmission, moment, state.extra_twist)
+
+
+def integrate(mesh: Mesh, base: Array, transmission: Array, moment: Array, extra_twist: Array | None = None) -> Profile:
+    """Integrate moments M / kt (N, n) from the tip, where torsion is 0, then the twist from the base (n,).
+
+    The columns need not be tubes: derivatives of them, any number, obey the same equations.
+    """
     weights, nodes = mesh.tableau.weights, mesh.tableau.nodes
-    shape = len(mesh.length), mesh.tableau.degree, len(kt)
-    moment = np.zeros(shape)
-    moment[mesh.collocated] = (state.moment / kt).reshape(-1, *shape[1:])
+    shape = len(mesh.length), mesh.tableau.degree, len(base)
+    inner = np.zeros(shape)
+    inner[mesh.collocated] = moment.reshape(-1, *shape[1:])
     h = mesh.length[:, None]
-    gain = h * (weights @ moment)
+    gain = h * (weights @ inner)
     twist = -np.cumsum(gain[::-1], axis=0)[::-1]
-    turn = h * twist + h**2 * ((weights * (1 - nodes)) @ moment)
+    turn = h * twist + h**2 * ((weights * (1 - nodes)) @ inner)
     extra = None
-    if state.extra_twist is not None:
+    if extra_twist is not None:
         extra = np.zeros(shape)
-        extra[mesh.collocated] = state.extra_twist.reshape(-1, *shape[1:])
+        extra[mesh.collocated] = extra_twist.reshape(-1, *shape[1:])
         turn += h * (weights @ extra)
-    base = rotations + problem.assembly.transmission * (twist[0] if len(twist) else 0.0)
-    rotation = base + np.cumsum(turn, axis=0) - turn
-    return Profile(rotation, twist, moment, extra)
+    start = base + transmission * (twist[0] if len(twist) else 0.0)
+    return Profile(start + np.cumsum(turn, axis=0) - turn, twist, inner, extra)
 
 
 @lru_cache(maxsize=64)
@@ -212,8 +221,8 @@ def rotation_error(problem: ReducedProblem, rotations: Array, arm: Profile, marg
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     stiffness = (assembly.bending_stiffness * assembly.present)[section]
     natural = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[section]
-    balance = section_function("balance", len(section), assembly.n_tubes, assembly.eccentric)
-    out = balance(theta[mesh.collocated].reshape(-1, assembly.n_tubes), stiffness, natural, *place)
+    moments = section_function("moment", len(section), assembly.n_tubes, assembly.eccentric)
+    out = moments(theta[mesh.collocated].reshape(-1, assembly.n_tubes), stiffness, natural, *place)
     kt, h = assembly.torsional_stiffness, mesh.length[:, None, None]
     moment = np.zeros_like(theta)
     moment[mesh.collocated] = (out[0] / kt).reshape(-1, fine.degree, assembly.n_tubes)
@@ -221,7 +230,7 @@ def rotation_error(problem: ReducedProblem, rotations: Array, arm: Profile, marg
     twist = -np.cumsum(gain[::-1], axis=0)[::-1]
     slope = twist[:, None, :] + h * (fine.matrix @ moment)
     if assembly.eccentric:
-        slope[mesh.collocated] *= out[3].reshape(-1, fine.degree, assembly.n_tubes)
+        slope[mesh.collocated] *= out[1].reshape(-1, fine.degree, assembly.n_tubes)
     turn = h[:, 0] * (fine.weights @ slope)
     start = rotations + assembly.transmission * twist[0] + np.cumsum(turn, axis=0) - turn
     defect = start[:, None, :] + h * (fine.matrix @ slope) - theta

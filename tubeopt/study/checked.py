@@ -1,0 +1,143 @@
+"""Data from outside, checked against a model: every problem at once, each in one sentence with its path."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from ..errors import InputError, nearest
+from .units import decimal, shown
+
+Number = Annotated[Decimal, BeforeValidator(decimal)]
+"""A finite number as it was written; neither text nor true/false."""
+
+Positive = Annotated[Decimal, Field(gt=0), BeforeValidator(decimal)]
+NotNegative = Annotated[Decimal, Field(ge=0), BeforeValidator(decimal)]
+
+
+class Entry(BaseModel):
+    """A mapping in a file. Keys carry their unit as suffix; unknown keys are refused.
+
+    Validators raise InputError with a whole sentence, or ValueError with a message that continues the key's name.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def check(
+    model: type[Model],
+    data: object,
+    where: str | PathLike[str],
+    *,
+    names: Mapping[str, str] | None = None,
+) -> Model:
+    """`data` as an instance of `model`.
+
+    Args:
+        where: file or other place that the data are from; it begins every message, and what a path in the data is
+            relative to.
+        names: what the caller calls a top-level key, where that is not the key; "" leaves it out.
+
+    Raises:
+        InputError: one line for every problem.
+    """
+    try:
+        return model.model_validate(data, context={"directory": Path(where).parent})
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+    lines: dict[str, None] = {}  # a set in order: an alias used twice is one problem
+    for problem in problems:
+        for sentence in _sentences(model, dict(problem), names or {}):
+            lines[f"{where}: {sentence}" if str(where) else sentence] = None
+    raise InputError("\n".join(lines))
+
+
+def check_kind(kinds: Mapping[str, type[Model]], data: object, where: str | PathLike[str]) -> Model:
+    """`data` as an instance of the model that its key `kind` names; raises InputError as `check` does."""
+    prefix = f"{where}: " if str(where) else ""
+    if not isinstance(data, Mapping):
+        raise InputError(f"{prefix}the data are {shown(data)}; they must be a mapping of keys to values")
+    allowed = f"it must be {_either(list(kinds))}"
+    if "kind" not in data:
+        raise InputError(f"{prefix}kind is missing; {allowed}")
+    kind = data["kind"]
+    if not isinstance(kind, str) or kind not in kinds:
+        raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{nearest(str(kind), kinds)}")
+    return check(kinds[kind], data, where)
+
+
+def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
+    """What is wrong, where, and what is allowed: one sentence, or several where a file named in the data has many."""
+    loc: Sequence[int | str] = problem["loc"]
+    path, value, context = _path(loc, names), problem["input"], problem.get("ctx", {})
+    match problem["type"]:
+        case "missing":
+            return [f"{path} is missing"]
+        case "extra_forbidden":
+            return [f"{path} is not a known key{nearest(str(loc[-1]), _known_keys(model, loc[:-1]))}"]
+        case "invalid_key":
+            return [f"{path} is not a known key; keys are text"]
+        case "value_error" if isinstance(context["error"], InputError):
+            return [f"{path}: {line}" if path else line for line in str(context["error"]).splitlines()]
+        case "value_error":
+            return [f"{path} {context['error']}".strip()]
+        case "literal_error":
+            words = re.findall(r"'(.*?)'", context["expected"])
+            return [f"{path} is {shown(value)}; it must be {_either(words)}{nearest(str(value), words)}"]
+        case "too_short":
+            return [f"{path} has {context['actual_length']} items; it must have at least {context['min_length']}"]
+        case "too_long":
+            return [f"{path} has {context['actual_length']} items; it must have at most {context['max_length']}"]
+        case kind if kind in _NOUNS:
+            return [f"{path or 'it'} is {shown(value)}; it must be {_NOUNS[kind]}"]
+        case _:  # pydantic's own words, which read "Input should be greater than 0"
+            return [f"{path} is {shown(value)}; {problem['msg'].replace('Input should', 'it must')}"]
+
+
+_NOUNS = {
+    "model_type": "a mapping of keys to values",
+    "dict_type": "a mapping of keys to values",
+    "list_type": "a list",
+    "string_type": "text",
+    "bool_type": "true or false",
+}
+
+
+def _path(loc: Sequence[int | str], names: Mapping[str, str]) -> str:
+    """`tubes[1].outer_diameter_mm`; parts in <> only tell pydantic's choices apart."""
+    path = ""
+    for part in loc:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif not part.startswith("<"):
+            path += f".{part}" if path else names.get(part, part)
+    return path
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
+    """The keys that are known at a place in the data of `model`."""
+    models = [model]
+    for part in loc:
+        inner = [one.model_fields[part].annotation for one in models if part in one.model_fields]
+        models = [found for annotation in inner for found in _models(annotation)] or models
+    return [key for one in models for key in one.model_fields]
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models(inner)
+
+
+def _either(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -1,0 +1,61 @@
+"""Files read with one clear sentence where that fails, and written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+
+from ..errors import InputError
+
+
+@contextmanager
+def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
+    """Yield a name beside `path` to write to; it becomes `path` when the block ends without an error.
+
+    Whoever reads `path` meanwhile, and whoever looks after an interruption, sees the old file or the new one.
+    Missing directories are made.
+
+    Raises:
+        InputError: the file cannot be written there.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def write_text(path: str | PathLike[str], text: str) -> None:
+    """Write `text` to `path` in UTF-8, whole or not at all; raises InputError where that cannot be."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def read_bytes(path: str | PathLike[str]) -> bytes:
+    """The content of a file; raises InputError naming it where it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: this is a directory; it must be a file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def read_text(path: str | PathLike[str]) -> str:
+    """The text of a file in UTF-8; raises InputError naming it where it cannot be read."""
+    try:
+        return read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this is not a text file in UTF-8") from None

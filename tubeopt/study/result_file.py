@@ -1,0 +1,86 @@
+"""Results on disk: `result.json` to read, `arrays.npz` for what runs along the arm. SI units, as in the library."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import typing
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, create_model
+
+from ..equilibrium import ARRAYS, Equilibrium, Status
+from ..errors import InputError
+from .checked import check
+from .files import atomic_write, read_bytes, read_text, write_text
+
+ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
+"""Arrays with a value per point; the others are short enough to be read in the JSON file."""
+
+StatusByName = Annotated[
+    Status,
+    BeforeValidator(lambda name: Status[name] if name in Status.__members__ else name),
+    PlainSerializer(lambda status: status.name),
+]
+
+
+def _record_model() -> type[BaseModel]:
+    """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
+    types: dict[str, Any] = typing.get_type_hints(Equilibrium)
+    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": StatusByName}
+    fields = {field.name: (types[field.name], ...) for field in dataclasses.fields(Equilibrium)}
+    # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
+    config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
+    kept = {name: field for name, field in fields.items() if name not in ALONG_THE_ARM}
+    return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **kept)
+
+
+_Record = _record_model()
+
+
+def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -> list[Path]:
+    """Write `result.json` and `arrays.npz` into `directory`, each whole or not at all, and return their paths.
+
+    Raises:
+        InputError: the files cannot be written.
+    """
+    result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
+    content = io.BytesIO()
+    np.savez(content, **{name: getattr(equilibrium, name) for name in ALONG_THE_ARM})
+    with atomic_write(arrays) as temporary:
+        temporary.write_bytes(content.getvalue())
+    values = {field.name: getattr(equilibrium, field.name) for field in dataclasses.fields(Equilibrium)}
+    for name in ARRAYS:
+        values[name] = values[name].tolist()
+    digest = hashlib.sha256(content.getvalue()).hexdigest()
+    record = _Record.model_construct(arrays_sha256=digest, **values)
+    write_text(result, record.model_dump_json(indent=2, exclude=set(ALONG_THE_ARM)) + "\n")
+    return [result, arrays]
+
+
+def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
+    """The equilibrium that `save_equilibrium` wrote into `directory`, equal in every bit.
+
+    Raises:
+        InputError: a file is missing, is not what was written, or the two are not of the same solve.
+    """
+    result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
+    try:
+        record = check(_Record, json.loads(read_text(result)), result)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{result}: not valid JSON: line {error.lineno}: {error.msg}") from None
+    values = {name: getattr(record, name) for name in _Record.model_fields}
+    for name in ARRAYS:
+        if name in values:
+            values[name] = np.array(values[name], dtype=float)
+    content = read_bytes(arrays)
+    if hashlib.sha256(content).hexdigest() != values.pop("arrays_sha256"):
+        raise InputError(f"{arrays}: these are not the arrays that belong to {result}")
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        values |= {name: stored[name] for name in ALONG_THE_ARM}
+    return Equilibrium(**values)

@@ -1,0 +1,208 @@
+"""Robots as YAML: what the keys are, and the way there and back.
+
+Keys carry their unit; the library behind is in SI. What the parts of a robot demand of each other is checked by the
+dataclasses themselves, whose messages are passed on with the file and the path of the part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from os import PathLike
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from ..materials import NITINOL, Material
+from ..robots.concentric import ConcentricRobot
+from ..robots.limits import JointLimits
+from ..tubes import Tube
+from .checked import Entry, NotNegative, Number, Positive, check_kind
+from .units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
+from .yaml_file import load_yaml, save_yaml
+
+
+class MaterialEntry(Entry):
+    """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
+
+    name: str
+    youngs_modulus_GPa: Positive
+    shear_modulus_GPa: Positive | None = None
+    poisson_ratio: NotNegative | None = None
+    working_strain_percent: Positive | None = Field(None, description="strain that a tube may be cycled to")
+    superelastic_strain_percent: Positive | None = Field(None, description="strain that a tube springs back from")
+
+    @model_validator(mode="after")
+    def _buildable(self) -> MaterialEntry:
+        self.build()
+        return self
+
+    def build(self) -> Material:
+        """The material in SI."""
+        modulus = to_si(self.youngs_modulus_GPa, GPA)
+        if (self.shear_modulus_GPa is None) == (self.poisson_ratio is None):
+            raise ValueError(_one_of("shear_modulus_GPa", "poisson_ratio", both=self.poisson_ratio is not None))
+        if self.shear_modulus_GPa is not None:
+            material = Material(self.name, modulus, to_si(self.shear_modulus_GPa, GPA))
+        else:
+            material = Material.from_poisson_ratio(self.name, modulus, float(self.poisson_ratio or 0))
+        strains = {
+            "working_strain": self.working_strain_percent,
+            "superelastic_strain": self.superelastic_strain_percent,
+        }
+        return replace(material, **{name: to_si(value, PERCENT) for name, value in strains.items() if value is not None})
+
+
+def _one_of(key: str, other: str, *, both: bool) -> str:
+    return f"gives {f'both {key} and' if both else f'neither {key} nor'} {other}; it must give one of them"
+
+
+MaterialChoice = Annotated[
+    Annotated[Literal["nitinol"], Tag("<name>")] | Annotated[MaterialEntry, Tag("<mapping>")],
+    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>"),
+]
+"""A material by name or by its constants."""
+
+
+class TubeEntry(Entry):
+    """A tube: a straight part, then a curved part whose curvature or radius is given."""
+
+    outer_diameter_mm: Positive
+    inner_diameter_mm: NotNegative
+    straight_length_mm: NotNegative
+    curved_length_mm: NotNegative
+    curvature_per_m: Number | None = Field(None, description="precurvature; 0 for a straight tube, negative bends away")
+    radius_mm: Positive | None = Field(None, description="radius of the precurvature, in place of curvature_per_m")
+    material: MaterialChoice = "nitinol"
+
+    @model_validator(mode="after")
+    def _buildable(self) -> TubeEntry:
+        self.build()
+        return self
+
+    def build(self) -> Tube:
+        """The tube in SI."""
+        if (self.curvature_per_m is None) == (self.radius_mm is None):
+            raise ValueError(_one_of("curvature_per_m", "radius_mm", both=self.radius_mm is not None))
+        if self.radius_mm is not None:
+            curvature = float(1 / (self.radius_mm * MM))
+        else:
+            curvature = float(self.curvature_per_m or 0)
+        return Tube(
+            outer_diameter=to_si(self.outer_diameter_mm, MM),
+            inner_diameter=to_si(self.inner_diameter_mm, MM),
+            straight_length=to_si(self.straight_length_mm, MM),
+            curved_length=to_si(self.curved_length_mm, MM),
+            curvature=curvature,
+            material=NITINOL if isinstance(self.material, str) else self.material.build(),
+        )
+
+
+Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+"""Least and greatest value."""
+
+
+class LimitsEntry(Entry):
+    """Least and greatest value of every joint, one pair per tube."""
+
+    rotations_deg: list[Range]
+    translations_mm: list[Range]
+
+    @model_validator(mode="after")
+    def _buildable(self) -> LimitsEntry:
+        self.build()
+        return self
+
+    def build(self) -> JointLimits:
+        """The limits in SI."""
+        return JointLimits(
+            rotations=tuple((to_si(low, DEG), to_si(high, DEG)) for low, high in self.rotations_deg),
+            translations=tuple((to_si(low, MM), to_si(high, MM)) for low, high in self.translations_mm),
+        )
+
+
+class ConcentricEntry(Entry):
+    """A concentric tube robot, tubes inner to outer."""
+
+    kind: Literal["concentric"]
+    name: str = ""
+    tubes: list[TubeEntry] = Field(min_length=1)
+    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+
+    @model_validator(mode="after")
+    def _buildable(self) -> ConcentricEntry:
+        self.build()
+        return self
+
+    def build(self) -> ConcentricRobot:
+        """The robot in SI."""
+        limits = self.limits.build() if self.limits else None
+        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), self.name, limits)
+
+
+ROBOT_KINDS: dict[str, type[ConcentricEntry]] = {"concentric": ConcentricEntry}
+"""What the key `kind` of a robot file may say."""
+
+
+def load_robot(path: str | PathLike[str]) -> ConcentricRobot:
+    """The robot in a YAML file.
+
+    Raises:
+        InputError: no such file, not YAML, or keys or values that make no robot: one line for every problem.
+    """
+    return robot_from_dict(load_yaml(path), path)
+
+
+def save_robot(robot: ConcentricRobot, path: str | PathLike[str]) -> None:
+    """Write `robot` as YAML that `load_robot` turns into an equal robot, to the last bit.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    save_yaml(path, robot_to_dict(robot), "A robot for tubeopt: tubes inner to outer.")
+
+
+def robot_from_dict(data: object, where: str | PathLike[str] = "") -> ConcentricRobot:
+    """The robot that `data`, with the keys of a robot file, describes.
+
+    Args:
+        where: what the messages begin with.
+
+    Raises:
+        InputError: one line for every problem.
+    """
+    return check_kind(ROBOT_KINDS, data, where).build()
+
+
+def robot_to_dict(robot: ConcentricRobot) -> dict[str, Any]:
+    """`robot` with the keys and units of a robot file.
+
+    Numbers are int or float, or `Decimal` where a float in the file's unit would lose the last bit.
+    """
+    data: dict[str, Any] = {"kind": "concentric", "name": robot.name, "tubes": [_tube(tube) for tube in robot.tubes]}
+    if robot.joint_limits is not None:
+        data["limits"] = {
+            "rotations_deg": [[in_unit(x, DEG) for x in pair] for pair in robot.joint_limits.rotations],
+            "translations_mm": [[in_unit(x, MM) for x in pair] for pair in robot.joint_limits.translations],
+        }
+    return data
+
+
+def _tube(tube: Tube) -> dict[str, Any]:
+    return {
+        "outer_diameter_mm": in_unit(tube.outer_diameter, MM),
+        "inner_diameter_mm": in_unit(tube.inner_diameter, MM),
+        "straight_length_mm": in_unit(tube.straight_length, MM),
+        "curved_length_mm": in_unit(tube.curved_length, MM),
+        "curvature_per_m": in_unit(tube.curvature, PER_M),
+        "material": NITINOL.name if tube.material == NITINOL else _material(tube.material),
+    }
+
+
+def _material(material: Material) -> dict[str, Any]:
+    return {
+        "name": material.name,
+        "youngs_modulus_GPa": in_unit(material.youngs_modulus, GPA),
+        "shear_modulus_GPa": in_unit(material.shear_modulus, GPA),
+        "working_strain_percent": in_unit(material.working_strain, PERCENT),
+        "superelastic_strain_percent": in_unit(material.superelastic_strain, PERCENT),
+    }

@@ -1,0 +1,63 @@
+"""JSON Schemas of robot and study files, for editors: `python -m tubeopt.study.schema [DIRECTORY]`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from decimal import Decimal
+from pathlib import Path
+from typing import Annotated, Any, Union
+
+from pydantic import Field, TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from .checked import Entry
+from .files import write_text
+from .robot_file import ROBOT_KINDS
+from .study_file import STUDY_KINDS
+
+
+class _Numbers(GenerateJsonSchema):
+    """Decimals are what numbers are read as; in the file they are numbers, not text."""
+
+    def decimal_schema(self, schema: core_schema.DecimalSchema) -> JsonSchemaValue:
+        bounds = {key: float(schema[key]) for key in ("gt", "ge", "lt", "le") if key in schema}
+        return self.float_schema(core_schema.float_schema(**bounds))
+
+    def encode_default(self, dft: Any) -> Any:
+        return float(dft) if isinstance(dft, Decimal) else super().encode_default(dft)
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False  # the key says it
+
+
+def _schema(kinds: Mapping[str, type[Entry]], title: str) -> str:
+    models = tuple(kinds.values())
+    choice: Any = Annotated[Union[models], Field(discriminator="kind")] if len(models) > 1 else models[0]
+    schema = TypeAdapter(choice).json_schema(schema_generator=_Numbers)
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps(head | schema | {"title": title}, indent=2) + "\n"
+
+
+def schemas() -> dict[str, str]:
+    """File name -> JSON Schema, as text."""
+    return {
+        "robot.schema.json": _schema(ROBOT_KINDS, "tubeopt robot"),
+        "study.schema.json": _schema(STUDY_KINDS, "tubeopt study"),
+    }
+
+
+def write_schemas(directory: str | Path = "configs/schema") -> list[Path]:
+    """Write the schemas into `directory` and return their paths; raises InputError where that cannot be."""
+    paths = []
+    for name, text in schemas().items():
+        paths.append(Path(directory) / name)
+        write_text(paths[-1], text)
+    return paths
+
+
+if __name__ == "__main__":
+    for path in write_schemas(*sys.argv[1:2]):
+        print(path)

@@ -1,0 +1,67 @@
+"""Units of files and flags, converted so that no bit is lost either way.
+
+Dividing a float by 1000 cannot reach every float, so a robot would not survive being saved and loaded. Numbers from
+outside are therefore kept as the decimals that were written, scaled exactly, and rounded to a float once.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from decimal import Context, Decimal, InvalidOperation
+
+MM = Decimal("1e-3")
+GPA = Decimal("1e9")
+PERCENT = Decimal("1e-2")
+DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
+PER_M = RAD = Decimal(1)
+
+_CONTEXT = Context(prec=60)
+
+
+def to_si(number: Decimal, unit: Decimal) -> float:
+    """The float nearest to `number` times `unit`."""
+    return float(_CONTEXT.multiply(number, unit))
+
+
+def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
+    """`value` (SI) in `unit`, with the fewest digits that `to_si` turns back into exactly `value`.
+
+    An int or a float where that holds the digits, else a `Decimal`.
+    """
+    exact = _CONTEXT.divide(Decimal(value), unit)
+    for digits in range(15, 30):
+        number = Context(prec=digits).plus(exact)
+        if to_si(number, unit) == value:
+            break
+    if number == number.to_integral_value() and abs(number) < 10**15:
+        return int(number)
+    return float(number) if Decimal(repr(float(number))) == number else number
+
+
+def decimal(value: object) -> Decimal:
+    """The decimal that `value` was written as.
+
+    Raises:
+        ValueError: it is not a number or not finite; the message continues the name of what it was given for.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        raise ValueError(f"is {shown(value)}; it must be a number")
+    number = Decimal(repr(value)) if isinstance(value, float) else Decimal(value)
+    if not math.isfinite(float(number)):
+        raise ValueError(f"is {shown(value)}; it must be a finite number")
+    return number
+
+
+def parse_number(text: str) -> Decimal | str:
+    """The decimal that `text` spells, or `text` itself where it spells none."""
+    try:
+        return Decimal(text.strip())
+    except InvalidOperation:
+        return text.strip()
+
+
+def shown(value: object) -> str:
+    """`value` as a message shows it: as it was written, and never long."""
+    text = str(value) if isinstance(value, (int, float, Decimal)) and not isinstance(value, bool) else reprlib.repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,101 @@
+"""YAML that holds data and nothing else: strict to read, plain to write, numbers to the last digit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from decimal import Decimal, InvalidOperation
+from os import PathLike
+from typing import Any
+
+import yaml
+
+from ..errors import InputError
+from .files import read_text, write_text
+
+_FLOAT, _SEQUENCE = "tag:yaml.org,2002:float", "tag:yaml.org,2002:seq"
+
+# YAML 1.1 reads 58e9 and 1e-3 as text; everyone, and YAML 1.2, means a number.
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
+
+
+def load_yaml(path: str | PathLike[str]) -> dict[str, Any]:
+    """The mapping in a YAML file, numbers with a point or exponent as `Decimal`.
+
+    Nothing but plain data is constructed: the loader is PyYAML's safe one, made stricter.
+
+    Raises:
+        InputError: no such file, not YAML, a key given twice, a tag such as `!!python/object`, or not a mapping.
+    """
+    text = read_text(path)
+    try:
+        data = yaml.load(text, Loader=_Loader)  # a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
+        raise InputError(f"{path}:{line} not valid YAML: {error.problem or error.context}") from None
+    except (yaml.YAMLError, ValueError) as error:  # characters YAML forbids; impossible dates and huge integers
+        raise InputError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
+    except RecursionError:
+        raise InputError(f"{path}: not valid YAML: nested too deeply") from None
+    if data is None:
+        raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values")
+    return data
+
+
+def save_yaml(path: str | PathLike[str], data: Mapping[str, Any], header: str) -> None:
+    """Write `data` as YAML below the comment `header`, whole or not at all; raises InputError where that cannot be."""
+    comment = "".join(f"# {line}\n" for line in header.splitlines())
+    write_text(path, comment + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120))
+
+
+def _noun(data: object) -> str:
+    return {list: "a list", str: "text", bool: "true or false"}.get(type(data), "a single value")
+
+
+class _Loader(yaml.SafeLoader):
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        seen = set()
+        for key, _ in node.value:
+            name = (key.tag, key.value) if isinstance(key, yaml.ScalarNode) else id(key)
+            if name in seen:
+                raise yaml.constructor.ConstructorError(
+                    problem=f"the key {key.value!r} is given twice", problem_mark=key.start_mark
+                )
+            seen.add(name)
+        return node
+
+    def exact_float(self, node: yaml.ScalarNode) -> Decimal:
+        try:
+            return Decimal(str(node.value).replace("_", ""))
+        except InvalidOperation:
+            return Decimal(self.construct_yaml_float(node))  # .inf and .nan
+
+    def refuse(self, node: yaml.Node) -> None:
+        raise yaml.constructor.ConstructorError(
+            problem=f"the tag {node.tag!r} is not allowed; only numbers, text, lists and mappings are",
+            problem_mark=node.start_mark,
+        )
+
+
+class _Dumper(yaml.SafeDumper):
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def decimal(self, number: Decimal) -> yaml.ScalarNode:
+        return self.represent_scalar(_FLOAT, str(number))
+
+    def short_list(self, items: list[Any]) -> yaml.SequenceNode:
+        nested = any(isinstance(item, (list, dict)) for item in items)
+        return self.represent_sequence(_SEQUENCE, items, flow_style=not nested)
+
+
+_Loader.add_constructor(_FLOAT, _Loader.exact_float)
+_Loader.add_constructor(None, _Loader.refuse)
+_Dumper.add_representer(Decimal, _Dumper.decimal)
+_Dumper.add_representer(list, _Dumper.short_list)
+for _class in (_Loader, _Dumper):
+    _class.add_implicit_resolver(_FLOAT, _EXPONENT, list("-+.0123456789"))
