@@ -22,7 +22,8 @@ from .kinematics import Solution, polish
 from .robots.assembly import ROUND_OFF, Array, Assembly, where
 from .transcription import arm as arms
 from .transcription.buffered import section_function
-from .transcription.reduced import points, second_variation
+from .transcription.piece import ENDS
+from .transcription.reduced import second_variation
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,7 @@ def _linearise(solution: Solution, side: int) -> _Linearised:
     count = len(problem.weight)
     change = np.zeros((count, n, 2 * n))
     if count:
-        direct = _direct(solution, jumps, moment_jumps, points(problem))
+        direct = _direct(solution, jumps, moment_jumps, problem.arc_length)
         whitened = np.linalg.solve(problem.factor, direct[problem.point, problem.tube])
         theta = np.zeros_like(direct)
         theta[problem.point, problem.tube] = problem.factor @ np.linalg.solve(state.hessian, whitened)
@@ -168,16 +169,16 @@ def _pose(linear: _Linearised, side: int) -> tuple[Array, Array]:
     solution, problem = linear.solution, linear.solution.problem
     mesh, assembly, n = problem.mesh, problem.assembly, problem.assembly.n_tubes
     position, turn = np.zeros((3, 2 * n)), np.zeros((3, 2 * n))
-    shape, s = arms.shape(problem, solution.arm), arms.arc_lengths(problem)
+    shape = arms.evaluate_arm(problem, solution.rotations, solution.result.state, solution.arm)
+    s = shape.arc_length
     lever = shape.position[-1] - shape.position
     if len(mesh.length):
-        x = arms.end_points()
+        x = tuple(ENDS.tolist())
         pieces, count = len(mesh.length), len(x)
         # The points of each piece, its two ends included: pieces share the point between them.
         index = np.arange(pieces)[:, None] * (count - 1) + np.arange(count)
         theta = arms.rotations_at(problem, solution.arm, x).reshape(-1, n)
-        kb = np.repeat((assembly.bending_stiffness * assembly.present)[mesh.section], count, axis=0)
-        m = np.repeat((assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section], count, axis=0)
+        kb, m = (np.repeat(table, count, axis=0) for table in (problem.piece_stiffness, problem.piece_moment))
         slope = section_function("curvature_slope", pieces * count, n, False)(theta, kb, m)[0].reshape(-1, n, 2)
         response = arms.rotations_at(problem, linear.response, x).reshape(len(theta), -1)
         bend = slope.swapaxes(1, 2) @ linear.theta(s[index].ravel(), response)
@@ -210,7 +211,7 @@ def _margin(linear: _Linearised, side: int) -> Array:
     count = len(problem.weight)
     y = np.zeros((count, n))
     y[problem.point, problem.tube] = problem.factor @ vectors[:, 0]
-    s = points(problem)
+    s = problem.arc_length
     theta = linear.theta(s, arms.interpolate(problem, linear.response, s))
     gradient = section_function("variation", count, n, False)(state.theta, problem.stiffness, problem.moment, y)[1]
     out += np.einsum("a,ai,aic->c", problem.weight, gradient, theta)

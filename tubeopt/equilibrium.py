@@ -64,6 +64,7 @@ class Equilibrium:
         tip_rotations (n,): theta_i at each tube's own end.
         section_start (k,): arc length of the breakpoints in front of the plate.
         tube_end (n,): arc length of each tube's end.
+        point (N,), point_rotation (N, n): arc length of the collocation points, and theta_i there.
         margin: smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling,
             0 a snap, below 0 unstable.
         energy: bending and torsion in front of the plate and torsion of the transmissions, J.
@@ -87,6 +88,8 @@ class Equilibrium:
     tip_rotations: Array
     section_start: Array
     tube_end: Array
+    point: Array
+    point_rotation: Array
     margin: float
     energy: float
     residual: float

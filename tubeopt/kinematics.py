@@ -17,7 +17,7 @@ from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
 from .transcription.mesh import make_mesh
-from .transcription.reduced import ReducedProblem, evaluate, margin, points, reduce, residual, to_unknowns
+from .transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns
 from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
@@ -118,7 +118,8 @@ def forward_kinematics(
             solution = _resolve(solution.problem, alpha, solution.arm, method)
     for level in range(discretisation.refinement, FINEST + 1):
         equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
-        if max(equilibrium.mesh_error, equilibrium.tip_error / solution.problem.assembly.total_length) <= tolerance:
+        length = max(float(equilibrium.arc_length[-1]), 1e-300)
+        if max(equilibrium.mesh_error, equilibrium.tip_error / length) <= tolerance:
             break
         if level == FINEST:
             raise SolveError(
@@ -202,7 +203,7 @@ def _refine(
 ) -> Solution:
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
-    theta = arms.interpolate(coarse.problem, coarse.arm, points(problem))
+    theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
     z = to_unknowns(problem, coarse.rotations, theta)
     result = newton(problem, coarse.rotations, z)
     if not result.converged:
@@ -223,14 +224,15 @@ def follow_branch(
     Raises:
         SolveError: the branch ends on the way.
     """
-    origin, goal = np.r_[guess.rotations, guess.translations], np.r_[rotations, translations]
+    origin = np.concatenate([guess.rotations, guess.translations])
+    goal = np.concatenate([rotations, translations])
     n = len(rotations)
     at, step, current = 0.0, 1.0, None
     while at < 1.0:
         fraction = min(1.0, at + step)
         joint = goal if fraction == 1.0 else origin + fraction * (goal - origin)
         problem = reduced_problem(robot, tuple(joint[n:].tolist()), discretisation)
-        where = points(problem)
+        where = problem.arc_length
         if current is None:
             theta = sample_rotation(guess, where) + (joint[:n] - guess.rotations)
         else:
@@ -253,7 +255,7 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
     shift = tuple(equilibrium.translations.tolist())
     problem = reduced_problem(equilibrium.robot, shift, discretisation)
-    theta = sample_rotation(equilibrium, points(problem))
+    theta = sample_rotation(equilibrium, problem.arc_length)
     result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
     if not result.converged:
         raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
@@ -261,7 +263,9 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium by cubic Hermite interpolation; constant beyond its ends."""
+    """theta (len(arc_length), n) of an equilibrium at any arc length: as solved at its collocation points, else cubic Hermite."""
+    if np.array_equal(arc_length, equilibrium.point):
+        return equilibrium.point_rotation
     s = equilibrium.arc_length
     if len(s) < 2:
         return np.tile(equilibrium.rotation[:, 0], (len(arc_length), 1))
@@ -280,40 +284,38 @@ def to_equilibrium(
     """Shape, energy and error estimates of a solved problem; `how` is method, start, and seconds so far."""
     problem, rotations, state = solution.problem, solution.rotations, solution.result.state
     began = time.perf_counter()
-    assembly, mesh, arm = problem.assembly, problem.mesh, solution.arm
-    shape = arms.shape(problem, arm)
-    s = arms.arc_lengths(problem)
-    if len(mesh.length):
-        rotation = arms.along(arms.rotations_at(problem, arm, arms.end_points()))
-        torsion = arms.along(arms.torsion_at(problem, arm, arms.end_points()))
-        tips = rotation[np.arange(len(rotations)), np.searchsorted(s, np.maximum(assembly.end - 1e-12, 0.0))]
-    else:
-        rotation, torsion, tips = rotations[:, None].copy(), np.zeros((len(rotations), 1)), rotations.copy()
-    error = arms.rotation_error(problem, rotations, arm, solution.margin)
+    assembly, mesh = problem.assembly, problem.mesh
+    arm = arms.evaluate_arm(problem, rotations, state, solution.arm)
+    s = arm.arc_length
+    ends = np.maximum(assembly.end, 0.0)
+    # The inverse of the linearised equation amplifies a defect by at most one over the margin.
+    error = arm.defect / max(min(1.0, abs(solution.margin)), 1e-6)
     # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
-    bend = np.hypot(shape.curvature[:, 0], shape.curvature[:, 1])
-    lever = float(np.trapezoid(bend * (s[-1] - s), s))
+    bend = np.sqrt((arm.curvature**2).sum(1)) * (s[-1] - s)
+    lever = 0.5 * float((bend[1:] + bend[:-1]) @ (s[1:] - s[:-1]))
     method, start, seconds = how
     return Equilibrium(
         robot=robot,
         rotations=rotations,
         translations=np.array(translations),
-        tip_position=shape.position[-1].copy(),
-        tip_rotation=shape.frame[-1].copy(),
+        tip_position=arm.position[-1],
+        tip_rotation=arm.frame[-1],
         arc_length=s,
-        position=shape.position,
-        frame=shape.frame,
-        curvature=shape.curvature,
-        rotation=rotation,
-        torsion=torsion,
-        tip_rotations=tips,
+        position=arm.position,
+        frame=arm.frame,
+        curvature=arm.curvature,
+        rotation=arm.rotation,
+        torsion=arm.torsion,
+        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(s, ends - 1e-12)],
         section_start=assembly.start,
-        tube_end=np.maximum(assembly.end, 0.0),
+        point=problem.arc_length,
+        point_rotation=state.theta,
+        tube_end=ends,
         margin=solution.margin,
-        energy=arms.elastic_energy(problem, arm, state),
+        energy=arm.energy,
         residual=residual(problem, state),
         mesh_error=error,
-        tip_error=shape.tip_error + error * lever,
+        tip_error=arm.shape_error + error * lever,
         status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method=method,

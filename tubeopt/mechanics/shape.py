@@ -8,11 +8,14 @@ curvature.
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 from typing import Any
 
 import casadi as ca
 import numpy as np
+
+SERIES_TERMS = 9
+"""Terms of the series of the exponential: for a turn of 2 rad the first left out is 4^9 / 20! = 1e-13."""
 
 GAUSS_POINTS = np.array([0.5 - np.sqrt(15) / 10, 0.5, 0.5 + np.sqrt(15) / 10])
 """Where a step of length 1 needs the curvature."""
@@ -28,23 +31,20 @@ def _combine(*terms: tuple[float, tuple[Any, Any]]) -> tuple[Any, Any]:
 
 
 def _exponential(omega: Any, v: Any) -> tuple[Any, Any]:
-    """(R, p) = exp of the twist; power series for small angles, where the closed form cancels."""
+    """(R, p) = exp of a twist that turns by at most 2 rad, to round-off: (1 - cos x) / x^2 and (x - sin x) / x^3 as
+    power series, which have no cancellation and no branch."""
     x = ca.dot(omega, omega)
-    small = x < 1e-2
-    y = ca.if_else(small, 1.0, x)
-    angle = ca.sqrt(y)
-    closed = ca.sin(angle) / angle, (1 - ca.cos(angle)) / y, (angle - ca.sin(angle)) / (y * angle)
-    a, b, c = (ca.if_else(small, _series(x, k), closed[k - 1]) for k in (1, 2, 3))
+    b, c = _series(x, 2), _series(x, 3)
     hat = ca.skew(omega)
     square = hat @ hat
-    return ca.DM.eye(3) + a * hat + b * square, v + b * (hat @ v) + c * (square @ v)
+    return ca.DM.eye(3) + (1 - x * c) * hat + b * square, v + b * (hat @ v) + c * (square @ v)
 
 
 def _series(x: Any, k: int) -> Any:
     """sum_j (-x)^j / (2 j + k)!"""
     total: Any = 0.0
-    for j in reversed(range(7)):
-        total = 1.0 / float(np.prod(np.arange(1, 2 * j + k + 1), dtype=float)) - x * total
+    for j in reversed(range(SERIES_TERMS)):
+        total = 1.0 / math.factorial(2 * j + k) - x * total
     return total
 
 
@@ -59,12 +59,3 @@ def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tu
     last = _bracket(_combine((-20, a1), (-1, a3), (1, c1)), _combine((1, a2), (1, c2)))
     turn, shift = _exponential(*_combine((1, a1), (1 / 12, a3), (1 / 240, last)))
     return rotation @ turn, position + rotation @ shift
-
-
-@lru_cache(maxsize=1)
-def step_function() -> ca.Function:
-    """(pose (12,), curvature (6,), length) -> pose: R by columns, then p."""
-    pose, curvature, length = ca.SX.sym("pose", 12), ca.SX.sym("u", 6), ca.SX.sym("h")
-    rotation, position = ca.reshape(pose[:9], 3, 3), pose[9:]
-    after = magnus_step(rotation, position, ca.reshape(curvature, 2, 3), length)
-    return ca.Function("step", [pose, curvature, length], [ca.vertcat(ca.vec(after[0]), after[1])], {"cse": True})

@@ -14,7 +14,6 @@ Rucker, Jones, Webster, IEEE T-RO 26 (2010)). u is eliminated, so that both robo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -76,7 +75,7 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> tu
 
 
 @lru_cache(maxsize=32)
-def section_functions(n: int, eccentric: bool) -> dict[str, Callable[..., Any]]:
+def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.
 
     `curvature`: u.  `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for

@@ -27,9 +27,9 @@ class Mesh:
     def join(parts: list[Mesh]) -> Mesh:
         """All facets of `parts` as one mesh, so that they can be sorted by depth together."""
         return Mesh(
-            np.concatenate([part.corners for part in parts]),
-            np.concatenate([part.normals for part in parts]),
-            np.concatenate([part.colours for part in parts]),
+            np.concatenate([np.empty((0, 4, 3)), *(part.corners for part in parts)]),
+            np.concatenate([np.empty((0, 3)), *(part.normals for part in parts)]),
+            np.concatenate([np.empty((0, 4)), *(part.colours for part in parts)]),
         )
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:

@@ -67,7 +67,7 @@ def plot_shapes(
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
     scenes = _draw_shapes(figure, equilibria, (), view)
-    for scene, equilibrium, title in zip(scenes, equilibria, titles or [None] * len(equilibria), strict=True):
+    for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
     return finish(figure, path)
 
@@ -92,11 +92,13 @@ def _draw_shapes(
         draw_box(scene, box, seen)
         _draw_shadows(scene, [equilibrium, *ghosts], box, seen)
         scene.add_collection(facets(mesh, seen))
-        _name_tubes(scene, equilibrium, seen)
+        if exposed(equilibrium):
+            _name_tubes(scene, equilibrium, seen)
     for row, (tube, _, end) in enumerate(reversed(ends)):
         close_up = figure.add_subplot(grid[row, -1])
         _draw_close_up(close_up, scenes[-1], last, tube, end, seen)
-    _draw_scale_bar(close_up)
+        if row == len(ends) - 1:
+            _draw_scale_bar(close_up)
     return scenes
 
 
@@ -108,11 +110,11 @@ def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     place = assembly.offset * np.exp(1j * assembly.offset_angle)
     stretches = []
-    for i in reversed(range(assembly.n_tubes)):
-        around = [assembly.end[j] for j in range(i + 1, assembly.n_tubes) if abs(place[j] - place[i]) < 1e-9]
+    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
+        around = [equilibrium.tube_end[j] for j in range(i + 1, len(place)) if abs(place[j] - place[i]) < 1e-9]
         start = max(around, default=0.0)
-        if assembly.end[i] > start:
-            stretches.append((i, float(start), float(assembly.end[i])))
+        if end > start:
+            stretches.append((i, float(start), float(end)))
     return stretches
 
 
@@ -125,12 +127,15 @@ def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[
     """
     from matplotlib.colors import to_rgba
 
+    shown = exposed(equilibrium)
+    if not shown:
+        return Mesh.join([])
     line = Centreline(equilibrium)
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     low, high = window or (0.0, line.length)
     sides, pieces = (72, 24) if window else (24, 160)
     parts = []
-    for i, start, end in exposed(equilibrium):
+    for i, start, end in shown:
         tube = equilibrium.robot.tubes[i]
         outer, inner = tube.outer_diameter / 2, tube.inner_diameter / 2
         angle = assembly.offset_angle[i]

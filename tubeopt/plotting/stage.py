@@ -42,13 +42,13 @@ class View:
     @property
     def towards_viewer(self) -> Array:
         """(3,) unit vector from the scene to the viewer."""
-        return self.axes[2]
+        return np.asarray(self.axes[2])
 
     @property
     def towards_light(self) -> Array:
         """(3,) unit vector towards the light: above the viewer's left shoulder."""
-        light: Array = np.array([-0.5, 0.6, 0.62]) @ self.axes
-        return light / np.linalg.norm(light)
+        light = np.array([-0.5, 0.6, 0.62])
+        return np.asarray(light / np.linalg.norm(light) @ self.axes)
 
     def project(self, points: Array) -> Array:
         """(..., 3) millimetres to the right, upwards and towards the viewer, of points (..., 3) in m."""
@@ -117,7 +117,9 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
                 lines.append(line)
     faces = view.project(np.array(outlines) / MM)[..., :2]
     axes.add_collection(
-        PolyCollection(faces, facecolors=["white", "white", FLOOR], edgecolors="#B8BCC2", linewidths=0.6, zorder=0)
+        PolyCollection(
+            list(faces), facecolors=["white", "white", FLOOR], edgecolors="#B8BCC2", linewidths=0.6, zorder=0
+        )
     )
     ruled = view.project(np.array(lines) / MM)[..., :2]
     axes.add_collection(LineCollection(list(ruled), colors=RULE, linewidths=0.5, zorder=0.5))
@@ -160,7 +162,7 @@ def _spaced(box: Box, axis: int, edge: Array, height: float) -> Array:
     `height` is that of the whole box as seen, which fills about four inches: numbers are wider than high.
     """
     length = float(np.linalg.norm(edge))
-    room = (0.09 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * height
+    room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * height
     gap = length * box.step / (box.high[axis] - box.low[axis])
     every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
     rules = box.rules(axis)
@@ -198,4 +200,4 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)
-    return PolyCollection(seen[order, :, :2], facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)
+    return PolyCollection(list(seen[order, :, :2]), facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
 from ..errors import InputError
 from ..robots.assembly import Array
-from ..study.output import atomic_write
+from ..study.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ FAINT = "#8A8A8A"
 DPI = 200
 FORMATS = ("png", "pdf", "svg")
 
-RC: Mapping[str, Any] = {
+RC = {
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.linewidth": 0.7,
@@ -46,6 +46,7 @@ RC: Mapping[str, Any] = {
     "pdf.fonttype": 42,
     "savefig.facecolor": "white",
     "svg.fonttype": "none",
+    "svg.hashsalt": "tubeopt",
     "text.color": INK,
     "xtick.color": INK,
     "xtick.labelsize": 8,
@@ -63,7 +64,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
-            matplotlib.rcParams.update(RC)
+            matplotlib.rcParams.update(cast(Any, RC))
             return draw(*args, **kwargs)
 
     return wrapper
@@ -110,7 +111,7 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     return figure
 
 
-def caption(equilibrium: Equilibrium, title: str | None = None, *, narrow: bool = False) -> str:
+def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:
     """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each."""
     name = title or equilibrium.robot.name or f"Concentric robot, {equilibrium.robot.n_tubes} tubes"
     rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
@@ -118,10 +119,8 @@ def caption(equilibrium: Equilibrium, title: str | None = None, *, narrow: bool 
     if np.any(equilibrium.translations):
         joints.append(f"translations ({_millimetres(equilibrium.translations)}) mm")
     margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
-    state = [
-        f"tip ({_millimetres(equilibrium.tip_position)}) mm",
-        margin if equilibrium.stable else f"{margin}, unstable",
-    ]
+    verdict = margin if equilibrium.stable else f"{margin}, unstable"
+    state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
     if narrow:
         return "\n".join([name, *joints, *state])
     return f"{name}:  {',  '.join(state)}\n{',  '.join(joints)}"

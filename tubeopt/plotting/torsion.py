@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from ..robots.assembly import Array
 from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
@@ -54,9 +55,8 @@ def plot_torsions(
     count = len(equilibria)
     figure = new_figure(7.0 if count == 1 else 4.0 * count, 5.0)
     panels = figure.subplots(2, count, sharex=True, sharey="row", squeeze=False)
-    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles or [None] * count, strict=True):
-        _draw_curves(above, equilibrium, np.degrees(equilibrium.rotation))
-        _draw_curves(below, equilibrium, np.degrees(equilibrium.torsion) / MM)
+    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles or [""] * count, strict=True):
+        _draw_curves(above, below, equilibrium)
         _draw_inputs(above, equilibrium)
         rows = _mark_sections(above, below, equilibrium, room=0.12 if count == 1 else 0.22)
         below.set_xlabel("arc length s from the base plate (mm)")
@@ -64,23 +64,38 @@ def plot_torsions(
     above, below = panels[:, 0]
     above.set_ylabel("rotation \N{GREEK SMALL LETTER THETA} (deg)")
     below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")
-    below.set_xlim(0, 1.02 * MM * max(float(each.tube_end.max()) for each in equilibria))
+    length = max(float(each.tube_end.max()) for each in equilibria)
+    below.set_xlim(0, 1.02 * MM * length if length > 0 else 1.0)
     _widen(above, 20.0)
     _widen(below, 0.02)
     _add_legend(figure, above)
     return finish(figure, path)
 
 
-def _draw_curves(axes: Axes, equilibrium: Equilibrium, values: Array) -> None:
-    """One curve per tube, `values` (n, m) over arc length, up to the tube's own end."""
-    for i in reversed(range(len(values))):
-        end = equilibrium.tube_end[i]
-        inside = equilibrium.arc_length <= end + 1e-12
-        s, value = equilibrium.arc_length[inside] * MM, values[i, inside]
-        axes.plot(s, value, color=tube_colour(i), lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}")
-        axes.plot(s[-1:], value[-1:], "o", color=tube_colour(i), ms=3.6 + 0.9 * i, clip_on=False, zorder=4)
-    axes.grid(axis="y", color="#E6E8EB", lw=0.5)
-    axes.set_axisbelow(True)
+def _draw_curves(above: Axes, below: Axes, equilibrium: Equilibrium) -> None:
+    """theta_i in deg into `above` and theta_i' in deg/mm into `below`, up to the end of each tube."""
+    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
+        s, rotation, torsion = _curve(equilibrium, i, float(end))
+        for axes, values in ((above, np.degrees(rotation)), (below, np.degrees(torsion) / MM)):
+            look: dict[str, Any] = {"color": tube_colour(i), "clip_on": False}
+            axes.plot(s * MM, values, lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}", **look)
+            if end > 0:
+                axes.plot(s[-1:] * MM, values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
+    for axes in (above, below):
+        axes.grid(axis="y", color="#E6E8EB", lw=0.5)
+        axes.set_axisbelow(True)
+
+
+def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Array, Array]:
+    """Arc length, theta and theta' of one tube up to its `end`: cubic between the points of the solution."""
+    inside = equilibrium.arc_length <= end + 1e-12
+    s = equilibrium.arc_length[inside]
+    rotation, torsion = equilibrium.rotation[tube, inside], equilibrium.torsion[tube, inside]
+    if len(s) < 2:
+        return s, rotation, torsion
+    fine = np.union1d(s, np.linspace(0.0, s[-1], 301))
+    curve = CubicHermiteSpline(s, rotation, torsion)
+    return fine, curve(fine), curve(fine, 1)
 
 
 def _draw_inputs(axes: Axes, equilibrium: Equilibrium) -> None:

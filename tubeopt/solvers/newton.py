@@ -9,13 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dgesv, dposv
 
 from ..robots.assembly import Array
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 
-LAST_STEP = 1e-7
-"""A Newton step below this (rad) is the last: the next would be round-off."""
+LAST_STEP = 1e-6
+"""A Newton step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
+
+ROUND_OFF = 1e-13
+"""Residual (rad) that is round-off."""
 
 LONGEST_STEP = 1.0
 """Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
@@ -38,19 +41,15 @@ def newton(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: i
     state = evaluate(problem, rotations, z)
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
-        try:
-            step = np.linalg.solve(state.hessian, -state.gradient)
-        except np.linalg.LinAlgError:
-            return NewtonResult(state, False, iteration, np.inf)
+        step, singular = _solve(state)
         size = _turn(problem, step)
-        if not np.isfinite(size) or (size > 2 * last and size > np.pi):
+        if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = evaluate(problem, rotations, state.z + step)
-        if size > LAST_STEP:
-            contraction = max(contraction, size / last)
-        last = size
-        if size <= LAST_STEP:
+        if size <= LAST_STEP and (size <= ROUND_OFF or residual(problem, state) <= ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
+        contraction = max(contraction, size / last)
+        last = size
     return NewtonResult(state, False, iterations, contraction)
 
 
@@ -61,14 +60,14 @@ def descend(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: 
     """
     state = evaluate(problem, rotations, z)
     for iteration in range(1, iterations + 1):
-        step, curved_down = _downhill(state)
+        step = _downhill(state)
         size = _turn(problem, step)
-        if size <= LAST_STEP and not curved_down:
-            return NewtonResult(evaluate(problem, rotations, state.z + step), True, iteration, 0.0)
-        step *= min(1.0, LONGEST_STEP / size) if size else 1.0
-        slope = float(state.gradient @ step)
         if size <= LAST_STEP:
-            return NewtonResult(state, True, iteration, 0.0)
+            # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
+            last = newton(problem, rotations, state.z, iterations=4)
+            return NewtonResult(last.state, last.converged, iteration, 0.0)
+        step *= min(1.0, LONGEST_STEP / size)
+        slope = float(state.gradient @ step)
         for _ in range(40):
             trial = evaluate(problem, rotations, state.z + step)
             if trial.energy <= state.energy + 1e-4 * slope + 1e-13 * abs(state.energy):
@@ -90,12 +89,20 @@ def _turn(problem: ReducedProblem, step: Array) -> float:
     return float(np.abs(problem.factor @ step).max(initial=0.0))
 
 
-def _downhill(state: Evaluation) -> tuple[Array, bool]:
+def _downhill(state: Evaluation) -> Array:
     """Newton step where the energy is convex; else the step of the Hessian with its eigenvalues made positive."""
     if not len(state.z):
-        return state.z, False
+        return state.z
     _, step, failed = dposv(state.hessian, -state.gradient)
     if not failed:
-        return step, False
+        return np.asarray(step)
     values, vectors = np.linalg.eigh(state.hessian)
-    return -vectors @ ((vectors.T @ state.gradient) / np.maximum(np.abs(values), 1e-2)), True
+    return np.asarray(-vectors @ ((vectors.T @ state.gradient) / np.maximum(np.abs(values), 1e-2)))
+
+
+def _solve(state: Evaluation) -> tuple[Array, bool]:
+    """Newton step, and whether the Jacobian is singular; LAPACK itself, whose NumPy wrapper costs more than it."""
+    if not len(state.z):
+        return state.z, False
+    _, _, step, failed = dgesv(state.hessian, -state.gradient)
+    return step, failed != 0

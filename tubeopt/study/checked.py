@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
@@ -71,7 +71,7 @@ def check_kind(kinds: Mapping[str, type[Model]], data: object, where: str | Path
         raise InputError(f"{prefix}kind is missing; {allowed}")
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
-        raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{nearest(str(kind), kinds)}")
+        raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{_hint(kind, kinds)}")
     return check(kinds[kind], data, where)
 
 
@@ -92,11 +92,11 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} {context['error']}".strip()]
         case "literal_error":
             words = re.findall(r"'(.*?)'", context["expected"])
-            return [f"{path} is {shown(value)}; it must be {_either(words)}{nearest(str(value), words)}"]
+            return [f"{path} is {shown(value)}; it must be {_either(words)}{_hint(value, words)}"]
         case "too_short":
-            return [f"{path} has {context['actual_length']} items; it must have at least {context['min_length']}"]
+            return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]
         case "too_long":
-            return [f"{path} has {context['actual_length']} items; it must have at most {context['max_length']}"]
+            return [f"{path} has {_items(context['actual_length'])}; it must have at most {context['max_length']}"]
         case kind if kind in _NOUNS:
             return [f"{path or 'it'} is {shown(value)}; it must be {_NOUNS[kind]}"]
         case _:  # pydantic's own words, which read "Input should be greater than 0"
@@ -141,3 +141,11 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 def _either(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _hint(value: object, words: Iterable[str]) -> str:
+    return nearest(value, words) if isinstance(value, str) else ""
+
+
+def _items(count: int) -> str:
+    return "1 item" if count == 1 else f"{count} items"

@@ -22,9 +22,11 @@ from .files import atomic_write, read_bytes, read_text, write_text
 ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
 """Arrays with a value per point; the others are short enough to be read in the JSON file."""
 
-StatusByName = Annotated[
+_IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
+
+_StatusByName = Annotated[
     Status,
-    BeforeValidator(lambda name: Status[name] if name in Status.__members__ else name),
+    BeforeValidator(lambda name: Status.__members__.get(name, name) if isinstance(name, str) else name),
     PlainSerializer(lambda status: status.name),
 ]
 
@@ -32,12 +34,11 @@ StatusByName = Annotated[
 def _record_model() -> type[BaseModel]:
     """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
     types: dict[str, Any] = typing.get_type_hints(Equilibrium)
-    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": StatusByName}
-    fields = {field.name: (types[field.name], ...) for field in dataclasses.fields(Equilibrium)}
+    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName}
+    fields: dict[str, Any] = {name: (types[name], ...) for name in _IN_JSON}
     # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
-    kept = {name: field for name, field in fields.items() if name not in ALONG_THE_ARM}
-    return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **kept)
+    return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
 
 
 _Record = _record_model()
@@ -52,14 +53,13 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     content = io.BytesIO()
     np.savez(content, **{name: getattr(equilibrium, name) for name in ALONG_THE_ARM})
+    values = {name: getattr(equilibrium, name) for name in _IN_JSON}
+    for name in values.keys() & ARRAYS:
+        values[name] = values[name].tolist()
+    record = _Record.model_construct(arrays_sha256=hashlib.sha256(content.getvalue()).hexdigest(), **values)
     with atomic_write(arrays) as temporary:
         temporary.write_bytes(content.getvalue())
-    values = {field.name: getattr(equilibrium, field.name) for field in dataclasses.fields(Equilibrium)}
-    for name in ARRAYS:
-        values[name] = values[name].tolist()
-    digest = hashlib.sha256(content.getvalue()).hexdigest()
-    record = _Record.model_construct(arrays_sha256=digest, **values)
-    write_text(result, record.model_dump_json(indent=2, exclude=set(ALONG_THE_ARM)) + "\n")
+    write_text(result, record.model_dump_json(indent=2) + "\n")
     return [result, arrays]
 
 
@@ -75,9 +75,8 @@ def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
     except json.JSONDecodeError as error:
         raise InputError(f"{result}: not valid JSON: line {error.lineno}: {error.msg}") from None
     values = {name: getattr(record, name) for name in _Record.model_fields}
-    for name in ARRAYS:
-        if name in values:
-            values[name] = np.array(values[name], dtype=float)
+    for name in values.keys() & ARRAYS:
+        values[name] = np.array(values[name], dtype=float)
     content = read_bytes(arrays)
     if hashlib.sha256(content).hexdigest() != values.pop("arrays_sha256"):
         raise InputError(f"{arrays}: these are not the arrays that belong to {result}")

@@ -7,8 +7,9 @@ dataclasses themselves, whose messages are passed on with the file and the path 
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -21,20 +22,32 @@ from .units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
 from .yaml_file import load_yaml, save_yaml
 
 
-class MaterialEntry(Entry):
+class Part(Entry):
+    """An entry that describes an object of the library, and is valid where that object can be built."""
+
+    def build(self) -> Any:
+        """The object, in SI."""
+        raise NotImplementedError
+
+    @model_validator(mode="after")
+    def _buildable(self) -> Self:
+        self.build()
+        return self
+
+
+def _percent(strain: float) -> Decimal:
+    return Decimal(str(in_unit(strain, PERCENT)))
+
+
+class MaterialEntry(Part):
     """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
 
     name: str
     youngs_modulus_GPa: Positive
     shear_modulus_GPa: Positive | None = None
     poisson_ratio: NotNegative | None = None
-    working_strain_percent: Positive | None = Field(None, description="strain that a tube may be cycled to")
-    superelastic_strain_percent: Positive | None = Field(None, description="strain that a tube springs back from")
-
-    @model_validator(mode="after")
-    def _buildable(self) -> MaterialEntry:
-        self.build()
-        return self
+    working_strain_percent: Positive = _percent(Material.working_strain)
+    superelastic_strain_percent: Positive = _percent(Material.superelastic_strain)
 
     def build(self) -> Material:
         """The material in SI."""
@@ -45,11 +58,11 @@ class MaterialEntry(Entry):
             material = Material(self.name, modulus, to_si(self.shear_modulus_GPa, GPA))
         else:
             material = Material.from_poisson_ratio(self.name, modulus, float(self.poisson_ratio or 0))
-        strains = {
-            "working_strain": self.working_strain_percent,
-            "superelastic_strain": self.superelastic_strain_percent,
-        }
-        return replace(material, **{name: to_si(value, PERCENT) for name, value in strains.items() if value is not None})
+        return replace(
+            material,
+            working_strain=to_si(self.working_strain_percent, PERCENT),
+            superelastic_strain=to_si(self.superelastic_strain_percent, PERCENT),
+        )
 
 
 def _one_of(key: str, other: str, *, both: bool) -> str:
@@ -63,36 +76,30 @@ MaterialChoice = Annotated[
 """A material by name or by its constants."""
 
 
-class TubeEntry(Entry):
+class TubeEntry(Part):
     """A tube: a straight part, then a curved part whose curvature or radius is given."""
 
     outer_diameter_mm: Positive
     inner_diameter_mm: NotNegative
     straight_length_mm: NotNegative
     curved_length_mm: NotNegative
-    curvature_per_m: Number | None = Field(None, description="precurvature; 0 for a straight tube, negative bends away")
+    curvature_per_m: Number | None = Field(
+        None, description="precurvature; 0 for a straight tube, negative to the other side"
+    )
     radius_mm: Positive | None = Field(None, description="radius of the precurvature, in place of curvature_per_m")
     material: MaterialChoice = "nitinol"
-
-    @model_validator(mode="after")
-    def _buildable(self) -> TubeEntry:
-        self.build()
-        return self
 
     def build(self) -> Tube:
         """The tube in SI."""
         if (self.curvature_per_m is None) == (self.radius_mm is None):
             raise ValueError(_one_of("curvature_per_m", "radius_mm", both=self.radius_mm is not None))
-        if self.radius_mm is not None:
-            curvature = float(1 / (self.radius_mm * MM))
-        else:
-            curvature = float(self.curvature_per_m or 0)
+        curvature = 1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0
         return Tube(
             outer_diameter=to_si(self.outer_diameter_mm, MM),
             inner_diameter=to_si(self.inner_diameter_mm, MM),
             straight_length=to_si(self.straight_length_mm, MM),
             curved_length=to_si(self.curved_length_mm, MM),
-            curvature=curvature,
+            curvature=float(curvature),
             material=NITINOL if isinstance(self.material, str) else self.material.build(),
         )
 
@@ -101,16 +108,11 @@ Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 """Least and greatest value."""
 
 
-class LimitsEntry(Entry):
+class LimitsEntry(Part):
     """Least and greatest value of every joint, one pair per tube."""
 
     rotations_deg: list[Range]
     translations_mm: list[Range]
-
-    @model_validator(mode="after")
-    def _buildable(self) -> LimitsEntry:
-        self.build()
-        return self
 
     def build(self) -> JointLimits:
         """The limits in SI."""
@@ -120,18 +122,13 @@ class LimitsEntry(Entry):
         )
 
 
-class ConcentricEntry(Entry):
+class ConcentricEntry(Part):
     """A concentric tube robot, tubes inner to outer."""
 
     kind: Literal["concentric"]
     name: str = ""
     tubes: list[TubeEntry] = Field(min_length=1)
     limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
-
-    @model_validator(mode="after")
-    def _buildable(self) -> ConcentricEntry:
-        self.build()
-        return self
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import operator
 import sys
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Any
 
-from pydantic import Field, TypeAdapter
+from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
@@ -23,8 +25,10 @@ class _Numbers(GenerateJsonSchema):
     """Decimals are what numbers are read as; in the file they are numbers, not text."""
 
     def decimal_schema(self, schema: core_schema.DecimalSchema) -> JsonSchemaValue:
-        bounds = {key: float(schema[key]) for key in ("gt", "ge", "lt", "le") if key in schema}
-        return self.float_schema(core_schema.float_schema(**bounds))
+        bounds: dict[str, Any] = {key: float(schema[key]) for key in ("gt", "ge", "lt", "le") if key in schema}
+        number: JsonSchemaValue = {"type": "number"}
+        self.update_with_validations(number, bounds, self.ValidationsMapping.numeric)
+        return number
 
     def encode_default(self, dft: Any) -> Any:
         return float(dft) if isinstance(dft, Decimal) else super().encode_default(dft)
@@ -34,9 +38,8 @@ class _Numbers(GenerateJsonSchema):
 
 
 def _schema(kinds: Mapping[str, type[Entry]], title: str) -> str:
-    models = tuple(kinds.values())
-    choice: Any = Annotated[Union[models], Field(discriminator="kind")] if len(models) > 1 else models[0]
-    schema = TypeAdapter(choice).json_schema(schema_generator=_Numbers)
+    union: Any = functools.reduce(operator.or_, kinds.values())
+    schema = TypeAdapter(union).json_schema(schema_generator=_Numbers)
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps(head | schema | {"title": title}, indent=2) + "\n"
 

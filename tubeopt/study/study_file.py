@@ -17,13 +17,13 @@ from ..kinematics import forward_kinematics
 from ..robots.concentric import ConcentricRobot
 from .checked import Entry, Number, Positive, check_kind
 from .robot_file import load_robot
-from .units import DEG, MM, to_si
+from .units import DEG, MM, shown, to_si
 from .yaml_file import load_yaml
 
 
 def _load(value: object, info: ValidationInfo) -> ConcentricRobot:
     if not isinstance(value, str):
-        raise ValueError("must be the path of a robot file")
+        raise ValueError(f"is {shown(value)}; it must be the path of a robot file")
     return load_robot(info.context["directory"] / value if info.context else value)
 
 

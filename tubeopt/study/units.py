@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 from decimal import Context, Decimal, InvalidOperation
+from typing import TypeGuard
 
 MM = Decimal("1e-3")
 GPA = Decimal("1e9")
@@ -45,7 +46,7 @@ def decimal(value: object) -> Decimal:
     Raises:
         ValueError: it is not a number or not finite; the message continues the name of what it was given for.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+    if not _is_number(value):
         raise ValueError(f"is {shown(value)}; it must be a number")
     number = Decimal(repr(value)) if isinstance(value, float) else Decimal(value)
     if not math.isfinite(float(number)):
@@ -63,5 +64,11 @@ def parse_number(text: str) -> Decimal | str:
 
 def shown(value: object) -> str:
     """`value` as a message shows it: as it was written, and never long."""
-    text = str(value) if isinstance(value, (int, float, Decimal)) and not isinstance(value, bool) else reprlib.repr(value)
+    if value is None or isinstance(value, bool):
+        return {None: "empty", True: "true", False: "false"}[value]
+    text = str(value) if _is_number(value) else reprlib.repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _is_number(value: object) -> TypeGuard[int | float | Decimal]:
+    return isinstance(value, (int, float, Decimal)) and not isinstance(value, bool)

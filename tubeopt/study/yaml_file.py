@@ -13,7 +13,8 @@ import yaml
 from ..errors import InputError
 from .files import read_text, write_text
 
-_FLOAT, _SEQUENCE = "tag:yaml.org,2002:float", "tag:yaml.org,2002:seq"
+_TAG = "tag:yaml.org,2002:"
+_FLOAT, _SEQUENCE = _TAG + "float", _TAG + "seq"
 
 # YAML 1.1 reads 58e9 and 1e-3 as text; everyone, and YAML 1.2, means a number.
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
@@ -33,7 +34,10 @@ def load_yaml(path: str | PathLike[str]) -> dict[str, Any]:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
-        raise InputError(f"{path}:{line} not valid YAML: {error.problem or error.context}") from None
+        problem = error.problem or ""
+        if problem.startswith("but "):
+            problem = f"{error.context}, {problem}"
+        raise InputError(f"{path}:{line} not valid YAML: {problem}") from None
     except (yaml.YAMLError, ValueError) as error:  # characters YAML forbids; impossible dates and huge integers
         raise InputError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
     except RecursionError:
@@ -76,7 +80,7 @@ class _Loader(yaml.SafeLoader):
 
     def refuse(self, node: yaml.Node) -> None:
         raise yaml.constructor.ConstructorError(
-            problem=f"the tag {node.tag!r} is not allowed; only numbers, text, lists and mappings are",
+            problem=f"{node.tag.replace(_TAG, '!!')} is not allowed; only numbers, text, lists and mappings are",
             problem_mark=node.start_mark,
         )
 

@@ -7,19 +7,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..mechanics.shape import GAUSS_POINTS
 from ..robots.assembly import Array
-from .buffered import section_function, shape_steps
+from .buffered import piece_chain
 from .mesh import Mesh
+from .piece import COARSE_STEPS, ENDS, STEPS
 from .reduced import Evaluation, ReducedProblem
-from .tableau import Tableau, tableau
-
-STEPS_PER_PIECE = 6
-"""Shape points per piece of the mesh, even, since every second one gives the error estimate."""
-
-EXTRA_POINTS = 3
-"""Collocation points by which the error estimate is finer than the solution."""
-
+from .tableau import tableau
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -109,129 +102,95 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """Centreline at the m = 1 + STEPS_PER_PIECE x P shape points, and the estimated error of the tip, m."""
+class Arm:
+    """The whole arm at its m = 1 + STEPS x P shape points, and what integration and mesh get wrong.
 
+    Attributes:
+        arc_length (m,), rotation (n, m), torsion (n, m), curvature (m, 2), position (m, 3), frame (m, 3, 3).
+        shape_error: estimated error of the tip by the steps of the integration, m.
+        defect: largest residual of the integral equation for theta on a finer quadrature, rad.
+        energy: elastic energy, J.
+    """
+
+    arc_length: Array
+    rotation: Array
+    torsion: Array
+    curvature: Array
     position: Array
     frame: Array
-    curvature: Array
-    tip_error: float
+    shape_error: float
+    defect: float
+    energy: float
 
 
-_STEP_ENDS = tuple(float(x) for x in np.arange(1, STEPS_PER_PIECE + 1) / STEPS_PER_PIECE)
+_HOME = np.tile(np.concatenate([np.eye(3).ravel(), np.zeros(3)]), 2)
 
 
-def _gauss(steps: int) -> tuple[float, ...]:
-    return tuple(float(x) for x in ((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
-
-
-_FINE, _COARSE = _gauss(STEPS_PER_PIECE), _gauss(STEPS_PER_PIECE // 2)
-_WHERE = (0.0, *_STEP_ENDS, *_FINE, *_COARSE)
-_HOME = np.r_[np.eye(3).ravel(), np.zeros(3)]
-
-
-def shape(problem: ReducedProblem, arm: Profile) -> Shape:
-    """Integrate the shape, twice: with all steps, and with half of them for the error estimate."""
-    assembly, mesh = problem.assembly, problem.mesh
-    pieces, n = len(mesh.length), assembly.n_tubes
+def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, torsion: Profile) -> Arm:
+    """Everything along the arm, from the solved state and its torsion profile."""
+    mesh, n = problem.mesh, problem.assembly.n_tubes
+    pieces = len(mesh.length)
     if not pieces:
-        return Shape(np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 2)), 0.0)
-    theta = rotations_at(problem, arm, _WHERE)
-    count = len(_WHERE)
-    stiffness = np.repeat((assembly.bending_stiffness * assembly.present)[mesh.section], count, axis=0)
-    moment = np.repeat(
-        (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section], count, axis=0
+        still, zero = rotations[:, None].copy(), np.zeros((1, 3))
+        return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
+    eccentric, t = problem.assembly.eccentric, mesh.tableau
+    chain = piece_chain(pieces, n, eccentric, t.family, t.degree)
+    given = [_HOME, torsion.rotation, torsion.twist, torsion.moment.reshape(-1, n)]
+    given += [problem.piece_stiffness, problem.piece_moment]
+    given += [problem.assembly.torsional_stiffness, mesh.length[:, None]]
+    if eccentric:
+        assert torsion.extra is not None
+        given += [torsion.extra.reshape(-1, n), problem.assembly.offset, problem.assembly.offset_angle]
+    end, theta, slope, u, poses, defects, bending = chain(*given)
+    return Arm(
+        arc_length=arc_lengths(mesh),
+        rotation=_along(theta, pieces).T,
+        torsion=_along(slope, pieces).T,
+        curvature=_along(u, pieces),
+        position=np.concatenate([_HOME[None, 9:12], poses[:, 9:]]),
+        frame=np.concatenate([np.eye(3)[None], poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2)]),
+        # Order 6: steps half as long divide the error by 2^6.
+        shape_error=float(np.abs(end[-1, 9:12] - end[-1, 21:]).max()) / ((STEPS / COARSE_STEPS) ** 6 - 1),
+        defect=_defect(problem, defects.reshape(pieces, 2, n)) if problem.size else 0.0,
+        energy=_energy(problem, torsion, state, bending[:, 0]),
     )
-    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
-    function = section_function("curvature", pieces * count, n, assembly.eccentric)
-    u = function(theta.reshape(-1, n), stiffness, moment, *place)[0].reshape(pieces, count, 2)
-    ends, fine, coarse = np.split(u, [1 + STEPS_PER_PIECE, 1 + STEPS_PER_PIECE + len(_FINE)], axis=1)
-    poses = _poses(fine, mesh.length, STEPS_PER_PIECE)
-    rough = _poses(coarse, mesh.length, STEPS_PER_PIECE // 2)
-    return Shape(
-        position=poses[:, 9:],
-        frame=poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2),
-        curvature=np.concatenate([ends[0, :1], ends[:, 1:].reshape(-1, 2)]),
-        # Order 6: halving the steps divides the error by 2^6.
-        tip_error=float(np.abs(poses[-1, 9:] - rough[-1, 9:]).max()) / 63,
-    )
 
 
-def _poses(u: Array, length: Array, steps: int) -> Array:
-    """(1 + P steps, 12) poses, R by columns, then p."""
-    function = shape_steps(len(length) * steps)
-    out = function(_HOME, u.reshape(-1, 6), np.repeat(length / steps, steps)[:, None])[0]
-    return np.concatenate([_HOME[None], out])
-
-
-def arc_lengths(problem: ReducedProblem) -> Array:
+def arc_lengths(mesh: Mesh) -> Array:
     """(m,) arc length of the shape points, m."""
-    mesh = problem.mesh
-    inner = mesh.start[:, None] + mesh.length[:, None] * np.array(_STEP_ENDS)
-    return np.concatenate([[0.0], inner.ravel()])
+    inner = mesh.start[:, None] + mesh.length[:, None] * ENDS[1:]
+    return np.concatenate([ENDS[:1], inner.ravel()])
 
 
-def along(values: Array) -> Array:
-    """(n, m) of values (P, 1 + STEPS_PER_PIECE, n) at the beginning and the step ends of every piece."""
-    return np.concatenate([values[0, :1], values[:, 1:].reshape(-1, values.shape[2])]).T
+def _along(values: Array, pieces: int) -> Array:
+    """(m, k) of values (P x 5, k) at the shape points of every piece, of which neighbours share one."""
+    table = values.reshape(pieces, len(ENDS), -1)
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, values.shape[1])])
 
 
-def end_points() -> tuple[float, ...]:
-    """Fractions of a piece at which its shape points lie, its beginning included."""
-    return (0.0, *_STEP_ENDS)
-
-
-def elastic_energy(problem: ReducedProblem, arm: Profile, state: Evaluation) -> float:
+def _energy(problem: ReducedProblem, torsion: Profile, state: Evaluation, bending: Array) -> float:
     """Bending and torsion in front of the plate, and torsion of the transmissions, J."""
-    assembly, mesh = problem.assembly, problem.mesh
-    free = ~mesh.collocated
-    energy = state.energy
-    if free.any():
-        section = mesh.section[free]
-        kb = assembly.bending_stiffness * assembly.present[section]
-        m = kb * assembly.curvature * assembly.curved[section]
-        # At most one tube is curved: sum m^2 / kb - m^2 / sum kb, whatever the rotations.
-        own = (m**2 / np.where(kb > 0, kb, 1)).sum(1)
-        energy += float(mesh.length[free] @ (own - (m**2).sum(1) / kb.sum(1))) / 2
-    if assembly.eccentric:
-        energy += _eccentric_torsion(problem, arm) - 0.5 * float(state.z @ state.z)
+    mesh = problem.mesh
+    # Where at most one tube is curved, bending does not depend on the rotations: one point tells it.
+    energy = state.energy + float(mesh.length @ (bending * ~mesh.collocated))
+    if problem.assembly.eccentric:
+        energy += _eccentric_torsion(problem, torsion) - 0.5 * float(state.z @ state.z)
     return energy
 
 
-def _eccentric_torsion(problem: ReducedProblem, arm: Profile) -> float:
+def _eccentric_torsion(problem: ReducedProblem, torsion: Profile) -> float:
     """int kt g w^2 / 2 with g w^2 = w (w + (g - 1) w), and the transmissions."""
     mesh, kt = problem.mesh, problem.assembly.torsional_stiffness
-    w = arm.twist[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ arm.moment)
-    slope = w + arm.extra if arm.extra is not None else w
+    w = torsion.twist[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
+    slope = w if torsion.extra is None else w + torsion.extra
     inside = np.einsum("p,k,i,pki,pki->", mesh.length, mesh.tableau.weights, kt, w, slope)
-    base = arm.twist[0] if len(arm.twist) else np.zeros(len(kt))
-    return 0.5 * float(inside + kt @ (problem.assembly.transmission * base**2))
+    return 0.5 * float(inside + kt @ (problem.assembly.transmission * torsion.twist[0] ** 2))
 
 
-def rotation_error(problem: ReducedProblem, rotations: Array, arm: Profile, margin: float) -> float:
-    """Estimated largest error of theta, rad: the integral equation on a finer quadrature, divided by the margin,
-    by which its inverse can amplify a defect."""
-    mesh, assembly = problem.mesh, problem.assembly
-    if not problem.size:
-        return 0.0
-    fine: Tableau = tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
-    x = tuple(fine.nodes.tolist())
-    theta = rotations_at(problem, arm, x)
-    section = np.repeat(mesh.section[mesh.collocated], fine.degree)
-    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
-    stiffness = (assembly.bending_stiffness * assembly.present)[section]
-    natural = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[section]
-    moments = section_function("moment", len(section), assembly.n_tubes, assembly.eccentric)
-    out = moments(theta[mesh.collocated].reshape(-1, assembly.n_tubes), stiffness, natural, *place)
-    kt, h = assembly.torsional_stiffness, mesh.length[:, None, None]
-    moment = np.zeros_like(theta)
-    moment[mesh.collocated] = (out[0] / kt).reshape(-1, fine.degree, assembly.n_tubes)
-    gain = h[:, 0] * (fine.weights @ moment)
-    twist = -np.cumsum(gain[::-1], axis=0)[::-1]
-    slope = twist[:, None, :] + h * (fine.matrix @ moment)
-    if assembly.eccentric:
-        slope[mesh.collocated] *= out[1].reshape(-1, fine.degree, assembly.n_tubes)
-    turn = h[:, 0] * (fine.weights @ slope)
-    start = rotations + assembly.transmission * twist[0] + np.cumsum(turn, axis=0) - turn
-    defect = start[:, None, :] + h * (fine.matrix @ slope) - theta
-    return float(np.abs(defect).max()) / max(min(1.0, abs(margin)), 1e-6)
+def _defect(problem: ReducedProblem, defects: Array) -> float:
+    """Bound of what the defects (P, 2, n) of all pieces change in theta: inside each, and by a twist w gained too much,
+    which turns all that lies nearer to the base."""
+    mesh = problem.mesh
+    lever = problem.assembly.transmission + (mesh.start + mesh.length)[:, None]
+    wrong = (defects[:, 0] + defects[:, 1] * lever)[mesh.collocated]
+    return float(wrong.sum(0).max())

@@ -89,8 +89,6 @@ def parameters(builder: Builder, structure: Structure) -> BlockInput:
 def parameter_values(problem: ReducedProblem, rotations: Any) -> Any:
     """Numbers for `parameters` at the given base rotations (n,)."""
     assembly, mesh = problem.assembly, problem.mesh
-    stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
-    moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
     place = [assembly.offset, assembly.offset_angle] if assembly.eccentric else []
     return np.concatenate(
         [
@@ -98,8 +96,8 @@ def parameter_values(problem: ReducedProblem, rotations: Any) -> Any:
             assembly.transmission,
             assembly.torsional_stiffness,
             mesh.length,
-            stiffness.ravel(),
-            moment.ravel(),
+            problem.piece_stiffness.ravel(),
+            problem.piece_moment.ravel(),
             *place,
         ]
     )

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ..mechanics.shape import step_function
 from ..mechanics.torsion import section_functions
 from ..robots.assembly import Array
+from .piece import piece_function
 
 
 class Buffered:
@@ -41,19 +40,20 @@ class Buffered:
 
 
 @lru_cache(maxsize=256)
-def _bound(key: tuple[Any, ...], thread: int) -> Buffered:
-    kind, count = key[0], key[1]
-    if kind == "steps":
-        return Buffered(step_function().mapaccum(count))
-    function: Callable[..., Any] = section_functions(key[2], key[3])[kind]
-    return Buffered(function.map(count))  # type: ignore[attr-defined]
+def _mapped(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered:
+    return Buffered(section_functions(n_tubes, eccentric)[kind].map(count))
 
 
 def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
     """`mechanics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
-    return _bound((kind, count, n_tubes, eccentric), threading.get_ident())
+    return _mapped(kind, count, n_tubes, eccentric, threading.get_ident())
 
 
-def shape_steps(count: int) -> Buffered:
-    """`mechanics.shape.step_function` accumulated over `count` steps, bound to arrays of this thread."""
-    return _bound(("steps", count), threading.get_ident())
+@lru_cache(maxsize=256)
+def _accumulated(count: int, n_tubes: int, eccentric: bool, family: str, degree: int, thread: int) -> Buffered:
+    return Buffered(piece_function(n_tubes, eccentric, family, degree).mapaccum(count))
+
+
+def piece_chain(count: int, n_tubes: int, eccentric: bool, family: str, degree: int) -> Buffered:
+    """`piece_function` chained over `count` pieces from base to tip, bound to arrays of this thread."""
+    return _accumulated(count, n_tubes, eccentric, family, degree, threading.get_ident())

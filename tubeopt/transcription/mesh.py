@@ -14,7 +14,7 @@ WAVES_PER_ELEMENT = 0.75
 """Largest sqrt(c) h of an element, c being the greatest stiffness of the torsional coupling: with Gauss points of
 degree 6 the error of theta then stays near 1e-10 rad, so that refinement is the exception."""
 
-BEND_PER_PIECE = 1.5
+BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 

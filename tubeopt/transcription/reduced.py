@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dsyevr, dtrtrs
 
 from ..robots.assembly import Array, Assembly
 from .buffered import section_function
@@ -32,25 +33,33 @@ class ReducedProblem:
 
     Attributes:
         assembly, mesh: what is solved.
-        stiffness, moment: (N, n) kb_i, m_i at the points.
-        weight: (N,) quadrature weights, m.
+        piece_stiffness, piece_moment: (P, n) kb_i of the tubes present and m_i of the tubes curved on each piece.
+        stiffness, moment: (N, n) the same at the points.
+        arc_length, weight: (N,) place and quadrature weight of the points, m.
         point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
         factor: (U, U) L, rad per sqrt(J).
-        rows, columns, entries: where the second variation (N, n, n) goes in a (U, U) matrix.
+        flat, flat_weight: (U,) entry of each unknown in a flat (N, n) array, and its quadrature weight.
+        entries, places: of the second variation (N, n, n) and of the (U, U) matrix where it goes, both flat.
+        entry_weight: weight of each entry.
         stretch: (P, W) for tubes off the centreline.
     """
 
     assembly: Assembly
     mesh: Mesh
+    piece_stiffness: Array
+    piece_moment: Array
     stiffness: Array
     moment: Array
+    arc_length: Array
     weight: Array
     point: Index
     tube: Index
     factor: Array
-    rows: Index
-    columns: Index
+    flat: Index
+    flat_weight: Array
     entries: Index
+    places: Index
+    entry_weight: Array
     stretch: tuple[Array, Array] | None
 
     @property
@@ -84,9 +93,10 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
     weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
     index = np.full(unknown.shape, -1)
     index[point, tube] = np.arange(len(point))
-    pair = (index[:, :, None] >= 0) & (index[:, None, :] >= 0)
-    rows = np.broadcast_to(index[:, :, None], pair.shape)[pair]
-    columns = np.broadcast_to(index[:, None, :], pair.shape)[pair]
+    pair = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
+    at, row, column = np.unravel_index(pair, (len(section), n, n))
+    piece_stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
+    piece_moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
     factor = np.zeros((len(point), len(point)))
     green = _green(mesh, elements)
     for i in range(n):
@@ -98,24 +108,36 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
-        stiffness=(assembly.bending_stiffness * assembly.present)[section],
-        moment=(assembly.bending_stiffness * assembly.curvature * assembly.curved)[section],
+        piece_stiffness=piece_stiffness,
+        piece_moment=piece_moment,
+        stiffness=np.repeat(piece_stiffness[elements], degree, axis=0),
+        moment=np.repeat(piece_moment[elements], degree, axis=0),
+        arc_length=_points(mesh, elements),
         weight=weight,
         point=point,
         tube=tube,
         factor=factor,
-        rows=rows,
-        columns=columns,
-        entries=np.flatnonzero(pair),
+        flat=point * n + tube,
+        flat_weight=weight[point],
+        # CasADi stores dM_i/dtheta_j by columns, (point, j, i); `row` is i.
+        entries=(at * n + column) * n + row,
+        places=index[at, row] * len(point) + index[at, column],
+        entry_weight=weight[at],
         stretch=_integrals(mesh, elements) if assembly.eccentric else None,
     )
+
+
+def _points(mesh: Mesh, elements: Index) -> Array:
+    """(N,) arc length of the collocation points, m."""
+    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
+    return s.ravel()
 
 
 def _green(mesh: Mesh, elements: Index) -> Array:
     """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
     tableau = mesh.tableau
     start, length = mesh.start[elements], mesh.length[elements]
-    s = (start[:, None] + length[:, None] * tableau.nodes).ravel()
+    s = _points(mesh, elements)
     green = np.minimum(s[:, None], s)
     local = tableau.matrix @ (tableau.matrix / tableau.weights).T
     k = tableau.degree
@@ -140,33 +162,37 @@ def _integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
 def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     """Energy, residual, Jacobian and moments at z (U,) for base rotations (n,)."""
     assembly, count = problem.assembly, len(problem.weight)
-    theta = np.tile(rotations, (count, 1))
-    theta[problem.point, problem.tube] += problem.factor @ z
+    theta = np.empty((count, assembly.n_tubes))
+    theta[:] = rotations
     if count == 0:
-        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), np.zeros_like(theta), None)
+        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), theta.copy(), None)
+    theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
     moment, stiffness, bending, *stretch = balance(theta, problem.stiffness, problem.moment, *place)
-    weighted = problem.weight[:, None] * moment
-    gradient = z + problem.factor.T @ weighted[problem.point, problem.tube]
-    second = np.zeros((problem.size, problem.size))
-    # CasADi stores dM_i/dtheta_j by columns: [point, j, i].
-    blocks = stiffness.reshape(count, assembly.n_tubes, -1).swapaxes(1, 2) * problem.weight[:, None, None]
-    second[problem.rows, problem.columns] = blocks.ravel()[problem.entries]
-    hessian = problem.factor.T @ second @ problem.factor
-    hessian.flat[:: problem.size + 1] += 1.0
-    energy = 0.5 * float(z @ z) + float(problem.weight @ bending[:, 0])
     moment = moment.copy()
+    gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
+    hessian = _hessian(problem, stiffness)
+    energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
     extra = None
     if problem.stretch is not None:
-        extra, residual, slope = _stretch_terms(problem, moment, blocks, stretch)
+        extra, residual, slope = _stretch_terms(problem, moment, stiffness, stretch)
         gradient -= residual
         hessian -= slope
     return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
 
 
+def _hessian(problem: ReducedProblem, stiffness: Array) -> Array:
+    """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
+    second = np.zeros(problem.size**2)
+    second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
+    hessian = problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor
+    hessian.ravel()[:: problem.size + 1] += 1.0
+    return np.asarray(hessian)
+
+
 def _stretch_terms(
-    problem: ReducedProblem, moment: Array, blocks: Array, stretch: list[Array]
+    problem: ReducedProblem, moment: Array, stiffness: Array, stretch: list[Array]
 ) -> tuple[Array, Array, Array]:
     """(g - 1) w at the points, and what it adds to theta, with its Jacobian, both in z coordinates."""
     assert problem.stretch is not None
@@ -177,7 +203,7 @@ def _stretch_terms(
     extra = (stretch[0] - 1) * twist
     change = up_to @ extra
     slope_g = stretch[1].reshape(count, n, n).swapaxes(1, 2)
-    slope_moment = blocks / problem.weight[:, None, None]
+    slope_moment = stiffness.reshape(count, n, n).swapaxes(1, 2)
     # d(change)[a, i] / d(theta)[b, j] = sum_c P_ac (dg_c w_c delta_cb - (g - 1)_c W_cb dM_b / kt)
     direct = up_to[:, None, :, None] * np.einsum("bij,bi->ibj", slope_g, twist)[None]
     through = np.einsum("ac,ci,cb,bij->aibj", up_to, (stretch[0] - 1) / kt, beyond, slope_moment, optimize=True)
@@ -191,14 +217,9 @@ def _stretch_terms(
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
     """z (U,) of given rotations theta (N, n) at the collocation points."""
     p, t = problem.point, problem.tube
-    return np.asarray(np.linalg.solve(problem.factor, theta[p, t] - rotations[t]))
-
-
-def points(problem: ReducedProblem) -> Array:
-    """(N,) arc length of the collocation points, m."""
-    mesh = problem.mesh
-    start, length = mesh.start[mesh.collocated], mesh.length[mesh.collocated]
-    return np.asarray((start[:, None] + length[:, None] * mesh.tableau.nodes).ravel())
+    if not problem.size:
+        return np.zeros(0)
+    return np.asarray(dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
@@ -212,7 +233,9 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
     For tubes off the centreline the second variation is taken with d = 0 at the solved rotations: the difference is
     below the error of the model itself.
     """
-    values = np.linalg.eigvalsh(second_variation(problem, state)) if problem.size else np.ones(1)
+    if not problem.size:
+        return 1.0
+    values = dsyevr(second_variation(problem, state), compute_v=0, range="I", il=1, iu=1)[0]
     return min(1.0, float(values[0]))
 
 
@@ -221,11 +244,5 @@ def second_variation(problem: ReducedProblem, state: Evaluation) -> Array:
     assembly = problem.assembly
     if not assembly.eccentric:
         return state.hessian
-    count = len(problem.weight)
-    stiffness = section_function("balance", count, assembly.n_tubes, False)(
-        state.theta, problem.stiffness, problem.moment
-    )[1]
-    blocks = stiffness.reshape(count, assembly.n_tubes, -1) * problem.weight[:, None, None]
-    second = np.zeros((problem.size, problem.size))
-    second[problem.rows, problem.columns] = blocks.ravel()[problem.entries]
-    return np.asarray(problem.factor.T @ second @ problem.factor + np.eye(problem.size))
+    balance = section_function("balance", len(problem.weight), assembly.n_tubes, False)
+    return _hessian(problem, balance(state.theta, problem.stiffness, problem.moment)[1])

@@ -1,0 +1,5 @@
+"""`python -m tubeopt` is the command `tubeopt`."""
+
+from .cli import main
+
+main()

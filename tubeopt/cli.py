@@ -1,0 +1,69 @@
+"""The command line `tubeopt`: commands gathered, failures turned into a sentence and an exit code, in one place.
+
+Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+
+from . import __version__
+from .commands import kinematics, robot, study
+from .errors import InputError, SolveError
+
+BAD_INPUT, NO_SOLUTION = 2, 3
+
+app = typer.Typer(
+    help="Concentric tube robots: where they go, whether they snap, how to build them.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+app.command(
+    epilog="Example: tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0"
+)(kinematics.fk)
+app.command(epilog="Example: tubeopt run configs/studies/thesis_actuated.yaml --out results")(study.run)
+app.add_typer(robot.app, name="robot")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tubeopt {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run one command; `arguments` default to those of the process. Ends with SystemExit."""
+    try:
+        app(arguments, prog_name="tubeopt")
+    except InputError as error:
+        _complain(error, BAD_INPUT)
+    except SolveError as error:
+        _complain(error, NO_SOLUTION)
+    sys.exit(0)
+
+
+def _complain(error: Exception, code: int) -> NoReturn:
+    console = Console(stderr=True)
+    for line in str(error).splitlines():
+        console.print("[bold red]error:[/]", end=" ")
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,21 @@
+"""`tubeopt run`: any study file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ..study.study_file import load_study
+from .options import JsonOption, OutOption, PlotOption
+from .report import present, report
+
+
+def run(
+    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False)],
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the study that a file describes."""
+    present(report(load_study(study).run()), out=out, as_json=as_json, plot=plot)
