@@ -16,7 +16,7 @@ from .robots.concentric import ConcentricRobot
 from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
-from .transcription.mesh import make_mesh
+from .transcription.mesh import make_mesh, piece_counts
 from .transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns
 from .verification import verify_equilibrium
 
@@ -69,7 +69,8 @@ def reduced_problem(
     """The reduced torsion problem at given translations, built once for all rotations."""
     assembly = robot.assembly(np.array(translations))
     d = discretisation
-    return reduce(assembly, make_mesh(assembly, family=d.family, degree=d.degree, refinement=d.refinement))
+    pieces = piece_counts(assembly, d.refinement)
+    return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
 
 
 def forward_kinematics(

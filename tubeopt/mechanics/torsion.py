@@ -78,7 +78,8 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> tu
 def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.
 
-    `curvature`: u.  `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
+    `curvature`: u.  `stiffness_slope`, with a further argument y (n,): d(dM/dtheta y)/dtheta (n, n).
+     `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
     eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
     with respect to theta.
     """
@@ -96,6 +97,7 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "curvature_slope": (inputs, [turned]),
         "balance": (inputs, outputs),
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
+        "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(outputs[1] @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.gradient(form, theta)]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

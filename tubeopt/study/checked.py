@@ -54,11 +54,9 @@ def check(
         return model.model_validate(data, context={"directory": Path(where).parent})
     except ValidationError as error:
         problems = error.errors(include_url=False)
-    lines: dict[str, None] = {}  # a set in order: an alias used twice is one problem
-    for problem in problems:
-        for sentence in _sentences(model, dict(problem), names or {}):
-            lines[f"{where}: {sentence}" if str(where) else sentence] = None
-    raise InputError("\n".join(lines))
+    prefix = f"{where}: " if str(where) else ""
+    sentences = [sentence for problem in problems for sentence in _sentences(model, dict(problem), names or {})]
+    raise InputError("\n".join(prefix + sentence for sentence in sentences))
 
 
 def check_kind(kinds: Mapping[str, type[Model]], data: object, where: str | PathLike[str]) -> Model:

@@ -51,15 +51,23 @@ def coupling_rate(assembly: Assembly) -> Array:
     return rate
 
 
-def make_mesh(assembly: Assembly, *, family: str = "gauss", degree: int = 6, refinement: int = 0) -> Mesh:
-    """Mesh with pieces short enough for coupling and bend, each split in two `refinement` times."""
+def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
+    """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
     waves = coupling_rate(assembly) * assembly.length / WAVES_PER_ELEMENT
     bend = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0) * assembly.length / BEND_PER_PIECE
-    pieces = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(int) * 2**refinement
+    pieces = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
     pieces[~assembly.curved.any(1)] = 1
-    section = np.repeat(np.arange(assembly.n_sections), pieces)
-    rank = np.arange(len(section)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    length = (assembly.length / pieces)[section]
+    return pieces
+
+
+def make_mesh(
+    assembly: Assembly, pieces: NDArray[np.intp] | None = None, *, family: str = "gauss", degree: int = 6
+) -> Mesh:
+    """Mesh with the given number of pieces per section (by default `piece_counts`)."""
+    counts = piece_counts(assembly) if pieces is None else pieces
+    section = np.repeat(np.arange(assembly.n_sections), counts)
+    rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
+    length = (assembly.length / counts)[section]
     return Mesh(
         tableau=tableau(family, degree),
         start=assembly.start[section] + rank * length,

@@ -1,0 +1,215 @@
+"""Every equilibrium at given joint values, stable and unstable."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from ..equilibrium import Equilibrium
+from ..errors import SolveError, vector
+from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..solvers.newton import newton
+from ..transcription.reduced import Index, ReducedProblem, margin, second_variation, to_unknowns
+from .shooting import profiles, to_base
+
+TURN = 2 * np.pi
+
+FIRST_GRID = {1: 96, 2: 40}
+"""Points per turn of the coarsest grid, by the number of relative tip angles."""
+
+FINEST_GRID = {1: 6144, 2: 640}
+
+RANDOM_STARTS = 4096
+"""Starting points for four tubes and more."""
+
+SAME = 1e-5
+"""Equilibria whose rotations differ by less (rad) everywhere are one."""
+
+
+def find_equilibria(
+    robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None = None
+) -> list[Equilibrium]:
+    """All equilibria at given joint values, the lowest energy first.
+
+    For up to three tubes with curved parts in front of the plate the search is systematic: the joint rotations are
+    computed for tip angles on a grid over one turn of each relative angle (the others follow by symmetry, see
+    `stability.shooting`), every cell that may hold a solution is solved, and the grid is refined until the set no
+    longer changes and its topological degree, the sum of (-1)^index, is 1, as it must be. For more tubes the starting
+    points are a Sobol sequence, and the degree is the only check.
+
+    Args:
+        rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
+
+    Raises:
+        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator.
+        SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
+            a fold.
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    home = robot.home_translations if translations is None else translations
+    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
+    found = all_solutions(problem, alpha)
+    equilibria = [to_equilibrium(robot, s, shift, ("newton", "search over tip angles", 0.0)) for s in found]
+    return sorted(equilibria, key=lambda e: e.energy)
+
+
+def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
+    """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
+    free = _coupled_tubes(problem)
+    dimension = max(len(free) - 1, 0)
+    if dimension == 0:
+        return _solve(problem, rotations, rotations[None])
+    previous: list[Solution] = []
+    for starts in _starts(problem, rotations, free):
+        found = _merge([*previous, *_solve(problem, rotations, starts)])
+        if len(found) == len(previous) and degree(found) == 1:
+            return found
+        previous = found
+    raise SolveError(
+        f"{len(previous)} equilibria were found, of degree {degree(previous)} instead of 1: one is missing, or the joint "
+        "values are at a fold, where two are one"
+    )
+
+
+def index(solution: Solution) -> int:
+    """Number of negative eigenvalues of the second variation: 0 for a stable equilibrium."""
+    if not solution.problem.size:
+        return 0
+    return int((np.linalg.eigvalsh(second_variation(solution.problem, solution.result.state)) < 0).sum())
+
+
+def degree(solutions: list[Solution]) -> int:
+    """Sum of (-1)^index: 1 for a complete set, since the equations deform into those without coupling."""
+    return sum((-1) ** index(solution) for solution in solutions)
+
+
+def _coupled_tubes(problem: ReducedProblem) -> Index:
+    """Tubes whose rotation is coupled to that of another one."""
+    return np.unique(problem.tube)
+
+
+def _starts(problem: ReducedProblem, rotations: Array, free: Index) -> Iterator[Array]:
+    """Tip angles (B, n) from which to solve, from ever finer grids."""
+    dimension = len(free) - 1
+    if dimension in FIRST_GRID:
+        size = FIRST_GRID[dimension]
+        while size <= FINEST_GRID[dimension]:
+            yield _candidates(problem, rotations, free, size)
+            size *= 2
+        return
+    for power in range(int(np.log2(RANDOM_STARTS)) - 2, int(np.log2(RANDOM_STARTS)) + 3):
+        unit = qmc.Sobol(dimension, rng=power).random_base2(power)
+        tips = np.tile(rotations, (len(unit), 1))
+        tips[:, free[:-1]] = unit * TURN
+        yield _shoot(problem, rotations, free, tips)
+
+
+def _candidates(problem: ReducedProblem, rotations: Array, free: Index, size: int) -> Array:
+    """Tip angles of every cell of a grid that may hold a solution, after a few Newton steps."""
+    dimension = len(free) - 1
+    axis = np.arange(size) * TURN / size
+    mesh = np.stack(np.meshgrid(*[axis] * dimension, indexing="ij"), axis=-1)
+    tips = np.tile(rotations, (size**dimension, 1))
+    tips[:, free] = 0.0
+    tips[:, free[:-1]] = mesh.reshape(-1, dimension)
+    relative = _relative(to_base(problem, tips), free).reshape(*mesh.shape)
+    # What is left to the wanted relative rotations: continuous along the grid, in turns.
+    gap = (relative - _relative(rotations[None], free)[0]) / TURN
+    corners = np.stack([_corner(gap, offset) for offset in itertools.product((0, 1), repeat=dimension)])
+    low, high = corners.min(0), corners.max(0)
+    # A cell is a candidate if in every component some whole number of turns lies in its range, widened by half of
+    # it, since the function bends inside the cell.
+    slack = (high - low) / 2 + 1e-9
+    hit = (np.floor(high + slack) >= np.ceil(low - slack)).all(-1)
+    cells = np.argwhere(hit)
+    start = np.tile(rotations, (len(cells), 1))
+    start[:, free] = 0.0
+    start[:, free[:-1]] = (cells + 0.5) * TURN / size
+    return _shoot(problem, rotations, free, start)
+
+
+def _corner(gap: Array, offset: tuple[int, ...]) -> Array:
+    """The grid shifted by one cell in some directions, continued past a turn."""
+    out = gap
+    for axis, step in enumerate(offset):
+        if step:
+            out = np.roll(out, -1, axis=axis)
+            last = [slice(None)] * out.ndim
+            last[axis] = slice(-1, None)
+            out = out.copy()
+            # One turn of a tip turns its own joint by one.
+            out[(*last[:-1], axis)] += 1.0
+    return out
+
+
+def _relative(angles: Array, free: Index) -> Array:
+    return angles[:, free[:-1]] - angles[:, free[-1:]]
+
+
+def _shoot(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
+    """Newton steps on the relative tip angles; then tip angles, unwound, whose joints are as wanted. Drops what does
+    not get close."""
+    target = _relative(rotations[None], free)
+    for _ in range(8):
+        if not len(tips):
+            return tips
+        gap = _relative(to_base(problem, tips), free) - target
+        gap -= TURN * np.round(gap / TURN)
+        slope = _slope(problem, free, tips)
+        step = np.linalg.solve(slope + 1e-12 * np.eye(len(free) - 1), -gap[:, :, None])[:, :, 0]
+        size = np.abs(step).max(1)
+        # Steps are held to a fraction of a turn: a Newton step from a steep place may leave for anywhere.
+        tips[:, free[:-1]] += step * np.minimum(1.0, 0.5 / np.maximum(size, 1e-12))[:, None]
+    base = to_base(problem, tips)
+    gap = _relative(base, free) - target
+    turns = np.round(gap / TURN)
+    close = np.abs(gap - TURN * turns).max(1) < 1e-2
+    tips, base, turns = tips[close], base[close], turns[close]
+    tips[:, free[:-1]] -= TURN * turns
+    base[:, free[:-1]] -= TURN * turns
+    # Turn everything so that the outermost joint is where it should be.
+    tips[:, free] += (rotations[free[-1]] - base[:, free[-1]])[:, None]
+    keys = np.round(tips[:, free] / 1e-4).astype(np.int64)
+    return np.asarray(tips[np.unique(keys, axis=0, return_index=True)[1]])
+
+
+def _slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
+    """(B, d, d) derivatives of the relative joint rotations with respect to the relative tip angles."""
+    dimension, epsilon = len(free) - 1, 1e-5
+    columns = []
+    for k in range(dimension):
+        moved = np.repeat(tips[None], 2, axis=0)
+        moved[0, :, free[k]] += epsilon
+        moved[1, :, free[k]] -= epsilon
+        forward, backward = (_relative(to_base(problem, side), free) for side in moved)
+        columns.append((forward - backward) / (2 * epsilon))
+    return np.stack(columns, axis=2)
+
+
+def _solve(problem: ReducedProblem, rotations: Array, tips: Array) -> list[Solution]:
+    """Newton on the collocation equations from each set of tip angles."""
+    if not len(tips):
+        return []
+    out = []
+    for theta in profiles(problem, tips):
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+        if result.converged:
+            out.append(Solution(problem, rotations, result, margin(problem, result.state)))
+    return _merge(out)
+
+
+def _merge(solutions: list[Solution]) -> list[Solution]:
+    """Solutions without doubles."""
+    out: list[Solution] = []
+    for candidate in solutions:
+        theta = candidate.result.state.theta
+        if all(np.abs(theta - kept.result.state.theta).max(initial=0.0) > SAME for kept in out):
+            out.append(candidate)
+    return out

@@ -1,0 +1,192 @@
+"""Quasi-static motion along a path of joint values, with its history: where the robot snaps, and where it lands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError
+from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..transcription.reduced import second_variation
+from .continuation import Fold, JointPath, Point, follow_to, polish_fold, solve_at
+from .landing import distance, land
+
+SMOOTH_TURN = 0.05
+"""A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
+not a snap."""
+
+PAST = 1e-4
+"""Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snap:
+    """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
+
+    rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
+    after: where the robot lands; energy_released, J; tip_jump, m.
+    """
+
+    index: int
+    fraction: float
+    rotations: Array
+    translations: Array
+    before: Equilibrium
+    after: Equilibrium
+    energy_released: float
+    tip_jump: float
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
+
+    equilibria: tuple[Equilibrium, ...]
+    snaps: tuple[Snap, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """The end of a branch on a segment: the fold, and the point where the robot has landed."""
+
+    fold: Fold
+    landed: Point
+
+
+def follow(
+    robot: ConcentricRobot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    start: Equilibrium | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Path:
+    """Move a robot slowly through waypoints of joint values, along straight lines between them.
+
+    Args:
+        rotations, translations: (T, n) rad and m; translations default to home.
+        start: stable equilibrium at the first waypoint; by default the one of `forward_kinematics`. If its joint
+            values are others, the robot is first moved from there, and snaps on that way are not recorded.
+        progress: called with the number of each waypoint that is reached.
+
+    Raises:
+        InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, an unstable start.
+        SolveError: descent from a fold found no stable equilibrium.
+    """
+    alpha, shift = _waypoints(robot, rotations, translations)
+    joints = np.concatenate([alpha, shift], axis=1)
+    first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
+    if not first.stable:
+        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    solution = polish(first)
+    own = np.concatenate([first.rotations, first.translations])
+    if not np.allclose(own, joints[0], rtol=0, atol=1e-12):
+        for event_or_point in walk(JointPath(robot, own, joints[0]), solution):
+            if isinstance(event_or_point, Point):
+                solution = event_or_point.solution
+    equilibria, snaps = [_finish(robot, solution, joints[0], "start")], []
+    for k in range(len(joints) - 1):
+        path = JointPath(robot, joints[k], joints[k + 1])
+        for step in walk(path, solution):
+            if isinstance(step, Point):
+                solution = step.solution
+            else:
+                snaps.append(to_snap(path, step, k))
+        equilibria.append(_finish(robot, solution, joints[k + 1], "the waypoint before"))
+        if progress is not None:
+            progress(k + 1)
+    return Path(tuple(equilibria), tuple(snaps))
+
+
+def _waypoints(
+    robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None
+) -> tuple[Array, Array]:
+    n = robot.n_tubes
+    try:
+        alpha = np.array(rotations, dtype=float)
+        shift = np.tile(robot.home_translations, (len(alpha), 1)) if translations is None else np.array(translations, float)
+    except (TypeError, ValueError):
+        raise InputError("rotations and translations must be tables of numbers, one row per waypoint") from None
+    for name, table in (("rotations", alpha), ("translations", shift)):
+        if table.ndim != 2 or table.shape[1] != n or not len(table):
+            raise InputError(f"{name} have shape {table.shape}; they must be one row of {n} numbers per waypoint")
+        if not np.isfinite(table).all():
+            raise InputError(f"{name} have a value that is not finite in row {int(np.argmin(np.isfinite(table).all(1)))}")
+    if len(alpha) != len(shift):
+        raise InputError(f"rotations have {len(alpha)} rows, translations {len(shift)}; they must be as many")
+    for row in shift:
+        robot.assembly(row)
+    return alpha, shift
+
+
+def _finish(robot: ConcentricRobot, solution: Solution, joint: Array, start: str) -> Equilibrium:
+    translations = tuple(np.split(joint, 2)[1].tolist())
+    return to_equilibrium(robot, solution, translations, ("newton", start, 0.0))
+
+
+def walk(path: JointPath, solution: Solution) -> Iterator[Point | Event]:
+    """Points of the motion from a stable solution at the start of a path; an event wherever the robot snaps.
+
+    The last point is at the end of the path.
+    """
+    here = Point(0.0, solution)
+    for goal in path.events():
+        while here.t < goal:
+            points, reached = follow_to(path, here, goal)
+            yield from points
+            here = points[-1] if points else here
+            if reached:
+                break
+            event = lose(path, here, goal)
+            if isinstance(event, Event):
+                yield event
+                here = event.landed
+            else:
+                here = event
+            yield here
+
+
+def lose(path: JointPath, here: Point, goal: float) -> Event | Point:
+    """What happens where the stable branch ends: a snap, or a smooth change to a neighbouring branch."""
+    fold = polish_fold(path, here)
+    if fold is None or not here.t - 1e-6 <= fold.t <= min(goal, here.t + 1e-2):
+        fold = Fold(here.t, here.solution, _softest(here.solution))
+    landed = land(fold.solution, fold.direction)
+    if landed is not None and distance(landed, fold.solution) > SMOOTH_TURN:
+        return Event(fold, Point(fold.t, landed))
+    # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
+    t = min(goal, fold.t + PAST)
+    unstable = solve_at(path, t, here)
+    landed = None if unstable is None else land(unstable.solution, _softest(unstable.solution))
+    if landed is None:
+        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
+    return Point(t, landed)
+
+
+def _softest(solution: Solution) -> Array:
+    """Direction (U,) in z of the smallest eigenvalue of the second variation."""
+    vectors: Array = np.linalg.eigh(second_variation(solution.problem, solution.result.state))[1]
+    return vectors[:, 0]
+
+
+def to_snap(path: JointPath, event: Event, index: int) -> Snap:
+    rotations, translations = path.at(event.fold.t)
+    joint = np.concatenate([rotations, translations])
+    before = _finish(path.robot, event.fold.solution, joint, "fold")
+    after = _finish(path.robot, event.landed.solution, joint, "energy descent")
+    return Snap(
+        index=index,
+        fraction=event.fold.t,
+        rotations=rotations,
+        translations=translations,
+        before=before,
+        after=after,
+        energy_released=before.energy - after.energy,
+        tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
+    )

@@ -1,0 +1,148 @@
+"""The exact snap: the first fold on a straight path in joint space, as a nonlinear program."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, vector
+from ..kinematics import forward_kinematics, polish
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..solvers.ipopt import start_values
+from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
+from ..transcription.nlp import Builder, Nlp
+from ..transcription.reduced import to_unknowns
+from .continuation import JointPath, Point, follow_to, solve_at
+from .following import Event, Snap, lose, to_snap
+
+Configuration = tuple[ArrayLike, ArrayLike | None]
+
+
+def find_snap(
+    robot: ConcentricRobot,
+    start: Configuration,
+    end: Configuration,
+    *,
+    equilibrium: Equilibrium | None = None,
+) -> Snap | None:
+    """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
+
+    The branch is followed to where it ends; the fold is the largest fraction t of the path for which the equilibrium
+    equations have a solution on it (maximised by IPOPT), polished on the augmented fold system.
+
+    Args:
+        start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
+        equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
+
+    Raises:
+        InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
+        SolveError: no stable equilibrium at `start`, or none where the robot lands.
+    """
+    path = JointPath(robot, _joint(robot, "start", start), _joint(robot, "end", end))
+    first = equilibrium if equilibrium is not None else forward_kinematics(robot, *path.at(0.0))
+    if not first.stable:
+        raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")
+    own = np.concatenate([first.rotations, first.translations])
+    if np.abs(own - path.start).max() > 1e-9:
+        raise InputError("equilibrium is at other joint values than start; they must be the same")
+    here = Point(0.0, polish(first))
+    for goal in path.events():
+        while here.t < goal:
+            points, reached = follow_to(path, here, goal)
+            here = points[-1] if points else here
+            if reached:
+                break
+            event = lose(path, largest_fraction(path, here, goal), goal)
+            if isinstance(event, Event):
+                return to_snap(path, event, 0)
+            here = event
+    return None
+
+
+def _joint(robot: ConcentricRobot, name: str, value: Configuration) -> Array:
+    try:
+        rotations, translations = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; it must be a pair (rotations, translations)") from None
+    home = robot.home_translations if translations is None else translations
+    alpha = vector(f"rotations of {name}", rotations, robot.n_tubes)
+    shift = vector(f"translations of {name}", home, robot.n_tubes)
+    robot.assembly(shift)
+    return np.concatenate([alpha, shift])
+
+
+@lru_cache(maxsize=32)
+def _program(structure: Structure) -> tuple[Nlp, Any, Any]:
+    """max t subject to the equilibrium equations at joint values and lengths that are linear in t."""
+    builder = Builder()
+    n, pieces = structure.n_tubes, structure.n_pieces
+    t = builder.variable(["fraction of the path"])
+
+    def linear(size: int) -> Any:
+        return builder.parameter(size) + t * builder.parameter(size)
+
+    rotations, transmission, length = linear(n), linear(n), linear(pieces)
+    torsional = builder.parameter(n)
+    stiffness, moment = (ca.reshape(builder.parameter(n * pieces), n, pieces) for _ in range(2))
+    place = tuple(builder.parameter(n) for _ in range(2)) if structure.eccentric else (None, None)
+    block = add_equilibrium(
+        builder, structure, BlockInput(rotations, transmission, torsional, length, stiffness, moment, *place)
+    )
+    builder.minimise(-t)
+    nlp = builder.build()
+    return nlp, nlp.ipopt("snap"), ca.Function("read", [nlp.x, nlp.p], [ca.densify(block.rotation)])
+
+
+def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
+    """The branch of `here` where t is largest, by IPOPT; `here` where it does not converge on this branch.
+
+    Lengths are linear in t between events, so one structure of sections serves up to `goal`.
+    """
+    problem = here.solution.problem
+    structure = structure_of(problem)
+    nlp, solver, read = _program(structure)
+    assembly, mesh = problem.assembly, problem.mesh
+    ahead = path.robot.assembly(path.at(min(goal, here.t + 0.5 * (goal - here.t)))[1])
+    if ahead.n_sections != assembly.n_sections or not goal > here.t:
+        return here
+    span = 0.5 * (goal - here.t)
+    counts = np.bincount(mesh.section, minlength=assembly.n_sections)
+    rates = (
+        np.split(path.end - path.start, 2)[0],
+        (ahead.transmission - assembly.transmission) / span,
+        ((ahead.length - assembly.length) / counts / span)[mesh.section],
+    )
+    values = []
+    for value, rate in zip((here.solution.rotations, assembly.transmission, mesh.length), rates, strict=True):
+        values += [value - here.t * rate, rate]
+    values += [assembly.torsional_stiffness, problem.piece_stiffness.ravel(), problem.piece_moment.ravel()]
+    values += [assembly.offset, assembly.offset_angle] if assembly.eccentric else []
+    p = np.concatenate(values)
+    x = np.concatenate([[here.t], start_values(structure, problem, here.solution.arm, "equations")])
+    bounds = nlp.bounds
+    bounds["lbx"], bounds["ubx"] = bounds["lbx"].copy(), bounds["ubx"].copy()
+    bounds["lbx"][0], bounds["ubx"][0] = here.t, goal
+    result = solver(x0=x, p=p, **bounds)
+    t = float(result["x"][0])
+    if not solver.stats()["success"] or t - here.t > 1e-2:
+        return here
+    theta = read(result["x"], p).full().T
+    return _near_fold(path, here, t, theta) or here
+
+
+def _near_fold(path: JointPath, here: Point, t: float, theta: Array) -> Point | None:
+    """The point of the program's solution, if it is the branch of `here`."""
+    from ..kinematics import Solution
+    from ..solvers.newton import NewtonResult
+    from ..transcription.reduced import evaluate, margin
+
+    problem = here.solution.problem
+    rotations = path.at(t)[0]
+    state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
+    return Point(t, Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state)))
