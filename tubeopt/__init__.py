@@ -1,17 +1,31 @@
 """tubeopt: design, command and fabrication of concentric and eccentric tube robots."""
 
-from .equilibrium import Equilibrium, Status
+from .derivatives import Jacobian
+from .equilibrium import Equilibrium, Statistics, Status, Verification
 from .errors import InputError, SolveError
 from .kinematics import Discretisation, forward_kinematics
 from .materials import NITINOL, Material
 from .robots.concentric import ConcentricRobot
 from .robots.limits import JointLimits
 from .stability import (
+    Branch,
+    Certificate,
+    EnergyMap,
     Path,
     Snap,
+    StabilityMap,
+    WorstCertificate,
+    WorstMargin,
+    certify,
+    energy_map,
     find_equilibria,
     find_snap,
     follow,
+    snap_free_certificate,
+    stability_map,
+    trace_branch,
+    worst_certificate,
+    worst_margin,
 )
 from .study.result_file import load_equilibrium
 from .study.robot_file import load_robot, save_robot
@@ -21,22 +35,38 @@ __version__ = "0.1.0"
 
 __all__ = [
     "NITINOL",
+    "Branch",
+    "Certificate",
+    "ConcentricRobot",
+    "Discretisation",
+    "EnergyMap",
+    "Equilibrium",
+    "InputError",
+    "Jacobian",
+    "JointLimits",
+    "Material",
     "Path",
     "Snap",
+    "SolveError",
+    "StabilityMap",
+    "Statistics",
+    "Status",
+    "Tube",
+    "Verification",
+    "WorstCertificate",
+    "WorstMargin",
+    "certify",
+    "energy_map",
     "find_equilibria",
     "find_snap",
     "follow",
+    "forward_kinematics",
     "load_equilibrium",
     "load_robot",
     "save_robot",
-    "ConcentricRobot",
-    "Discretisation",
-    "Equilibrium",
-    "InputError",
-    "JointLimits",
-    "Material",
-    "SolveError",
-    "Status",
-    "Tube",
-    "forward_kinematics",
+    "snap_free_certificate",
+    "stability_map",
+    "trace_branch",
+    "worst_certificate",
+    "worst_margin",
 ]

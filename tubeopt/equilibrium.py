@@ -64,9 +64,11 @@ class Equilibrium:
         tip_rotations (n,): theta_i at each tube's own end.
         section_start (k,): arc length of the breakpoints in front of the plate.
         tube_end (n,): arc length of each tube's end.
-        point (N,), point_rotation (N, n): arc length of the collocation points, and theta_i there.
+        point (N,), point_rotation (N, n): arc length of the collocation points, and theta_i there of the
+            tubes that are coupled there (their base rotation for the others): where a warm start begins.
         margin: smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling,
             0 a snap, below 0 unstable.
+        index: number of negative eigenvalues of the second variation, 0 for a stable equilibrium.
         energy: bending and torsion in front of the plate and torsion of the transmissions, J.
         residual: largest violation of the collocation equations, rad.
         mesh_error: estimated largest error of theta_i(s), rad.   tip_error: estimated error of tip_position, m.
@@ -91,6 +93,7 @@ class Equilibrium:
     point: Array
     point_rotation: Array
     margin: float
+    index: int
     energy: float
     residual: float
     mesh_error: float

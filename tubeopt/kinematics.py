@@ -17,7 +17,7 @@ from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
 from .transcription.mesh import make_mesh, piece_counts
-from .transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns
+from .transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns, unstable_directions
 from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
@@ -169,7 +169,9 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
         result = solve_ipopt(problem, rotations, guess, "energy" if method == "energy" else "equations")
     if not result.converged:
         error = residual(problem, result.state)
-        raise SolveError(f"{Status.NOT_CONVERGED}: after {result.iterations} iterations the residual is {error:.1e} rad")
+        raise SolveError(
+            f"{Status.NOT_CONVERGED}: after {result.iterations} iterations the residual is {error:.1e} rad"
+        )
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
@@ -313,6 +315,7 @@ def to_equilibrium(
         point_rotation=state.theta,
         tube_end=ends,
         margin=solution.margin,
+        index=0 if solution.margin > 0 else unstable_directions(problem, state),
         energy=arm.energy,
         residual=residual(problem, state),
         mesh_error=error,

@@ -17,8 +17,8 @@ from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residu
 LAST_STEP = 1e-6
 """A Newton step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
 
-ROUND_OFF = 1e-13
-"""Residual (rad) that is round-off."""
+ROUND_OFF = 1e-12
+"""Residual or step (rad) that is close to round-off; nothing below tells of convergence."""
 
 LONGEST_STEP = 1.0
 """Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
@@ -48,7 +48,8 @@ def newton(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: i
         state = evaluate(problem, rotations, state.z + step)
         if size <= LAST_STEP and (size <= ROUND_OFF or residual(problem, state) <= ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
-        contraction = max(contraction, size / last)
+        if size > LAST_STEP:
+            contraction = max(contraction, size / last)
         last = size
     return NewtonResult(state, False, iterations, contraction)
 

@@ -1,7 +1,30 @@
 """Stability: every equilibrium, the branch that is followed, the exact snap, and the certificate against it."""
 
+from .branch import Branch, trace_branch
+from .certificate import Certificate, certify, snap_free_certificate
 from .equilibria import find_equilibria
-from .following import Path, follow
-from .snapping import Snap, find_snap
+from .following import Path, Snap, follow
+from .maps import EnergyMap, StabilityMap, energy_map, stability_map
+from .snapping import find_snap
+from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
-__all__ = ["Path", "Snap", "find_equilibria", "find_snap", "follow"]
+__all__ = [
+    "Branch",
+    "Certificate",
+    "EnergyMap",
+    "Path",
+    "Snap",
+    "StabilityMap",
+    "WorstCertificate",
+    "WorstMargin",
+    "certify",
+    "energy_map",
+    "find_equilibria",
+    "find_snap",
+    "follow",
+    "snap_free_certificate",
+    "stability_map",
+    "trace_branch",
+    "worst_certificate",
+    "worst_margin",
+]

@@ -20,8 +20,11 @@ LARGEST_RATIO = 0.3
 """Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
 
 LARGEST_TURN = 0.3
-"""Largest change of a joint rotation, and of the twist at a point (rad), in one step of the path: small against a
-turn, after which another branch looks like the one that is followed."""
+"""Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
+looks like the one that is followed."""
+
+LARGEST_TWIST = 0.6
+"""Largest change (rad) of the twist theta - alpha at a point in one step."""
 
 LARGEST_SHIFT = 0.05
 """Largest change of a translation in one step, as a fraction of the longest tube."""
@@ -86,19 +89,23 @@ def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None
     twist = _twist(near, problem.arc_length)
     if before is not None and near.t > before.t:
         rate = (twist - _twist(before, problem.arc_length)) * ((t - near.t) / (near.t - before.t))
-        twist = twist + np.clip(rate, -LARGEST_TURN, LARGEST_TURN)
+        twist = twist + np.clip(rate, -LARGEST_TWIST, LARGEST_TWIST)
     guess = rotations + twist
     result = newton(problem, rotations, to_unknowns(problem, rotations, guess), iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
-    if np.abs(result.state.theta - rotations - _twist(near, problem.arc_length)).max(initial=0.0) > LARGEST_TURN:
+    # Only the coupled tubes: theta of the others is carried along, not solved for.
+    change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]
+    if np.abs(change).max(initial=0.0) > LARGEST_TWIST:
         return None
     return Point(t, Solution(problem, rotations, result, margin(problem, result.state)))
 
 
 def _twist(point: Point, arc_length: Array) -> Array:
-    """theta - alpha (len(arc_length), n)."""
+    """theta - alpha (len(arc_length), n); at its own points, of the coupled tubes only."""
     solution = point.solution
+    if arc_length is solution.problem.arc_length:
+        return solution.result.state.theta - solution.rotations
     return arms.interpolate(solution.problem, solution.arm, arc_length) - solution.rotations
 
 

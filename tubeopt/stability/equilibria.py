@@ -15,7 +15,7 @@ from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_e
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, margin, second_variation, to_unknowns
+from ..transcription.reduced import Index, ReducedProblem, margin, to_unknowns, unstable_directions
 from .shooting import profiles, to_base
 
 TURN = 2 * np.pi
@@ -78,16 +78,9 @@ def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
     )
 
 
-def index(solution: Solution) -> int:
-    """Number of negative eigenvalues of the second variation: 0 for a stable equilibrium."""
-    if not solution.problem.size:
-        return 0
-    return int((np.linalg.eigvalsh(second_variation(solution.problem, solution.result.state)) < 0).sum())
-
-
 def degree(solutions: list[Solution]) -> int:
     """Sum of (-1)^index: 1 for a complete set, since the equations deform into those without coupling."""
-    return sum((-1) ** index(solution) for solution in solutions)
+    return sum((-1) ** unstable_directions(s.problem, s.result.state) for s in solutions)
 
 
 def _coupled_tubes(problem: ReducedProblem) -> Index:

@@ -104,20 +104,22 @@ def follow(
     return Path(tuple(equilibria), tuple(snaps))
 
 
-def _waypoints(
-    robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None
-) -> tuple[Array, Array]:
+def _waypoints(robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)
-        shift = np.tile(robot.home_translations, (len(alpha), 1)) if translations is None else np.array(translations, float)
+        shift = (
+            np.tile(robot.home_translations, (len(alpha), 1)) if translations is None else np.array(translations, float)
+        )
     except (TypeError, ValueError):
         raise InputError("rotations and translations must be tables of numbers, one row per waypoint") from None
     for name, table in (("rotations", alpha), ("translations", shift)):
         if table.ndim != 2 or table.shape[1] != n or not len(table):
             raise InputError(f"{name} have shape {table.shape}; they must be one row of {n} numbers per waypoint")
         if not np.isfinite(table).all():
-            raise InputError(f"{name} have a value that is not finite in row {int(np.argmin(np.isfinite(table).all(1)))}")
+            raise InputError(
+                f"{name} have a value that is not finite in row {int(np.argmin(np.isfinite(table).all(1)))}"
+            )
     if len(alpha) != len(shift):
         raise InputError(f"rotations have {len(alpha)} rows, translations {len(shift)}; they must be as many")
     for row in shift:

@@ -18,7 +18,7 @@ from ..solvers.ipopt import start_values
 from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
 from ..transcription.nlp import Builder, Nlp
 from ..transcription.reduced import to_unknowns
-from .continuation import JointPath, Point, follow_to, solve_at
+from .continuation import JointPath, Point, follow_to
 from .following import Event, Snap, lose, to_snap
 
 Configuration = tuple[ArrayLike, ArrayLike | None]

@@ -14,6 +14,7 @@ from .piece import COARSE_STEPS, ENDS, STEPS
 from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
 
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """theta_i(s) of all tubes as one polynomial per piece.

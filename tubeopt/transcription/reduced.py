@@ -239,6 +239,11 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
     return min(1.0, float(values[0]))
 
 
+def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
+    """Number of negative eigenvalues of the second variation."""
+    return int((np.linalg.eigvalsh(second_variation(problem, state)) < 0).sum()) if problem.size else 0
+
+
 def second_variation(problem: ReducedProblem, state: Evaluation) -> Array:
     """(U, U) second variation in z coordinates, in which its torsional part is the identity."""
     assembly = problem.assembly

@@ -40,10 +40,15 @@ class Tableau:
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
         x = 2 * np.asarray(at, dtype=float) - 1
-        coefficients = self.legendre_of_lagrange
-        if integrals:
-            coefficients = legendre.legint(coefficients, m=integrals, lbnd=-1, scl=0.5)
-        return np.asarray(legendre.legval(x, coefficients).T.reshape(len(x), -1))
+        coefficients = _integrated(self.family, self.degree, integrals)
+        return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
+
+
+@lru_cache(maxsize=64)
+def _integrated(family: str, degree: int, integrals: int) -> Array:
+    """Legendre coefficients, by column, of the Lagrange polynomials integrated from 0."""
+    coefficients = tableau(family, degree).legendre_of_lagrange
+    return np.asarray(legendre.legint(coefficients, m=integrals, lbnd=-1, scl=0.5)) if integrals else coefficients
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,104 @@
+"""The snap-free certificate as CasADi expressions: the worst second variation that any rotations can give.
+
+With every cos(theta_i - theta_j) replaced by -1 the second variation is
+
+    Q(y) = sum_i int kt_i y_i'^2 - int sum_pairs |c_ij| (y_i - y_j)^2 + sum_i kt_i / |beta_i| y_i(0)^2,
+
+c_ij = m_i m_j / sum kb, constant on each section. mu_cert is its smallest eigenvalue relative to the torsional part:
+1 - lambda, with lambda the largest number for which the Jacobi equation  lambda kt y'' = -C y  (C the Laplacian matrix
+of the |c_ij|) has a solution with y' = 0 at the tip and y(0) = |beta| y'(0). From Y = 1, Y' = 0 at the tip it is carried
+to the base by transfer matrices, entire functions of the coefficients, and D(lambda) = det(Y(0) - |beta| Y'(0)) = 0.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+TERMS = 12
+"""Terms of cos and sinc of the transfer matrices, for h^2 C / (kt lambda) up to SPLITS^2."""
+
+SPLITS = 4
+"""Parts in which every section is crossed."""
+
+
+def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
+    """D(lambda) of tubes with torsional stiffness kt (n,), transmission (n,), and per section, base to tip, length (m,),
+    kb_i of the tubes present and m_i of the tubes curved, (n, m)."""
+    n, sections = given["stiffness"].shape
+    identity = ca.DM.eye(n)
+    y: Any = identity
+    slope: Any = ca.DM.zeros(n, n)
+    for k in reversed(range(sections)):
+        moment = ca.fabs(given["moment"][:, k])
+        pairs = moment @ moment.T / ca.sum1(given["stiffness"][:, k])
+        pairs = pairs - ca.diag(ca.diag(pairs))
+        laplacian = ca.diag(ca.sum2(pairs)) - pairs
+        rate = ca.diag(1 / given["torsional_stiffness"]) @ laplacian / eigenvalue
+        h = given["length"][k] / SPLITS
+        cos, sinc, turned = _transfer(rate, h)
+        for _ in range(SPLITS):
+            # Backwards: the slope changes sign.
+            y, slope = cos @ y - h * (sinc @ slope), turned @ y + cos @ slope
+    return ca.det(y - ca.diag(given["transmission"]) @ slope)
+
+
+def _transfer(rate: Any, h: Any) -> tuple[Any, Any, Any]:
+    """cos(h sqrt(N)), sinc(h sqrt(N)) and h N sinc(h sqrt(N)) of a matrix N = `rate`, by their power series."""
+    identity = ca.DM.eye(rate.shape[0])
+    argument = h**2 * rate
+    cos: Any = identity
+    sinc: Any = identity
+    for k in reversed(range(1, TERMS + 1)):
+        cos = identity - argument @ cos / ((2 * k - 1) * (2 * k))
+        sinc = identity - argument @ sinc / ((2 * k) * (2 * k + 1))
+    return cos, sinc, h * rate @ sinc
+
+
+PARAMETERS = (
+    "bending_stiffness",
+    "torsional_stiffness",
+    "curvature",
+    "straight_length",
+    "curved_length",
+    "translation",
+)
+"""What the certificate depends on, each (n,): a tube parameter, SI, or the translation."""
+
+
+@lru_cache(maxsize=128)
+def certificate_function(
+    pattern: tuple[tuple[int, ...], tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]],
+) -> Any:
+    """(lambda, PARAMETERS...) -> (mu, gradient of mu with respect to each of PARAMETERS).
+
+    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
+    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6: a
+    Newton step on D makes mu exact to round-off, and its derivatives those of the implicit function.
+    """
+    ends, present, curved = pattern
+    n = len(present[0])
+    symbols = {name: ca.SX.sym(name, n) for name in PARAMETERS}
+    beta = symbols["translation"] - symbols["straight_length"]
+    transition = beta + symbols["straight_length"]
+    tip = transition + symbols["curved_length"]
+    cuts = [ca.SX(0), *((tip if e % 2 else transition)[e // 2] for e in ends)]
+    masks = (ca.DM(present).T, ca.DM(curved).T)
+    given = {
+        "torsional_stiffness": symbols["torsional_stiffness"],
+        "transmission": -beta,
+        "length": ca.vertcat(*(b - a for a, b in zip(cuts, cuts[1:], strict=False))),
+        "stiffness": masks[0] * symbols["bending_stiffness"],
+        "moment": masks[1] * (symbols["bending_stiffness"] * symbols["curvature"]),
+    }
+    eigenvalue = ca.SX.sym("lambda")
+    determinant = base_determinant(eigenvalue, given)
+    margin = 1 - (eigenvalue - determinant / ca.jacobian(determinant, eigenvalue))
+    # The Newton step has the right derivatives only where D = 0; written out, they hold at any lambda close by.
+    gradient = [ca.gradient(determinant, s) / ca.jacobian(determinant, eigenvalue) for s in symbols.values()]
+    inputs = [eigenvalue, *symbols.values()]
+    return ca.Function(
+        "certificate", inputs, [margin, *gradient], ["lambda", *symbols], ["margin", *(f"d_{s}" for s in symbols)]
+    )

@@ -1,0 +1,155 @@
+"""The whole branch of equilibria while joints turn, through its folds: the S-curve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, vector
+from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..solvers.newton import NewtonResult
+from ..transcription.reduced import ReducedProblem, evaluate, margin
+from .continuation import Fold, JointPath, Point, polish_fold
+
+ARC_STEP = 0.06
+"""First step along the branch: largest change (rad) of a rotation at a point or of the turning joints."""
+
+MOST_POINTS = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A curve of equilibria, P points in order along it, stable and unstable.
+
+    fraction (P,): of the way from start to end.  rotations (P, n): joint values.  tip_rotations (P, n), margin (P,).
+    folds: the equilibria where the curve turns back, where a robot that follows it snaps.
+    """
+
+    fraction: Array
+    rotations: Array
+    tip_rotations: Array
+    margin: Array
+    folds: tuple[Equilibrium, ...]
+
+
+def trace_branch(
+    robot: ConcentricRobot,
+    start: ArrayLike,
+    end: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    equilibrium: Equilibrium | None = None,
+) -> Branch:
+    """Follow the branch through folds from rotations `start` until it leaves the way to `end` at either side.
+
+    Pseudo-arclength continuation (Keller 1977) in the rotations along the arm and the fraction of the way.
+
+    Args:
+        start, end: (n,) rotations, rad; translations (n,) m, default home.
+        equilibrium: where to begin, at rotations `start`; default that of `forward_kinematics`.
+
+    Raises:
+        InputError: wrong number of joint values, start and end the same.
+        SolveError: the branch could not be followed.
+    """
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
+    if np.allclose(alpha, beta, rtol=0, atol=1e-12):
+        raise InputError("start and end are the same rotations; a branch needs a way")
+    first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
+    path = JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift]))
+    solution = polish(first)
+    problem = solution.problem
+    points, folds = _continue(path, problem, solution.result.state.z)
+    equilibria = [
+        to_equilibrium(robot, _solution(path, problem, t, z), tuple(shift.tolist()), ("newton", "arclength", 0.0))
+        for t, z in points
+    ]
+    return Branch(
+        fraction=np.array([t for t, _ in points]),
+        rotations=np.array([e.rotations for e in equilibria]),
+        tip_rotations=np.array([e.tip_rotations for e in equilibria]),
+        margin=np.array([e.margin for e in equilibria]),
+        folds=tuple(
+            to_equilibrium(robot, fold.solution, tuple(shift.tolist()), ("newton", "fold", 0.0)) for fold in folds
+        ),
+    )
+
+
+def _solution(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> Solution:
+    rotations = (path.start + t * (path.end - path.start))[: problem.assembly.n_tubes]
+    state = evaluate(problem, rotations, z)
+    return Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
+
+
+def _system(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> tuple[Array, Array, Array]:
+    """Residual (U,), Jacobian (U, U), and derivative with respect to t (U,), of the equations."""
+    n = problem.assembly.n_tubes
+    way = (path.end - path.start)[:n]
+    here, ahead, behind = (evaluate(problem, path.start[:n] + at * way, z) for at in (t, t + 1e-6, t - 1e-6))
+    return here.gradient, here.hessian, (ahead.gradient - behind.gradient) / 2e-6
+
+
+def _continue(path: JointPath, problem: ReducedProblem, z: Array) -> tuple[list[tuple[float, Array]], list[Fold]]:
+    """Points (t, z) and folds, from t = 0 until t leaves [0, 1]."""
+    # t is measured in radians of the joint that turns most, so that both kinds of unknowns have one size.
+    scale = float(np.abs(path.end - path.start).max())
+    t, step = 0.0, ARC_STEP
+    _, hessian, slope = _system(path, problem, t, z)
+    tangent = _tangent(hessian, slope / scale, np.append(np.zeros(len(z)), 1.0))
+    points, folds = [(t, z)], []
+    while len(points) < MOST_POINTS:
+        turn = max(float(np.abs(problem.factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
+        trial = _correct(path, problem, t, z, tangent * (step / turn), scale)
+        if trial is None:
+            step /= 2
+            if step < 1e-8:
+                raise SolveError(f"the branch was lost at {100 * t:.3f} % of the way")
+            continue
+        t_new, z_new, easy = trial
+        _, hessian, slope = _system(path, problem, t_new, z_new)
+        following = _tangent(hessian, slope / scale, tangent)
+        if following[-1] * tangent[-1] < 0:
+            fold = polish_fold(path, Point(t_new, _solution(path, problem, t_new, z_new)))
+            if fold is not None:
+                folds.append(fold)
+                points.append((fold.t, fold.solution.result.state.z))
+        t, z, tangent = t_new, z_new, following
+        if not -1e-12 <= t <= 1 + 1e-12:
+            break
+        points.append((t, z))
+        step = min(2 * ARC_STEP, step * (1.5 if easy else 1.0))
+    return points, folds
+
+
+def _tangent(hessian: Array, slope: Array, like: Array) -> Array:
+    """Unit vector (z, scaled t) along the branch, on the side of `like`."""
+    matrix = np.vstack([np.column_stack([hessian, slope]), like])
+    tangent: Array = np.linalg.solve(matrix, np.append(np.zeros(len(hessian)), 1.0))
+    return tangent / np.linalg.norm(tangent)
+
+
+def _correct(
+    path: JointPath, problem: ReducedProblem, t: float, z: Array, step: Array, scale: float
+) -> tuple[float, Array, bool] | None:
+    """Newton back to the branch in the plane across it; None where it does not converge quickly."""
+    direction = step / np.linalg.norm(step)
+    z_new, t_new = z + step[:-1], t + float(step[-1]) / scale
+    last = np.inf
+    for iteration in range(7):
+        residual, hessian, slope = _system(path, problem, t_new, z_new)
+        matrix = np.vstack([np.column_stack([hessian, slope / scale]), direction])
+        change = np.linalg.solve(matrix, -np.append(residual, 0.0))
+        size = float(np.abs(problem.factor @ change[:-1]).max(initial=0.0))
+        if size > 0.5 * last or size > 0.3:
+            return None
+        z_new, t_new, last = z_new + change[:-1], t_new + float(change[-1]) / scale, size
+        if size < 1e-9:
+            return t_new, z_new, iteration <= 2
+    return None

@@ -1,0 +1,149 @@
+"""Whether a robot can snap at all: one eigenvalue that bounds the margin for every rotation at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import vector
+from ..kinematics import DEFAULT_DISCRETISATION, reduced_problem
+from ..mechanics.certificate import PARAMETERS, certificate_function
+from ..robots.assembly import ROUND_OFF, Array, Assembly, without_offsets
+from ..robots.concentric import ConcentricRobot
+from ..transcription.reduced import ReducedProblem, reduce
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Proved stability of a robot at given translations, for all rotations.
+
+    Attributes:
+        margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each.
+        translations: (n,) m.
+        gradient: of the margin with respect to `mechanics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
+            the eigenvalue is double, so that the margin has no derivative.
+        pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling.
+        section: (start, end) of the section where it takes most, m.
+        share: (n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal.
+    """
+
+    margin: float
+    translations: Array
+    gradient: dict[str, Array]
+    pair: tuple[int, int] | None
+    section: tuple[float, float] | None
+    share: Array
+
+    @property
+    def snap_free(self) -> bool:
+        """Whether snapping is excluded at every rotation."""
+        return self.margin > 0
+
+
+def snap_free_certificate(robot: ConcentricRobot, translations: ArrayLike | None = None) -> float:
+    """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
+
+    Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
+    of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
+    conservative, since three tubes cannot oppose each other pairwise. For tubes off the centreline it is the
+    certificate of the same tubes on it.
+
+    Args:
+        translations: (n,) m; default home.
+
+    Raises:
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+    """
+    return worst_case(_problem(robot, translations))[0]
+
+
+def _problem(robot: ConcentricRobot, translations: ArrayLike | None) -> ReducedProblem:
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
+    if problem.assembly.eccentric:
+        return reduce(without_offsets(problem.assembly), problem.mesh)
+    return problem
+
+
+def pair_couplings(problem: ReducedProblem) -> Array:
+    """(N, n, n) |c_ij| at the collocation points."""
+    pull = np.abs(problem.moment)
+    pairs = pull[:, :, None] * pull[:, None, :] / problem.stiffness.sum(1)[:, None, None]
+    diagonal = np.arange(pull.shape[1])
+    pairs[:, diagonal, diagonal] = 0.0
+    return np.asarray(pairs)
+
+
+def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
+    """mu_cert, its eigenvector y (N, n) for which int kt y'^2 is 1, and the next eigenvalue."""
+    count, n = problem.moment.shape
+    y = np.zeros((count, n))
+    if not problem.size:
+        return 1.0, y, 1.0
+    pairs = pair_couplings(problem)
+    laplacian = pairs - np.eye(n) * pairs.sum(2)[:, :, None]
+    second = np.zeros(problem.size**2)
+    second[problem.places] = laplacian.ravel()[problem.entries] * problem.entry_weight
+    values, vectors = np.linalg.eigh(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
+    y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
+    return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
+
+
+def certify(robot: ConcentricRobot, translations: ArrayLike | None = None) -> Certificate:
+    """`snap_free_certificate` with its gradient, and the pair of tubes and the section that limit it.
+
+    Raises:
+        InputError: as `snap_free_certificate`.
+    """
+    problem = _problem(robot, translations)
+    margin, y, following = worst_case(problem)
+    n = robot.n_tubes
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, n)
+    if margin >= 1 - 1e-12:
+        nothing = {name: np.zeros(n) for name in PARAMETERS}
+        return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
+    work = pair_couplings(problem) * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
+    share = work.sum(0) / (1 - margin)
+    i, j = np.unravel_index(int(np.argmax(np.triu(share))), share.shape)
+    mesh, assembly = problem.mesh, problem.assembly
+    section = np.repeat(mesh.section[mesh.collocated], mesh.tableau.degree)
+    each = np.bincount(section, weights=work.sum((1, 2)), minlength=assembly.n_sections)
+    k = int(np.argmax(each))
+    span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
+    double = following - margin < 1e-9
+    gradient = _gradient(robot, problem, margin) if not double else {name: np.full(n, np.nan) for name in PARAMETERS}
+    return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
+
+
+def breakpoint_pattern(
+    assembly: Assembly,
+) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]:
+    """The order of breakpoints, as `mechanics.certificate.certificate_function` takes it. Of breakpoints that coincide
+    the first tube's is taken."""
+    ends = []
+    for stop in assembly.start + assembly.length:
+        near = np.abs(np.stack([assembly.transition, assembly.end], axis=1).ravel() - stop) <= 2 * ROUND_OFF
+        ends.append(int(np.argmax(near)))
+    masks = (tuple(tuple(int(v) for v in row) for row in mask) for mask in (assembly.present, assembly.curved))
+    present, curved = masks
+    return tuple(ends), present, curved
+
+
+def parameter_values(robot: ConcentricRobot, translations: Array) -> dict[str, Array]:
+    """Values of `mechanics.certificate.PARAMETERS` for a robot."""
+    values = {
+        name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
+    }
+    return {**values, "translation": translations}
+
+
+def _gradient(robot: ConcentricRobot, problem: ReducedProblem, margin: float) -> dict[str, Array]:
+    function = certificate_function(breakpoint_pattern(problem.assembly))
+    shift = problem.assembly.transition
+    values = parameter_values(robot, shift)
+    out = function(1 - margin, *values.values())
+    return {name: np.array(part).ravel() for name, part in zip(PARAMETERS, out[1:], strict=True)}

@@ -1,0 +1,234 @@
+"""Maps: elastic energy over two tip angles, and the margin over two relative rotations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, vector
+from ..kinematics import DEFAULT_DISCRETISATION, forward_kinematics, polish, reduced_problem
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..transcription.reduced import ReducedProblem, evaluate
+from .continuation import JointPath, Point
+from .equilibria import find_equilibria
+from .following import Event, walk
+from .snapping import find_snap
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyMap:
+    """Least elastic energy (J) with the tips of two tubes held at given angles; its stationary points are equilibria.
+
+    first, second: (N,) tip angles (rad) of tubes `tubes`.  energy: (N, N), rows by `first`.  equilibria: all of them.
+    """
+
+    tubes: tuple[int, int]
+    first: Array
+    second: Array
+    energy: Array
+    equilibria: tuple[Equilibrium, ...]
+
+
+def energy_map(
+    robot: ConcentricRobot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    tubes: tuple[int, int] = (0, 1),
+    samples: int = 61,
+) -> EnergyMap:
+    """Energy over the tip angles of two tubes at given joint values.
+
+    Everything else, the torsion inside and the tips of other tubes, takes the values of least energy, followed from
+    point to point.
+
+    Raises:
+        InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part.
+        SolveError: the equilibria at these joint values are not complete.
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
+    for tube in tubes:
+        if tube not in problem.tube:
+            raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
+    if tubes[0] == tubes[1]:
+        raise InputError(f"tubes is {tubes}; they must be two different tubes")
+    found = find_equilibria(robot, alpha, shift)
+    tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
+    low, high = tips.min(0), tips.max(0)
+    reach = np.maximum(0.6 * (high - low), np.radians(60))
+    first, second = (np.linspace(low[k] - reach[k], high[k] + reach[k], samples) for k in range(2))
+    holds = [_hold(problem, tube) for tube in tubes]
+    energy = np.empty((samples, samples))
+    row = np.zeros(problem.size)
+    for i in range(samples):
+        z = row
+        order = range(samples)
+        for j in order:
+            z, energy[i, j] = _held_minimum(
+                problem, alpha, z, holds, (first[i] - alpha[tubes[0]], second[j] - alpha[tubes[1]])
+            )
+            if j == 0:
+                row = z
+    return EnergyMap(tubes, first, second, energy, tuple(found))
+
+
+def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
+    """The tip angle of a tube given z: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
+
+    (a, d) is the next row of the Cholesky factor when the tube's last coupled end joins the collocation points.
+    """
+    mesh, assembly = problem.mesh, problem.assembly
+    mine = problem.tube == tube
+    s = problem.arc_length[problem.point[mine]]
+    curved = np.flatnonzero(assembly.curved[:, tube] & assembly.coupled)
+    end = float(assembly.start[curved[-1]] + assembly.length[curved[-1]])
+    # theta(end) responds to the moment at a point by |beta| + min(s, end): collocated, with its quadrature.
+    across = _collocated_min(problem, mine, end)
+    beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
+    a = np.zeros(problem.size)
+    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], (beta + across) / kt)
+    del mesh, s
+    return a, float(np.sqrt(max((beta + end) / kt - a @ a, 1e-30)))
+
+
+def _collocated_min(problem: ReducedProblem, mine: Array, end: float) -> Array:
+    """min(s, end) = s at the points before the end: exact for the collocated integral, since s is linear."""
+    return np.minimum(problem.arc_length[problem.point[mine]], end)
+
+
+def _held_minimum(
+    problem: ReducedProblem,
+    rotations: Array,
+    z: Array,
+    holds: Sequence[tuple[Array, float]],
+    twists: tuple[float, float],
+) -> tuple[Array, float]:
+    """Newton on the energy with both tips held; z and the energy there."""
+
+    def total(at: Array) -> tuple[float, Array, Array]:
+        state = evaluate(problem, rotations, at)
+        energy, gradient, hessian = state.energy, state.gradient, state.hessian
+        for (a, d), twist in zip(holds, twists, strict=True):
+            zeta = (twist - float(a @ at)) / d
+            energy += zeta**2 / 2
+            gradient = gradient - a * (zeta / d)
+            hessian = hessian + np.outer(a, a) / d**2
+        return energy, gradient, hessian
+
+    energy, gradient, hessian = total(z)
+    for _ in range(60):
+        values, vectors = np.linalg.eigh(hessian)
+        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
+        turn = float(np.abs(problem.factor @ step).max())
+        if turn < 1e-7:
+            break
+        step *= min(1.0, 0.5 / turn)
+        for _ in range(30):
+            trial = total(z + step)
+            if trial[0] <= energy + 1e-4 * float(gradient @ step) + 1e-13 * abs(energy):
+                break
+            step /= 2
+        z = z + step
+        energy, gradient, hessian = trial
+    return z, energy
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations.
+
+    tubes: the two that turn; all others stay at home.  angles: (N,) rad, of both axes.
+    margin: (N, N) at the end, rows by the first tube.  snaps: (N, N) snaps on the way.
+    boundary: (D, 2) rotations (rad) at the first snap in D directions; NaN in directions without.
+    """
+
+    tubes: tuple[int, int]
+    angles: Array
+    margin: Array
+    snaps: Array
+    boundary: Array
+
+
+def stability_map(
+    robot: ConcentricRobot,
+    translations: ArrayLike | None = None,
+    *,
+    tubes: tuple[int, int] = (0, 1),
+    samples: int = 60,
+    directions: int = 180,
+    workers: int = 2,
+    progress: Callable[[int, int], object] | None = None,
+) -> StabilityMap:
+    """Margin and snaps over two rotations relative to the other tubes, +-180 deg each.
+
+    Args:
+        tubes: the tubes that turn, from 0.   samples: points per axis.   directions: of the snap boundary.
+        workers: processes.   progress: called with the tasks done and their number.
+
+    Raises:
+        InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.
+    """
+    if robot.n_tubes < 3:
+        raise InputError(f"the robot has {robot.n_tubes} tubes; a map over two relative rotations needs at least 3")
+    if len({*tubes} & {*range(robot.n_tubes)}) != 2:
+        raise InputError(f"tubes is {tubes}; they must be two different tubes from 0 to {robot.n_tubes - 1}")
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    robot.assembly(shift)
+    angles = np.linspace(-np.pi, np.pi, samples)
+    phi = np.arange(directions) * 2 * np.pi / directions
+    reach = np.pi / np.maximum(np.abs(np.cos(phi)), np.abs(np.sin(phi)))
+    rows = [np.column_stack([np.full(samples, angle), angles]) for angle in angles]
+    rays = np.array_split(np.column_stack([np.cos(phi), np.sin(phi)]) * reach[:, None], max(1, directions // 15))
+    jobs = [(robot, shift, tubes, row, False) for row in rows] + [
+        (robot, shift, tubes, ray, True) for ray in rays if len(ray)
+    ]
+    results = []
+    if workers > 1:
+        with ProcessPoolExecutor(workers) as pool:
+            for result in pool.map(_map_job, jobs):
+                results.append(result)
+                if progress is not None:
+                    progress(len(results), len(jobs))
+    else:
+        for job in jobs:
+            results.append(_map_job(job))
+            if progress is not None:
+                progress(len(results), len(jobs))
+    table = np.array(results[:samples])
+    boundary = np.concatenate([np.zeros((0, 2)), *results[samples:]])
+    return StabilityMap(tubes, angles, table[:, :, 0], table[:, :, 1].astype(int), boundary)
+
+
+def _map_job(job: tuple[ConcentricRobot, Array, tuple[int, int], Array, bool]) -> Array:
+    """(k, 2) margin and number of snaps at each pair of rotations, or, for rays, the rotations at the first snap."""
+    robot, shift, tubes, ends, rays = job
+    n = robot.n_tubes
+    origin = forward_kinematics(robot, np.zeros(n), shift)
+    start = polish(origin)
+    out = np.full((len(ends), 2), np.nan)
+    for row, end in zip(out, ends, strict=True):
+        goal = np.zeros(n)
+        goal[list(tubes)] = end
+        if rays:
+            snap = find_snap(robot, (np.zeros(n), shift), (goal, shift), equilibrium=origin)
+            if snap is not None:
+                row[:] = snap.rotations[list(tubes)]
+            continue
+        here, snaps = Point(0.0, start), 0
+        for step in walk(JointPath(robot, np.concatenate([np.zeros(n), shift]), np.concatenate([goal, shift])), start):
+            if isinstance(step, Event):
+                snaps += 1
+            else:
+                here = step
+        row[:] = here.solution.margin, snaps
+    return out

@@ -1,0 +1,161 @@
+"""The worst case: of the certificate over translations, and of the margin that search finds over rotations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import Bounds, direct, minimize
+from scipy.stats import qmc
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, vector
+from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..solvers.newton import newton
+from ..transcription.reduced import ReducedProblem, evaluate, margin, to_unknowns
+from .certificate import Certificate, certify, snap_free_certificate
+from .shooting import profiles, to_base
+
+SAMPLES_LOG2 = 9
+"""Base-2 logarithm of the number of tip angles at which the search for the worst margin begins."""
+
+LOCAL_SEARCHES = 6
+
+EVALUATIONS = 1500
+"""Evaluations of the certificate by the global search over translations."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorstMargin:
+    """The least margin that was found over all rotations at given translations: what a certificate may not exceed.
+
+    margin: as found.  equilibrium: where, with the joint values to repeat it.  searches: local searches done.
+    """
+
+    margin: float
+    equilibrium: Equilibrium
+    searches: int
+
+
+def worst_margin(robot: ConcentricRobot, translations: ArrayLike | None = None) -> WorstMargin:
+    """Search for the rotations with the least margin, over all equilibria, stable or not.
+
+    Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
+    function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
+    are improved by Nelder and Mead's method.
+
+    Args:
+        translations: (n,) m; default home.
+
+    Raises:
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+        SolveError: the equilibrium that was found cannot be solved again, at a fold.
+    """
+    home = robot.home_translations if translations is None else translations
+    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
+    free = np.unique(problem.tube)
+    tips = np.zeros(robot.n_tubes)
+    searches = 0
+    if len(free) > 1:
+        unit = qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
+        samples = np.zeros((len(unit), robot.n_tubes))
+        samples[:, free[:-1]] = unit * 2 * np.pi
+        values = np.array([_margin(problem, theta) for theta in profiles(problem, samples)])
+        best = np.inf
+        for k in np.argsort(values)[:LOCAL_SEARCHES]:
+            result = minimize(
+                lambda relative: _margin_at(problem, free, relative),
+                samples[k, free[:-1]],
+                method="Nelder-Mead",
+                options={"xatol": 1e-6, "fatol": 1e-10},
+            )
+            searches += 1
+            if result.fun < best:
+                best = float(result.fun)
+                tips[free[:-1]] = result.x
+    rotations = to_base(problem, tips[None])[0]
+    theta = profiles(problem, tips[None])[0]
+    result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+    if not result.converged:
+        raise SolveError("the worst equilibrium found is a fold (margin 0), which Newton cannot solve again")
+    solution = Solution(problem, rotations, result, margin(problem, result.state))
+    equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
+    return WorstMargin(solution.margin, equilibrium, searches)
+
+
+def _margin(problem: ReducedProblem, theta: Array) -> float:
+    """Margin at given theta (N, n), solved or nearly so."""
+    zero = np.zeros(theta.shape[1])
+    state = evaluate(problem, zero, to_unknowns(problem, zero, theta))
+    return margin(problem, state) if problem.size else 1.0
+
+
+def _margin_at(problem: ReducedProblem, free: Array, relative: Array) -> float:
+    tips = np.zeros((1, problem.assembly.n_tubes))
+    tips[0, free[:-1]] = relative
+    return _margin(problem, profiles(problem, tips)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCertificate:
+    """The certificate over a box of translations: its least value, where, and how many evaluations that took."""
+
+    certificate: Certificate
+    lower: Array
+    upper: Array
+    evaluations: int
+
+
+def worst_certificate(
+    robot: ConcentricRobot, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+) -> WorstCertificate:
+    """Least certificate over a box of translations.
+
+    Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
+    L-BFGS-B from its best point and from every corner.
+    mu_cert is continuous and piecewise smooth in the translations, so this finds the least value to the resolution of
+    DIRECT; it is not a proof for the box.
+
+    Args:
+        lower, upper: (n,) m; default the translations of `robot.limits`.
+
+    Raises:
+        InputError: bounds of the wrong number, not finite, crossed, or past where a tube leaves its actuator.
+    """
+    limits = np.array(robot.limits.translations)
+    low = vector("lower", limits[:, 0] if lower is None else lower, robot.n_tubes)
+    high = vector("upper", limits[:, 1] if upper is None else upper, robot.n_tubes)
+    if (low > high).any():
+        i = int(np.argmax(low > high))
+        raise InputError(f"lower translation of tube {i + 1} is {low[i]:g} m; it must be at most upper, {high[i]:g} m")
+    robot.assembly(high)
+    moving = high - low > 1e-12
+    count = 0
+
+    def value(part: Array) -> float:
+        nonlocal count
+        count += 1
+        return snap_free_certificate(robot, _fill(low, moving, part))
+
+    if not moving.any():
+        return WorstCertificate(certify(robot, low), low, high, 1)
+    bounds = Bounds(low[moving], high[moving])
+    found = direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
+    best, least = found.x, float(found.fun)
+    corners = np.array(np.meshgrid(*[(0.0, 1.0)] * int(moving.sum()))).reshape(int(moving.sum()), -1).T
+    span = high[moving] - low[moving]
+    for start in [best, *(low[moving] + span * corner for corner in corners)]:
+        local = minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
+        if local.fun < least:
+            best, least = local.x, float(local.fun)
+    return WorstCertificate(certify(robot, _fill(low, moving, best)), low, high, count)
+
+
+def _fill(base: Array, moving: Array, part: Array) -> Array:
+    out = base.copy()
+    out[moving] = part
+    return out
