@@ -266,7 +266,7 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium at any arc length: as solved at its collocation points, else cubic Hermite."""
+    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite."""
     if np.array_equal(arc_length, equilibrium.point):
         return equilibrium.point_rotation
     s = equilibrium.arc_length

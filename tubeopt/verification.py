@@ -41,7 +41,7 @@ def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
         ends = np.abs(assembly.end - stop) < 1e-12
         loose = max(loose, float(np.abs(state[n : 2 * n][ends]).max(initial=0.0)))
     turn = state[2 * n : 2 * n + 9].reshape(3, 3).T @ equilibrium.tip_rotation
-    # For a small turn the antisymmetric part of R holds the turn vector; arccos of the trace would lose half the digits.
+    # For a small turn the antisymmetric part of R is the turn vector; arccos of the trace would lose half the digits.
     vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     return replace(
         equilibrium,

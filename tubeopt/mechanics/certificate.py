@@ -6,13 +6,15 @@ With every cos(theta_i - theta_j) replaced by -1 the second variation is
 
 c_ij = m_i m_j / sum kb, constant on each section. mu_cert is its smallest eigenvalue relative to the torsional part:
 1 - lambda, with lambda the largest number for which the Jacobi equation  lambda kt y'' = -C y  (C the Laplacian matrix
-of the |c_ij|) has a solution with y' = 0 at the tip and y(0) = |beta| y'(0). From Y = 1, Y' = 0 at the tip it is carried
-to the base by transfer matrices, entire functions of the coefficients, and D(lambda) = det(Y(0) - |beta| Y'(0)) = 0.
+of the |c_ij|) has a solution with y' = 0 at the tip and y(0) = |beta| y'(0). From Y = 1, Y' = 0 at the tip it is
+carried to the base by transfer matrices, entire functions of the coefficients, and
+D(lambda) = det(Y(0) - |beta| Y'(0)) is 0.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -25,8 +27,8 @@ SPLITS = 4
 
 
 def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
-    """D(lambda) of tubes with torsional stiffness kt (n,), transmission (n,), and per section, base to tip, length (m,),
-    kb_i of the tubes present and m_i of the tubes curved, (n, m)."""
+    """D(lambda) of tubes with torsional_stiffness kt (n,), transmission (n,), and per section, base to tip,
+    length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m)."""
     n, sections = given["stiffness"].shape
     identity = ca.DM.eye(n)
     y: Any = identity
@@ -68,10 +70,12 @@ PARAMETERS = (
 """What the certificate depends on, each (n,): a tube parameter, SI, or the translation."""
 
 
+Rows = tuple[tuple[int, ...], ...]
+Pattern = tuple[tuple[int, ...], Rows, Rows]
+
+
 @lru_cache(maxsize=128)
-def certificate_function(
-    pattern: tuple[tuple[int, ...], tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]],
-) -> Any:
+def certificate_function(pattern: Pattern) -> Any:
     """(lambda, PARAMETERS...) -> (mu, gradient of mu with respect to each of PARAMETERS).
 
     `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
@@ -89,7 +93,7 @@ def certificate_function(
     given = {
         "torsional_stiffness": symbols["torsional_stiffness"],
         "transmission": -beta,
-        "length": ca.vertcat(*(b - a for a, b in zip(cuts, cuts[1:], strict=False))),
+        "length": ca.vertcat(*(b - a for a, b in pairwise(cuts))),
         "stiffness": masks[0] * symbols["bending_stiffness"],
         "moment": masks[1] * (symbols["bending_stiffness"] * symbols["curvature"]),
     }

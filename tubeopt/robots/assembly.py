@@ -30,7 +30,7 @@ class Assembly:
         curvature: (n,) precurvature of the curved parts, 1/m.
         offset, offset_angle: (n,) m, rad.
         transmission: (n,) |beta_i|, the length from where tube i is held to the plate, m.
-        transition, end: (n,) arc length where each tube begins to curve and where it ends, m; negative behind the plate.
+        transition, end: (n,) arc length where each tube begins to curve, and where it ends, m; < 0 behind the plate.
         start, length: (m,) arc length where each section begins, and its length, m.
         present, curved: (m, n) whether tube i is there, and whether it is curved there.
     """
@@ -71,7 +71,7 @@ class Assembly:
     @property
     def coupled(self) -> Mask:
         """(m,) sections in which torsion is not simply linear: two curved tubes, or one where tubes run off-centre."""
-        return self.curved.sum(1) >= (1 if self.eccentric else 2)
+        return np.asarray(self.curved.sum(1) >= (1 if self.eccentric else 2))
 
 
 def assemble(
@@ -127,14 +127,14 @@ def assemble(
 
 def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:
     """Which tubes are present, and which are curved, at arc length s between the breakpoints."""
-    present = np.asarray(s < end)
-    return present, present & (s > transition) & (curvature != 0)
+    present: Mask = np.asarray(s < end)
+    return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
 def _merge(points: Array) -> Array:
     """Sorted points without those closer than ROUND_OFF to the one before."""
     points = np.sort(points)
-    return points[np.concatenate([[True], np.diff(points) > ROUND_OFF])]
+    return np.asarray(points[np.concatenate([[True], np.diff(points) > ROUND_OFF])])
 
 
 def without_offsets(assembly: Assembly) -> Assembly:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from os import PathLike
 
 import numpy as np
@@ -36,7 +37,7 @@ class ConcentricRobot:
         object.__setattr__(self, "tubes", tubes)
         if not tubes:
             raise InputError("tubes is empty; a robot needs at least one tube")
-        for i, (inner, outer) in enumerate(zip(tubes, tubes[1:], strict=False), start=1):
+        for i, (inner, outer) in enumerate(pairwise(tubes), start=1):
             if inner.outer_diameter > outer.inner_diameter:
                 raise InputError(
                     f"tube {i} does not fit into tube {i + 1}: its outer_diameter is {inner.outer_diameter:g} m; "

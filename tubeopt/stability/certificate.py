@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import vector
 from ..kinematics import DEFAULT_DISCRETISATION, reduced_problem
-from ..mechanics.certificate import PARAMETERS, certificate_function
+from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
 from ..robots.assembly import ROUND_OFF, Array, Assembly, without_offsets
 from ..robots.concentric import ConcentricRobot
 from ..transcription.reduced import ReducedProblem, reduce
@@ -119,9 +119,7 @@ def certify(robot: ConcentricRobot, translations: ArrayLike | None = None) -> Ce
     return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
 
 
-def breakpoint_pattern(
-    assembly: Assembly,
-) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]:
+def breakpoint_pattern(assembly: Assembly) -> Pattern:
     """The order of breakpoints, as `mechanics.certificate.certificate_function` takes it. Of breakpoints that coincide
     the first tube's is taken."""
     ends = []

@@ -45,8 +45,9 @@ class JointPath:
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Rotations and translations at fraction t."""
-        joint = self.end if t >= 1.0 else self.start + t * (self.end - self.start)
-        return np.split(joint, 2)[0], np.split(joint, 2)[1]
+        joint = self.end if t == 1.0 else self.start + t * (self.end - self.start)
+        rotations, translations = np.split(joint, 2)
+        return rotations, translations
 
     def problem(self, t: float) -> ReducedProblem:
         """The reduced problem at fraction t."""
@@ -147,10 +148,10 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
 
     Derivatives with respect to t are central differences; they shape the steps, not the result.
     """
-    problem = near.solution.problem
-    pieces = np.bincount(problem.mesh.section, minlength=problem.assembly.n_sections)
+    known = near.solution.problem
+    pieces = np.bincount(known.mesh.section, minlength=known.assembly.n_sections)
     z, t = near.solution.result.state.z, near.t
-    v = np.linalg.eigh(second_variation(problem, near.solution.result.state))[1][:, 0]
+    v = np.linalg.eigh(second_variation(known, near.solution.result.state))[1][:, 0]
     size = len(z)
     for _ in range(FOLD_ITERATIONS):
         problem = _problem_like(path, t, pieces)
@@ -195,20 +196,19 @@ def _fold(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: Arra
 
 def _problem_like(path: JointPath, t: float, pieces: NDArray[np.intp]) -> ReducedProblem | None:
     """The problem at t on a mesh with the same pieces; None where the sections are others."""
-    joint = path.start + t * (path.end - path.start)
-    assembly = path.robot.assembly(np.split(joint, 2)[1])
+    assembly = path.robot.assembly(path.at(t)[1])
     return reduce(assembly, make_mesh(assembly, pieces)) if assembly.n_sections == len(pieces) else None
 
 
 def _t_slope(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: Array) -> Array | None:
     """d(g, H v)/dt by central differences within the same structure, one-sided where a side leaves it."""
-    values, places = [], []
+    values: list[Array] = []
+    places: list[float] = []
     for at in (t - 1e-6, t + 1e-6, t):
         problem = _problem_like(path, at, pieces)
         if problem is None or problem.size != len(z) or len(values) == 2:
             continue
-        joint = path.start + at * (path.end - path.start)
-        state = evaluate(problem, np.split(joint, 2)[0], z)
+        state = evaluate(problem, path.at(at)[0], z)
         values.append(np.concatenate([state.gradient, state.hessian @ v]))
         places.append(at)
     return (values[1] - values[0]) / (places[1] - places[0]) if len(values) == 2 else None

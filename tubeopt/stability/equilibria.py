@@ -73,8 +73,8 @@ def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
             return found
         previous = found
     raise SolveError(
-        f"{len(previous)} equilibria were found, of degree {degree(previous)} instead of 1: one is missing, or the joint "
-        "values are at a fold, where two are one"
+        f"{len(previous)} equilibria were found, of degree {degree(previous)} instead of 1: one is missing, or the "
+        "joint values are at a fold, where two are one"
     )
 
 
@@ -134,11 +134,8 @@ def _corner(gap: Array, offset: tuple[int, ...]) -> Array:
     for axis, step in enumerate(offset):
         if step:
             out = np.roll(out, -1, axis=axis)
-            last = [slice(None)] * out.ndim
-            last[axis] = slice(-1, None)
-            out = out.copy()
             # One turn of a tip turns its own joint by one.
-            out[(*last[:-1], axis)] += 1.0
+            out.swapaxes(0, axis)[-1, ..., axis] += 1.0
     return out
 
 

@@ -76,7 +76,8 @@ def follow(
         progress: called with the number of each waypoint that is reached.
 
     Raises:
-        InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, an unstable start.
+        InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
+            start.
         SolveError: descent from a fold found no stable equilibrium.
     """
     alpha, shift = _waypoints(robot, rotations, translations)
@@ -108,9 +109,8 @@ def _waypoints(robot: ConcentricRobot, rotations: ArrayLike, translations: Array
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)
-        shift = (
-            np.tile(robot.home_translations, (len(alpha), 1)) if translations is None else np.array(translations, float)
-        )
+        home = np.zeros_like(alpha) + robot.home_translations
+        shift = home if translations is None else np.array(translations, dtype=float)
     except (TypeError, ValueError):
         raise InputError("rotations and translations must be tables of numbers, one row per waypoint") from None
     for name, table in (("rotations", alpha), ("translations", shift)):

@@ -86,23 +86,16 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
 
     (a, d) is the next row of the Cholesky factor when the tube's last coupled end joins the collocation points.
     """
-    mesh, assembly = problem.mesh, problem.assembly
+    assembly = problem.assembly
     mine = problem.tube == tube
-    s = problem.arc_length[problem.point[mine]]
     curved = np.flatnonzero(assembly.curved[:, tube] & assembly.coupled)
     end = float(assembly.start[curved[-1]] + assembly.length[curved[-1]])
-    # theta(end) responds to the moment at a point by |beta| + min(s, end): collocated, with its quadrature.
-    across = _collocated_min(problem, mine, end)
+    # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
+    across = problem.arc_length[problem.point[mine]]
     beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
     a = np.zeros(problem.size)
     a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], (beta + across) / kt)
-    del mesh, s
     return a, float(np.sqrt(max((beta + end) / kt - a @ a, 1e-30)))
-
-
-def _collocated_min(problem: ReducedProblem, mine: Array, end: float) -> Array:
-    """min(s, end) = s at the points before the end: exact for the collocated integral, since s is linear."""
-    return np.minimum(problem.arc_length[problem.point[mine]], end)
 
 
 def _held_minimum(

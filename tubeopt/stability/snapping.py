@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 
 from ..equilibrium import Equilibrium
 from ..errors import InputError, vector
-from ..kinematics import forward_kinematics, polish
+from ..kinematics import Solution, forward_kinematics, polish
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..solvers.ipopt import start_values
+from ..solvers.newton import NewtonResult
 from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
 from ..transcription.nlp import Builder, Nlp
-from ..transcription.reduced import to_unknowns
+from ..transcription.reduced import evaluate, margin, to_unknowns
 from .continuation import JointPath, Point, follow_to
 from .following import Event, Snap, lose, to_snap
 
@@ -133,15 +134,11 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
     if not solver.stats()["success"] or t - here.t > 1e-2:
         return here
     theta = read(result["x"], p).full().T
-    return _near_fold(path, here, t, theta) or here
+    return _at_fold(path, here, t, theta)
 
 
-def _near_fold(path: JointPath, here: Point, t: float, theta: Array) -> Point | None:
-    """The point of the program's solution, if it is the branch of `here`."""
-    from ..kinematics import Solution
-    from ..solvers.newton import NewtonResult
-    from ..transcription.reduced import evaluate, margin
-
+def _at_fold(path: JointPath, here: Point, t: float, theta: Array) -> Point:
+    """The point of the program's solution, on the mesh of `here`, which may be a little off where lengths change."""
     problem = here.solution.problem
     rotations = path.at(t)[0]
     state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))

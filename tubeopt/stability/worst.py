@@ -12,10 +12,10 @@ from scipy.stats import qmc
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
-from ..robots.assembly import Array
+from ..robots.assembly import Array, Mask
 from ..robots.concentric import ConcentricRobot
 from ..solvers.newton import newton
-from ..transcription.reduced import ReducedProblem, evaluate, margin, to_unknowns
+from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate
 from .shooting import profiles, to_base
 
@@ -94,7 +94,7 @@ def _margin(problem: ReducedProblem, theta: Array) -> float:
     return margin(problem, state) if problem.size else 1.0
 
 
-def _margin_at(problem: ReducedProblem, free: Array, relative: Array) -> float:
+def _margin_at(problem: ReducedProblem, free: Index, relative: Array) -> float:
     tips = np.zeros((1, problem.assembly.n_tubes))
     tips[0, free[:-1]] = relative
     return _margin(problem, profiles(problem, tips)[0])
@@ -155,7 +155,7 @@ def worst_certificate(
     return WorstCertificate(certify(robot, _fill(low, moving, best)), low, high, count)
 
 
-def _fill(base: Array, moving: Array, part: Array) -> Array:
+def _fill(base: Array, moving: Mask, part: Array) -> Array:
     out = base.copy()
     out[moving] = part
     return out

@@ -22,13 +22,16 @@ class Buffered:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._trigger = function.buffer()
+        buffer: Any
+        buffer, self._trigger = function.buffer()
+        # The buffer holds the function's memory and pointers into the arrays: it must live as long as they do.
+        self._buffer = buffer
         self.inputs = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
         self.outputs = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
         for i, array in enumerate(self.inputs):
-            self._buffer.set_arg(i, memoryview(array))
+            buffer.set_arg(i, memoryview(array.data))
         for i, array in enumerate(self.outputs):
-            self._buffer.set_res(i, memoryview(array))
+            buffer.set_res(i, memoryview(array.data))
 
     def __call__(self, *arguments: Any) -> list[Array]:
         """Outputs at `arguments`, one per input; None leaves an input as it is."""

@@ -55,7 +55,7 @@ def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
     waves = coupling_rate(assembly) * assembly.length / WAVES_PER_ELEMENT
     bend = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0) * assembly.length / BEND_PER_PIECE
-    pieces = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
+    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
     pieces[~assembly.curved.any(1)] = 1
     return pieces
 

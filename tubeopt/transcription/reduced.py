@@ -210,8 +210,8 @@ def _stretch_terms(
     jacobian = direct - through
     p, t = problem.point, problem.tube
     chosen = jacobian[p[:, None], t[:, None], p[None, :], t[None, :]]
-    solve = np.linalg.solve
-    return extra, solve(problem.factor, change[p, t]), solve(problem.factor, chosen @ problem.factor)
+    both = np.linalg.solve(problem.factor, np.column_stack([change[p, t], chosen @ problem.factor]))
+    return extra, np.asarray(both[:, 0]), np.asarray(both[:, 1:])
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:

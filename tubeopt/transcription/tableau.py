@@ -72,7 +72,7 @@ def tableau(family: str = "gauss", degree: int = 6) -> Tableau:
     return Tableau(
         family=family,
         nodes=(x + 1) / 2,
-        weights=legendre.legval(1.0, once),
-        matrix=legendre.legval(x, once).T.reshape(degree, degree),
-        legendre_of_lagrange=coefficients,
+        weights=np.asarray(legendre.legval(1.0, once), dtype=float),
+        matrix=np.asarray(legendre.legval(x, once).T, dtype=float).reshape(degree, degree),
+        legendre_of_lagrange=np.asarray(coefficients, dtype=float),
     )
