@@ -6,6 +6,7 @@ from .errors import InputError, SolveError
 from .kinematics import Discretisation, forward_kinematics
 from .materials import NITINOL, Material
 from .robots.concentric import ConcentricRobot
+from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.limits import JointLimits
 from .stability import (
     Branch,
@@ -38,6 +39,8 @@ __all__ = [
     "Branch",
     "Certificate",
     "ConcentricRobot",
+    "EccentricRobot",
+    "SegmentedEccentricRobot",
     "Discretisation",
     "EnergyMap",
     "Equilibrium",

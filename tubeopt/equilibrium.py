@@ -9,7 +9,7 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from .robots.assembly import Array
-from .robots.concentric import ConcentricRobot
+from .robots.robot import Robot
 
 if TYPE_CHECKING:
     from .derivatives import Jacobian
@@ -76,7 +76,7 @@ class Equilibrium:
         verification: comparison with an adaptive re-integration, where asked for.
     """
 
-    robot: ConcentricRobot
+    robot: Robot
     rotations: Array
     translations: Array
     tip_position: Array

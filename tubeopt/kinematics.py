@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .equilibrium import Equilibrium, Statistics, Status
 from .errors import InputError, SolveError, choice, positive, vector
 from .robots.assembly import Array, without_offsets
-from .robots.concentric import ConcentricRobot
+from .robots.robot import Robot
 from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
@@ -64,7 +64,7 @@ class Solution:
 
 @lru_cache(maxsize=64)
 def reduced_problem(
-    robot: ConcentricRobot, translations: tuple[float, ...], discretisation: Discretisation
+    robot: Robot, translations: tuple[float, ...], discretisation: Discretisation
 ) -> ReducedProblem:
     """The reduced torsion problem at given translations, built once for all rotations."""
     assembly = robot.assembly(np.array(translations))
@@ -74,7 +74,7 @@ def reduced_problem(
 
 
 def forward_kinematics(
-    robot: ConcentricRobot,
+    robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
@@ -202,7 +202,7 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
 
 
 def _refine(
-    robot: ConcentricRobot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str
+    robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str
 ) -> Solution:
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
@@ -216,7 +216,7 @@ def _refine(
 
 
 def follow_branch(
-    robot: ConcentricRobot,
+    robot: Robot,
     guess: Equilibrium,
     rotations: Array,
     translations: tuple[float, ...],
@@ -282,7 +282,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 
 
 def to_equilibrium(
-    robot: ConcentricRobot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
+    robot: Robot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
 ) -> Equilibrium:
     """Shape, energy and error estimates of a solved problem; `how` is method, start, and seconds so far."""
     problem, rotations, state = solution.problem, solution.rotations, solution.result.state

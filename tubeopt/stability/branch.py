@@ -11,7 +11,7 @@ from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
 from ..robots.assembly import Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult
 from ..transcription.reduced import ReducedProblem, evaluate, margin
 from .continuation import Fold, JointPath, Point, polish_fold
@@ -38,7 +38,7 @@ class Branch:
 
 
 def trace_branch(
-    robot: ConcentricRobot,
+    robot: Robot,
     start: ArrayLike,
     end: ArrayLike,
     translations: ArrayLike | None = None,

@@ -11,7 +11,7 @@ from ..errors import vector
 from ..kinematics import DEFAULT_DISCRETISATION, reduced_problem
 from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
 from ..robots.assembly import ROUND_OFF, Array, Assembly, without_offsets
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..transcription.reduced import ReducedProblem, reduce
 
 
@@ -42,7 +42,7 @@ class Certificate:
         return self.margin > 0
 
 
-def snap_free_certificate(robot: ConcentricRobot, translations: ArrayLike | None = None) -> float:
+def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
@@ -59,7 +59,7 @@ def snap_free_certificate(robot: ConcentricRobot, translations: ArrayLike | None
     return worst_case(_problem(robot, translations))[0]
 
 
-def _problem(robot: ConcentricRobot, translations: ArrayLike | None) -> ReducedProblem:
+def _problem(robot: Robot, translations: ArrayLike | None) -> ReducedProblem:
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
     problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
@@ -92,7 +92,7 @@ def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
 
 
-def certify(robot: ConcentricRobot, translations: ArrayLike | None = None) -> Certificate:
+def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     """`snap_free_certificate` with its gradient, and the pair of tubes and the section that limit it.
 
     Raises:
@@ -131,7 +131,7 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     return tuple(ends), present, curved
 
 
-def parameter_values(robot: ConcentricRobot, translations: Array) -> dict[str, Array]:
+def parameter_values(robot: Robot, translations: Array) -> dict[str, Array]:
     """Values of `mechanics.certificate.PARAMETERS` for a robot."""
     values = {
         name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
@@ -139,7 +139,7 @@ def parameter_values(robot: ConcentricRobot, translations: Array) -> dict[str, A
     return {**values, "translation": translations}
 
 
-def _gradient(robot: ConcentricRobot, problem: ReducedProblem, margin: float) -> dict[str, Array]:
+def _gradient(robot: Robot, problem: ReducedProblem, margin: float) -> dict[str, Array]:
     function = certificate_function(breakpoint_pattern(problem.assembly))
     shift = problem.assembly.transition
     values = parameter_values(robot, shift)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..robots.assembly import ROUND_OFF, Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
 from ..transcription.buffered import section_function
@@ -39,7 +39,7 @@ FOLD_ITERATIONS = 25
 class JointPath:
     """The straight path from `start` to `end`, (2n,) rotations then translations, for fractions t in [0, 1]."""
 
-    robot: ConcentricRobot
+    robot: Robot
     start: Array
     end: Array
 

@@ -13,7 +13,7 @@ from ..equilibrium import Equilibrium
 from ..errors import SolveError, vector
 from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..robots.assembly import Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..solvers.newton import newton
 from ..transcription.reduced import Index, ReducedProblem, margin, to_unknowns, unstable_directions
 from .shooting import profiles, to_base
@@ -33,7 +33,7 @@ SAME = 1e-5
 
 
 def find_equilibria(
-    robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None = None
+    robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None
 ) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 

@@ -12,7 +12,7 @@ from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError
 from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
 from ..robots.assembly import Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..transcription.reduced import second_variation
 from .continuation import Fold, JointPath, Point, follow_to, polish_fold, solve_at
 from .landing import distance, land
@@ -60,7 +60,7 @@ class Event:
 
 
 def follow(
-    robot: ConcentricRobot,
+    robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
@@ -105,7 +105,7 @@ def follow(
     return Path(tuple(equilibria), tuple(snaps))
 
 
-def _waypoints(robot: ConcentricRobot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)
@@ -127,7 +127,7 @@ def _waypoints(robot: ConcentricRobot, rotations: ArrayLike, translations: Array
     return alpha, shift
 
 
-def _finish(robot: ConcentricRobot, solution: Solution, joint: Array, start: str) -> Equilibrium:
+def _finish(robot: Robot, solution: Solution, joint: Array, start: str) -> Equilibrium:
     translations = tuple(np.split(joint, 2)[1].tolist())
     return to_equilibrium(robot, solution, translations, ("newton", start, 0.0))
 

@@ -13,7 +13,7 @@ from ..equilibrium import Equilibrium
 from ..errors import InputError, vector
 from ..kinematics import DEFAULT_DISCRETISATION, forward_kinematics, polish, reduced_problem
 from ..robots.assembly import Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..transcription.reduced import ReducedProblem, evaluate
 from .continuation import JointPath, Point
 from .equilibria import find_equilibria
@@ -36,7 +36,7 @@ class EnergyMap:
 
 
 def energy_map(
-    robot: ConcentricRobot,
+    robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
@@ -152,7 +152,7 @@ class StabilityMap:
 
 
 def stability_map(
-    robot: ConcentricRobot,
+    robot: Robot,
     translations: ArrayLike | None = None,
     *,
     tubes: tuple[int, int] = (0, 1),
@@ -202,7 +202,7 @@ def stability_map(
     return StabilityMap(tubes, angles, table[:, :, 0], table[:, :, 1].astype(int), boundary)
 
 
-def _map_job(job: tuple[ConcentricRobot, Array, tuple[int, int], Array, bool]) -> Array:
+def _map_job(job: tuple[Robot, Array, tuple[int, int], Array, bool]) -> Array:
     """(k, 2) margin and number of snaps at each pair of rotations, or, for rays, the rotations at the first snap."""
     robot, shift, tubes, ends, rays = job
     n = robot.n_tubes

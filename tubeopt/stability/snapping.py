@@ -13,7 +13,7 @@ from ..equilibrium import Equilibrium
 from ..errors import InputError, vector
 from ..kinematics import Solution, forward_kinematics, polish
 from ..robots.assembly import Array
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..solvers.ipopt import start_values
 from ..solvers.newton import NewtonResult
 from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
@@ -26,7 +26,7 @@ Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
 def find_snap(
-    robot: ConcentricRobot,
+    robot: Robot,
     start: Configuration,
     end: Configuration,
     *,
@@ -66,7 +66,7 @@ def find_snap(
     return None
 
 
-def _joint(robot: ConcentricRobot, name: str, value: Configuration) -> Array:
+def _joint(robot: Robot, name: str, value: Configuration) -> Array:
     try:
         rotations, translations = value
     except (TypeError, ValueError):

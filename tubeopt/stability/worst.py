@@ -13,7 +13,7 @@ from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..robots.assembly import Array, Mask
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..solvers.newton import newton
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate
@@ -40,7 +40,7 @@ class WorstMargin:
     searches: int
 
 
-def worst_margin(robot: ConcentricRobot, translations: ArrayLike | None = None) -> WorstMargin:
+def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMargin:
     """Search for the rotations with the least margin, over all equilibria, stable or not.
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
@@ -111,7 +111,7 @@ class WorstCertificate:
 
 
 def worst_certificate(
-    robot: ConcentricRobot, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None
 ) -> WorstCertificate:
     """Least certificate over a box of translations.
 

@@ -18,6 +18,7 @@ from ..equilibrium import ARRAYS, Equilibrium, Status
 from ..errors import InputError
 from .checked import check
 from .files import atomic_write, read_bytes, read_text, write_text
+from .robot_file import AnyRobot
 
 ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
 """Arrays with a value per point; the others are short enough to be read in the JSON file."""
@@ -34,7 +35,7 @@ _StatusByName = Annotated[
 def _record_model() -> type[BaseModel]:
     """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
     types: dict[str, Any] = typing.get_type_hints(Equilibrium)
-    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName}
+    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName, "robot": AnyRobot}
     fields: dict[str, Any] = {name: (types[name], ...) for name in _IN_JSON}
     # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")

@@ -14,8 +14,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..materials import NITINOL, Material
+from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.limits import JointLimits
+from ..robots.robot import Robot
 from ..tubes import Tube
 from .checked import Entry, NotNegative, Number, Positive, check_kind
 from .units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
@@ -132,15 +135,65 @@ class ConcentricEntry(Part):
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
-        limits = self.limits.build() if self.limits else None
-        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), self.name, limits)
+        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), self.name, _limits(self.limits))
 
 
-ROBOT_KINDS: dict[str, type[ConcentricEntry]] = {"concentric": ConcentricEntry}
+class EccentricEntry(Part):
+    """A one-segment eccentric tube robot: three equal tubes side by side in a sheath."""
+
+    kind: Literal["eccentric"]
+    name: str = ""
+    tube: TubeEntry
+    offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the tubes touch")
+    transmission_length_mm: NotNegative = Decimal(0)
+    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+
+    def build(self) -> EccentricRobot:
+        """The robot in SI."""
+        return EccentricRobot(
+            self.tube.build(),
+            offset=None if self.offset_mm is None else to_si(self.offset_mm, MM),
+            transmission_length=to_si(self.transmission_length_mm, MM),
+            name=self.name,
+            joint_limits=_limits(self.limits),
+        )
+
+
+class SegmentedEccentricEntry(Part):
+    """An eccentric tube robot of telescoping segments, inner to outer."""
+
+    kind: Literal["segmented_eccentric"]
+    name: str = ""
+    segments: list[TubeEntry] = Field(min_length=1)
+    offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the outermost touch")
+    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+
+    def build(self) -> SegmentedEccentricRobot:
+        """The robot in SI."""
+        return SegmentedEccentricRobot(
+            tuple(tube.build() for tube in self.segments),
+            offset=None if self.offset_mm is None else to_si(self.offset_mm, MM),
+            name=self.name,
+            joint_limits=_limits(self.limits),
+        )
+
+
+def _limits(entry: LimitsEntry | None) -> JointLimits | None:
+    return entry.build() if entry else None
+
+
+AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
+"""Every robot that a file can describe."""
+
+ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[SegmentedEccentricEntry]] = {
+    "concentric": ConcentricEntry,
+    "eccentric": EccentricEntry,
+    "segmented_eccentric": SegmentedEccentricEntry,
+}
 """What the key `kind` of a robot file may say."""
 
 
-def load_robot(path: str | PathLike[str]) -> ConcentricRobot:
+def load_robot(path: str | PathLike[str]) -> AnyRobot:
     """The robot in a YAML file.
 
     Raises:
@@ -149,16 +202,16 @@ def load_robot(path: str | PathLike[str]) -> ConcentricRobot:
     return robot_from_dict(load_yaml(path), path)
 
 
-def save_robot(robot: ConcentricRobot, path: str | PathLike[str]) -> None:
+def save_robot(robot: Robot, path: str | PathLike[str]) -> None:
     """Write `robot` as YAML that `load_robot` turns into an equal robot, to the last bit.
 
     Raises:
         InputError: the file cannot be written.
     """
-    save_yaml(path, robot_to_dict(robot), "A robot for tubeopt: tubes inner to outer.")
+    save_yaml(path, robot_to_dict(robot), "A robot for tubeopt.")
 
 
-def robot_from_dict(data: object, where: str | PathLike[str] = "") -> ConcentricRobot:
+def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     """The robot that `data`, with the keys of a robot file, describes.
 
     Args:
@@ -167,15 +220,32 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> Concentric
     Raises:
         InputError: one line for every problem.
     """
-    return check_kind(ROBOT_KINDS, data, where).build()
+    robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
+    return robot
 
 
-def robot_to_dict(robot: ConcentricRobot) -> dict[str, Any]:
+def robot_to_dict(robot: Robot) -> dict[str, Any]:
     """`robot` with the keys and units of a robot file.
 
     Numbers are int or float, or `Decimal` where a float in the file's unit would lose the last bit.
     """
-    data: dict[str, Any] = {"kind": "concentric", "name": robot.name, "tubes": [_tube(tube) for tube in robot.tubes]}
+    data: dict[str, Any]
+    if isinstance(robot, ConcentricRobot):
+        data = {"kind": "concentric", "name": robot.name, "tubes": [_tube(tube) for tube in robot.tubes]}
+    elif isinstance(robot, EccentricRobot):
+        data = {
+            "kind": "eccentric",
+            "name": robot.name,
+            "tube": _tube(robot.tube),
+            "offset_mm": in_unit(robot.distance, MM),
+            "transmission_length_mm": in_unit(robot.transmission_length, MM),
+        }
+    elif isinstance(robot, SegmentedEccentricRobot):
+        segments = [_tube(tube) for tube in robot.segments]
+        offset = in_unit(robot.distance, MM)
+        data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments, "offset_mm": offset}
+    else:
+        raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
     if robot.joint_limits is not None:
         data["limits"] = {
             "rotations_deg": [[in_unit(x, DEG) for x in pair] for pair in robot.joint_limits.rotations],

@@ -1,0 +1,213 @@
+"""Eccentric tube robots: equal tubes side by side in a flexible sheath, in one segment or in several."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from os import PathLike
+
+import numpy as np
+
+from ..errors import InputError, positive
+from ..tubes import Tube
+from .assembly import ROUND_OFF, Array, Assembly, assemble
+from .limits import JointLimits, default_limits
+
+PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
+"""Directions of the three tubes from the centreline, rad."""
+
+
+def sheath_inner_diameter(outer_diameter: float) -> float:
+    """Inner diameter (m) of the sheath around three touching tubes of given outer diameter: (2 / sqrt(3) + 1) OD."""
+    return (2 / math.sqrt(3) + 1) * outer_diameter
+
+
+@dataclass(frozen=True)
+class EccentricRobot:
+    """A one-segment eccentric tube robot: three equal tubes at 0, 120 and -120 deg around the centreline.
+
+    The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
+
+    Args:
+        tube: each of the three.
+        offset: distance d of the tubes from the centreline, m; None is OD / sqrt(3), where they touch; 0 is the
+            equivalent concentric robot, which no hand can build.
+        transmission_length: straight tube between where a tube is held and its straight_length, behind the plate, m.
+        name: what to call it in tables and pictures.
+        joint_limits: what the actuators allow; None is what the lengths allow.
+
+    Raises:
+        InputError: an offset or length that is negative or not finite, an offset at which the tubes would overlap or at
+            which the precurvature is tighter than the robot is thick, limits for another number of tubes.
+    """
+
+    tube: Tube
+    offset: float | None = None
+    transmission_length: float = 0.0
+    name: str = ""
+    joint_limits: JointLimits | None = None
+
+    def __post_init__(self) -> None:
+        positive("transmission_length", self.transmission_length, zero=True)
+        touching = self.tube.outer_diameter / math.sqrt(3)
+        distance = touching if self.offset is None else positive("offset", self.offset, zero=True)
+        object.__setattr__(self, "offset", distance)
+        object.__setattr__(self, "transmission_length", float(self.transmission_length))
+        if 0 < distance < touching * (1 - 1e-9):
+            raise InputError(
+                f"offset is {distance:g} m; tubes of outer_diameter {self.tube.outer_diameter:g} m need at least "
+                f"{touching:g} m (or 0, the equivalent concentric robot)"
+            )
+        if distance * abs(self.tube.curvature) >= 0.25:
+            raise InputError(
+                f"offset is {distance:g} m; it must be less than a quarter of the radius of precurvature, "
+                f"{0.25 / abs(self.tube.curvature):g} m"
+            )
+        if self.joint_limits is not None and len(self.joint_limits.rotations) != 3:
+            raise InputError(f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has 3")
+
+    @property
+    def distance(self) -> float:
+        """Distance of the tubes from the centreline, m."""
+        return float(self.offset or 0.0)
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """The three tubes, their straight parts with the transmission."""
+        straight = self.tube.straight_length + self.transmission_length
+        return (replace(self.tube, straight_length=straight),) * 3
+
+    @property
+    def n_tubes(self) -> int:
+        """3."""
+        return 3
+
+    @property
+    def sheath_inner_diameter(self) -> float:
+        """Inner diameter of the sheath, m."""
+        return sheath_inner_diameter(self.tube.outer_diameter)
+
+    @property
+    def home_translations(self) -> Array:
+        """(3,) zeros: the curved parts begin at the plate."""
+        return np.zeros(3)
+
+    @property
+    def limits(self) -> JointLimits:
+        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
+        return self.joint_limits or default_limits(self.tubes)
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Sections at `translations` (3,), m; raises InputError where they differ or a tube leaves its actuator."""
+        if np.ptp(translations) > ROUND_OFF:
+            raise InputError(
+                f"translations are {np.asarray(translations).tolist()} m; the three tubes of a segment share a sheath, "
+                "so they must be equal"
+            )
+        return assemble(self.tubes, translations, offset=np.full(3, self.distance), offset_angle=np.array(PLACES))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the robot as YAML that `load_robot` reads back."""
+        from ..study.robot_file import save_robot
+
+        save_robot(self, path)
+
+
+@dataclass(frozen=True)
+class SegmentedEccentricRobot:
+    """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.
+
+    The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass
+    through an outer one they are straight but stiff: curved parts never overlap.
+
+    Args:
+        segments: the tube of each segment, inner (which reaches furthest) to outer.
+        offset: distance of the three places from the centreline, m; None is OD / sqrt(3) of the outermost tube.
+        name, joint_limits: as for one segment; limits are for the 3 k tubes, ordered as `tubes`.
+
+    Raises:
+        InputError: no segment, tubes that do not nest, an inner tube too short to reach beyond the next segment, an
+            offset at which tubes would overlap.
+    """
+
+    segments: tuple[Tube, ...]
+    offset: float | None = None
+    name: str = ""
+    joint_limits: JointLimits | None = None
+
+    def __post_init__(self) -> None:
+        segments = tuple(self.segments)
+        object.__setattr__(self, "segments", segments)
+        if not segments:
+            raise InputError("segments is empty; a robot needs at least one segment")
+        for i in range(len(segments) - 1):
+            inner, outer = segments[i], segments[i + 1]
+            if inner.outer_diameter > outer.inner_diameter:
+                raise InputError(
+                    f"segments {i + 1} and {i + 2} do not nest: outer_diameter {inner.outer_diameter:g} m must be at "
+                    f"most inner_diameter {outer.inner_diameter:g} m"
+                )
+            if inner.straight_length < outer.length - ROUND_OFF:
+                raise InputError(
+                    f"straight_length of segment {i + 1} is {inner.straight_length:g} m; it must be at least the length "
+                    f"of segment {i + 2}, {outer.length:g} m, or their curved parts would overlap at home"
+                )
+        widest = EccentricRobot(segments[-1], self.offset)
+        object.__setattr__(self, "offset", widest.distance)
+        if self.joint_limits is not None and len(self.joint_limits.rotations) != self.n_tubes:
+            raise InputError(
+                f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {self.n_tubes}"
+            )
+
+    @property
+    def distance(self) -> float:
+        """Distance of the tubes from the centreline, m."""
+        return float(self.offset or 0.0)
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """The 3 k tubes: three of the innermost segment, then three of the next."""
+        return tuple(tube for tube in self.segments for _ in range(3))
+
+    @property
+    def n_tubes(self) -> int:
+        """3 k."""
+        return 3 * len(self.segments)
+
+    @property
+    def home_translations(self) -> Array:
+        """(3 k,) translations at which every segment begins where the next outer one ends, m."""
+        reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.segments)])[:-1]
+        return np.repeat(reach[::-1], 3)
+
+    @property
+    def limits(self) -> JointLimits:
+        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
+        return self.joint_limits or default_limits(self.tubes)
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Sections at `translations` (3 k,), m; raises InputError where tubes of one segment are moved apart, a tube
+        leaves its actuator, or curved parts overlap."""
+        table = np.reshape(translations, (-1, 3))
+        for k, row in enumerate(table):
+            if np.ptp(row) > ROUND_OFF:
+                raise InputError(
+                    f"translations of segment {k + 1} are {row.tolist()} m; its three tubes share a sheath, so they "
+                    "must be equal"
+                )
+        places = np.tile(PLACES, len(self.segments))
+        bundle = assemble(self.tubes, translations, offset=np.full(self.n_tubes, self.distance), offset_angle=places)
+        begin, end = bundle.transition[::3], bundle.end[::3]
+        for k in range(len(self.segments) - 1):
+            if begin[k] < end[k + 1] - 1e-9 and end[k] > 0 and end[k + 1] > 0:
+                raise InputError(
+                    f"segment {k + 1} begins to curve at {begin[k]:g} m, before segment {k + 2} ends at "
+                    f"{end[k + 1]:g} m; curved parts must not overlap"
+                )
+        return bundle
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the robot as YAML that `load_robot` reads back."""
+        from ..study.robot_file import save_robot
+
+        save_robot(self, path)

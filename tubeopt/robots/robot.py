@@ -1,0 +1,46 @@
+"""What every tube robot offers to the rest of the library."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Protocol
+
+from ..tubes import Tube
+from .assembly import Array, Assembly
+from .limits import JointLimits
+
+
+class Robot(Protocol):
+    """Tubes, how they are held, and the sections that they form; frozen, so that what is built for it can be cached."""
+
+    @property
+    def name(self) -> str:
+        """What to call it in tables and pictures."""
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """One tube per joint rotation."""
+
+    @property
+    def n_tubes(self) -> int:
+        """Number of tubes n, and of rotations and translations."""
+
+    @property
+    def home_translations(self) -> Array:
+        """(n,) translations at home, m."""
+
+    @property
+    def limits(self) -> JointLimits:
+        """Range of every joint."""
+
+    @property
+    def joint_limits(self) -> JointLimits | None:
+        """Limits as given, None where the lengths imply them."""
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Sections at `translations` (n,), m; raises InputError where they are not admissible."""
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the robot as YAML that `load_robot` reads back."""
+
+    def __hash__(self) -> int: ...
