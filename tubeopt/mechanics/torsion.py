@@ -20,8 +20,8 @@ from typing import Any
 
 import casadi as ca
 
-CURVATURE_NEWTON_STEPS = 5
-"""Newton steps on the two equations for u when d > 0: the start is off by d |u| < 1/4, squared at each step."""
+CURVATURE_NEWTON_STEPS = 3
+"""Newton steps on the two equations for u when d > 0: the start is off by (d |u|)^3 < 1/64, squared at each step."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,25 @@ def cross_section(theta: Any, stiffness: Any, moment: Any, offset: Any = None, a
     Returns:
         curvature u (2,), stretch g (n,), moment M (n,), bending energy per centreline length (N).
     """
-    cos, sin = ca.cos(theta), ca.sin(theta)
-    total = ca.vertcat(ca.dot(moment, cos), ca.dot(moment, sin))
+    total = _pull(theta, moment)
     if offset is None:
-        u = total / ca.sum1(stiffness)
-        stretch = ca.DM.ones(theta.shape[0])
-    else:
-        u, stretch = _offset_curvature(total, stiffness, offset, angle)
+        return _at_curvature(total / ca.sum1(stiffness), theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
+    u = _offset_curvature(total, stiffness, offset, angle)
+    return _at_curvature(u, theta, stiffness, moment, _stretch(u, offset, angle))
+
+
+def _pull(theta: Any, moment: Any) -> Any:
+    """sum_i m_i (cos theta_i, sin theta_i)."""
+    return ca.vertcat(ca.dot(moment, ca.cos(theta)), ca.dot(moment, ca.sin(theta)))
+
+
+def _stretch(u: Any, offset: Any, angle: Any) -> Any:
+    """g (n,) at curvature u."""
+    return 1 + offset * (u[0] * ca.sin(angle) - u[1] * ca.cos(angle))
+
+
+def _at_curvature(u: Any, theta: Any, stiffness: Any, moment: Any, stretch: Any) -> CrossSection:
+    cos, sin = ca.cos(theta), ca.sin(theta)
     tube_u = ca.repmat(u.T, theta.shape[0], 1) / ca.horzcat(stretch, stretch)
     bend = ca.sum2(tube_u**2) * stiffness / 2 - moment * (tube_u[:, 0] * cos + tube_u[:, 1] * sin)
     # m^2 / kb, with kb = 0 for a tube that is not there.
@@ -60,18 +72,36 @@ def cross_section(theta: Any, stiffness: Any, moment: Any, offset: Any = None, a
     return CrossSection(u, stretch, moment * (u[0] * sin - u[1] * cos), ca.dot(bend + natural, stretch))
 
 
-def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> tuple[Any, Any]:
-    """Curvature u and stretch g of tubes at offsets: Newton on u sum kb/g(u) = total from the concentric value."""
-    u = ca.SX.sym("u", 2)
+def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> Any:
+    """Curvature u of tubes at offsets: Newton on u sum kb / g(u) = total, from two steps of plain iteration."""
     across = offset * ca.sin(angle), -offset * ca.cos(angle)
-    stretch = 1 + across[0] * u[0] + across[1] * u[1]
-    balance = u * ca.sum1(stiffness / stretch) - total
-    free = ca.symvar(ca.vertcat(total, stiffness, offset, angle))
-    step = ca.Function("step", [u, *free], [u - ca.solve(ca.jacobian(balance, u), balance), stretch])
-    value = total / ca.sum1(stiffness)
+    u = total / ca.sum1(stiffness)
+    u = total / ca.sum1(stiffness / (1 + across[0] * u[0] + across[1] * u[1]))
     for _ in range(CURVATURE_NEWTON_STEPS):
-        value = step(value, *free)[0]
-    return value, step(value, *free)[1]
+        inverse = 1 / (1 + across[0] * u[0] + across[1] * u[1])
+        weights = stiffness * inverse
+        resistance, loss = ca.sum1(weights), weights * inverse
+        slope = ca.dot(loss, across[0]), ca.dot(loss, across[1])
+        gap = u * resistance - total
+        # The Jacobian is resistance * 1 - u slope': its inverse by Sherman and Morrison.
+        factor = (slope[0] * gap[0] + slope[1] * gap[1]) / (resistance - slope[0] * u[0] - slope[1] * u[1])
+        u = u - (gap + u * factor) / resistance
+    return u
+
+
+def _eccentric_slopes(theta: Any, stiffness: Any, moment: Any, offset: Any, angle: Any) -> tuple[Any, Any, Any]:
+    """du/dtheta, dM/dtheta, dg/dtheta of tubes at offsets, by the implicit function theorem."""
+    u = ca.SX.sym("u", 2)
+    stretch = _stretch(u, offset, angle)
+    balance = u * ca.sum1(stiffness / stretch) - _pull(theta, moment)
+    here = _at_curvature(u, theta, stiffness, moment, stretch)
+    turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, theta)
+    moments = ca.jacobian(here.moment, theta) + ca.jacobian(here.moment, u) @ turned
+    slopes = [ca.densify(s) for s in (turned, moments, ca.jacobian(stretch, u) @ turned)]
+    inputs = [theta, stiffness, moment, offset, angle]
+    solved = _offset_curvature(_pull(theta, moment), stiffness, offset, angle)
+    out = ca.Function("slopes", [u, *inputs], slopes)(solved, *inputs)
+    return out[0], out[1], out[2]
 
 
 @lru_cache(maxsize=32)
@@ -86,18 +116,20 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
     here = cross_section(theta, stiffness, moment, offset, angle) if eccentric else cross_section(*inputs)
-    outputs = [here.moment, ca.densify(ca.jacobian(here.moment, theta)), here.bending_energy]
     if eccentric:
-        outputs += [here.stretch, ca.densify(ca.jacobian(here.stretch, theta))]
+        turned, stiff, stretched = _eccentric_slopes(theta, stiffness, moment, offset, angle)
+        outputs = [here.moment, stiff, here.bending_energy, here.stretch, stretched]
+    else:
+        turned, stiff = (ca.densify(ca.jacobian(value, theta)) for value in (here.curvature, here.moment))
+        outputs = [here.moment, stiff, here.bending_energy]
     y = ca.SX.sym("y", n)
-    form = ca.bilin(outputs[1], y, y)
-    turned = ca.densify(ca.jacobian(here.curvature, theta))
+    form = ca.bilin(stiff, y, y)
     table = {
         "curvature": (inputs, [here.curvature]),
         "curvature_slope": (inputs, [turned]),
         "balance": (inputs, outputs),
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
-        "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(outputs[1] @ y, theta))]),
+        "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.gradient(form, theta)]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

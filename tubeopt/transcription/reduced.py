@@ -41,7 +41,7 @@ class ReducedProblem:
         flat, flat_weight: (U,) entry of each unknown in a flat (N, n) array, and its quadrature weight.
         entries, places: of the second variation (N, n, n) and of the (U, U) matrix where it goes, both flat.
         entry_weight: weight of each entry.
-        stretch: (P, W) for tubes off the centreline.
+        stretch: (P, W, inverse of L) for tubes off the centreline.
     """
 
     assembly: Assembly
@@ -60,7 +60,7 @@ class ReducedProblem:
     entries: Index
     places: Index
     entry_weight: Array
-    stretch: tuple[Array, Array] | None
+    stretch: tuple[Array, Array, Array] | None
 
     @property
     def size(self) -> int:
@@ -123,7 +123,7 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
         entries=(at * n + column) * n + row,
         places=index[at, row] * len(point) + index[at, column],
         entry_weight=weight[at],
-        stretch=_integrals(mesh, elements) if assembly.eccentric else None,
+        stretch=(*_integrals(mesh, elements), np.linalg.inv(factor)) if assembly.eccentric else None,
     )
 
 
@@ -196,7 +196,7 @@ def _stretch_terms(
 ) -> tuple[Array, Array, Array]:
     """(g - 1) w at the points, and what it adds to theta, with its Jacobian, both in z coordinates."""
     assert problem.stretch is not None
-    up_to, beyond = problem.stretch
+    up_to, beyond, inverse = problem.stretch
     kt = problem.assembly.torsional_stiffness
     count, n = moment.shape
     twist = -(beyond @ moment) / kt
@@ -204,14 +204,13 @@ def _stretch_terms(
     change = up_to @ extra
     slope_g = stretch[1].reshape(count, n, n).swapaxes(1, 2)
     slope_moment = stiffness.reshape(count, n, n).swapaxes(1, 2)
-    # d(change)[a, i] / d(theta)[b, j] = sum_c P_ac (dg_c w_c delta_cb - (g - 1)_c W_cb dM_b / kt)
-    direct = up_to[:, None, :, None] * np.einsum("bij,bi->ibj", slope_g, twist)[None]
-    through = np.einsum("ac,ci,cb,bij->aibj", up_to, (stretch[0] - 1) / kt, beyond, slope_moment, optimize=True)
-    jacobian = direct - through
+    # d(change)[a, i] / d(theta)[b, j] = P_ab dg_i/dtheta_j[b] w_bi - sum_c P_ac (g - 1)_ci W_cb dM_i/dtheta_j[b] / kt_i
+    direct = (slope_g * twist[:, :, None]).swapaxes(0, 1)[:, None] * up_to[:, :, None]
+    crossed = (up_to * ((stretch[0] - 1) / kt).T[:, None, :]) @ beyond
+    through = crossed[:, :, :, None] * slope_moment.swapaxes(0, 1)[:, None]
     p, t = problem.point, problem.tube
-    chosen = jacobian[p[:, None], t[:, None], p[None, :], t[None, :]]
-    both = np.linalg.solve(problem.factor, np.column_stack([change[p, t], chosen @ problem.factor]))
-    return extra, np.asarray(both[:, 0]), np.asarray(both[:, 1:])
+    chosen = (direct - through)[t[:, None], p[:, None], p, t]
+    return extra, inverse @ change[p, t], inverse @ chosen @ problem.factor
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
