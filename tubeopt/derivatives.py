@@ -11,7 +11,7 @@ quotient, from the change of the second variation at its eigenvector.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +30,9 @@ from .transcription.reduced import second_variation
 class Jacobian:
     """Derivatives with respect to (rotations, translations): columns 0..n-1 per rad, n..2n-1 per m.
 
+    Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
+    translation in equal parts, so that the chain rule holds for every motion that is possible.
+
     position: (3, 2n) of tip_position.  rotation: (3, 2n) turn vector of the tip frame, in the plate frame, rad.
     tip_rotations: (n, 2n) of theta at each tube's own end.  margin: (2n,); NaN where the margin is a double eigenvalue.
     """
@@ -42,38 +45,77 @@ class Jacobian:
 
 @dataclass(frozen=True, eq=False)
 class _Jump:
-    """A breakpoint at arc length s that moves along with tube `column`; theta (n,) there; kb_i, m_i (n,) of the
-    cross-section that the motion uncovers (`gained`) and of what was there (`lost`)."""
+    """A breakpoint at arc length s that moves along with carriage `carriage`; theta, w (n,) there; kb_i, m_i (n,) of the
+    cross-section that the motion uncovers (`gained`) and of what was there (`lost`); `place` of eccentric tubes."""
 
-    column: int
+    carriage: int
     s: float
     theta: Array
+    twist: Array
     gained: tuple[Array, Array]
     lost: tuple[Array, Array]
+    place: tuple[Array, ...]
 
-    def change(self, kind: str, *more: Array) -> Array:
-        """Gain of a cross-section function's last output; an empty cross-section counts as zero."""
+    def change(self, kind: str, output: int = 0) -> Array:
+        """Gain of an output of a cross-section function; an empty cross-section counts as zero."""
+        function = section_function(kind, 1, len(self.theta), bool(self.place))
         values = []
         for section in (self.gained, self.lost):
-            out = section_function(kind, 1, len(self.theta), False)(self.theta, *section, *more)[0]
+            out = function(self.theta, *section, *self.place)[output]
             values.append(out[0].copy() if section[0].any() else np.zeros(out.shape[1]))
+        return values[0] - values[1]
+
+    def variation_change(self, y: Array) -> float:
+        """Gain of y' V'' y, with the tubes on the centreline, as the margin is defined."""
+        function = section_function("variation", 1, len(self.theta), False)
+        values = [
+            float(function(self.theta, *section, y)[0][0, 0]) if section[0].any() else 0.0
+            for section in (self.gained, self.lost)
+        ]
         return values[0] - values[1]
 
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """A solution, the breakpoints that move, [M / kt] at each (J, n), and the response of theta to every joint as a
-    profile of n x 2n columns, without the direct terms."""
+    """A solution, the tubes of each of G carriages, the breakpoints that move, [M / kt] at each (J, n), and the response
+    of theta to every rotation and carriage as a profile of n x (n + G) columns, without the direct terms."""
 
     solution: Solution
+    carriages: tuple[tuple[int, ...], ...]
     jumps: tuple[_Jump, ...]
+    side: int
     moment_jumps: Array
-    response: arms.Profile
+
+    def direct(self, s: Array) -> Array:
+        """(len(s), n, n + G) change of theta at fixed moments: base rotation, transmission, and breakpoints."""
+        assembly, n = self.solution.problem.assembly, self.solution.problem.assembly.n_tubes
+        out = np.zeros((len(s), n, n + len(self.carriages)))
+        out[:, np.arange(n), np.arange(n)] = 1.0
+        if len(self.solution.problem.mesh.length):
+            for c, tubes in enumerate(self.carriages):
+                # Advancing a tube shortens its transmission: d|beta| = -1.
+                out[:, list(tubes), n + c] -= self.solution.arm.twist[0, list(tubes)]
+        for jump, moment in zip(self.jumps, self.moment_jumps, strict=True):
+            column = n + jump.carriage
+            out[:, :, column] -= moment * (assembly.transmission + np.minimum(s, jump.s)[:, None])
+            if jump.place:
+                beyond = (s > jump.s)[:, None]
+                out[:, :, column] += beyond * (self.side * jump.change("moment", 1) * jump.twist)
+        return out
 
     def theta(self, s: Array, response: Array) -> Array:
-        """(len(s), n, 2n) change of theta at fixed arc lengths, given the response (len(s), n 2n) there."""
-        direct = _direct(self.solution, self.jumps, self.moment_jumps, s)
+        """(len(s), n, n + G) change of theta at fixed arc lengths, given the response (len(s), n (n + G)) there."""
+        direct = self.direct(s)
         return direct + response.reshape(direct.shape)
+
+    def per_tube(self, columns: Array) -> Array:
+        """(..., 2n) from columns (..., n + G): every tube of a carriage gets an equal part."""
+        n = self.solution.problem.assembly.n_tubes
+        out = np.zeros((*columns.shape[:-1], 2 * n))
+        out[..., :n] = columns[..., :n]
+        for c, tubes in enumerate(self.carriages):
+            out[..., n + np.array(tubes)] = columns[..., n + c, None] / len(tubes)
+        return out
 
 
 def jacobian(equilibrium: Equilibrium, *, side: int = 1) -> Jacobian:
@@ -91,70 +133,84 @@ def jacobian(equilibrium: Equilibrium, *, side: int = 1) -> Jacobian:
     """
     if side not in (1, -1):
         raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-    linear = _linearise(polish(equilibrium), side)
-    problem = linear.solution.problem
-    position, rotation = _pose(linear, side)
+    solution = polish(equilibrium)
+    problem = solution.problem
+    carriages = equilibrium.robot.moving_together
+    jumps = _jumps(solution, carriages, side)
+    moments = [side * jump.change("moment") / problem.assembly.torsional_stiffness for jump in jumps]
+    linear = _Linearised(solution, carriages, jumps, side, np.array(moments).reshape(len(jumps), -1))
+    response = _response(linear)
+    position, rotation = _pose(linear, response)
     ends = np.clip(problem.assembly.end, 0.0, problem.assembly.total_length)
-    tips = linear.theta(ends, arms.interpolate(problem, linear.response, ends))
+    tips = linear.theta(ends, arms.interpolate(problem, response, ends))
     own = np.diagonal(tips, axis1=0, axis2=1).T
-    return Jacobian(position, rotation, own, _margin(linear, side))
+    margin = _margin(linear, response)
+    return Jacobian(*(linear.per_tube(part) for part in (position, rotation, own, margin)))
 
 
-def _linearise(solution: Solution, side: int) -> _Linearised:
-    """Solve the linearised integral equation for every joint."""
-    problem, state = solution.problem, solution.result.state
-    assembly, n = problem.assembly, problem.assembly.n_tubes
-    jumps = _jumps(solution, side)
-    moments = [side * jump.change("moment") / assembly.torsional_stiffness for jump in jumps]
-    moment_jumps = np.array(moments).reshape(len(jumps), n)
-    count = len(problem.weight)
-    change = np.zeros((count, n, 2 * n))
-    if count:
-        direct = _direct(solution, jumps, moment_jumps, problem.arc_length)
-        whitened = np.linalg.solve(problem.factor, direct[problem.point, problem.tube])
-        theta = np.zeros_like(direct)
-        theta[problem.point, problem.tube] = problem.factor @ np.linalg.solve(state.hessian, whitened)
-        balance = section_function("balance", count, n, False)
-        stiffness = balance(state.theta, problem.stiffness, problem.moment)[1].reshape(count, n, n)
-        change = (stiffness @ theta) / assembly.torsional_stiffness[:, None]
-    transmission = np.repeat(assembly.transmission, 2 * n)
-    response = arms.integrate(problem.mesh, np.zeros(2 * n * n), transmission, change.reshape(count, -1))
-    return _Linearised(solution, jumps, moment_jumps, response)
+def _place(assembly: Assembly) -> tuple[Array, ...]:
+    return (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
 
 
-def _jumps(solution: Solution, side: int) -> tuple[_Jump, ...]:
+def _response(linear: _Linearised) -> arms.Profile:
+    """Response of theta to every rotation and carriage: solves the linearised integral equation."""
+    problem, state = linear.solution.problem, linear.solution.result.state
+    assembly, n, count = problem.assembly, problem.assembly.n_tubes, len(problem.weight)
+    columns = n + len(linear.carriages)
+    transmission = np.repeat(assembly.transmission, columns)
+    if not count:
+        return arms.integrate(problem.mesh, np.zeros(n * columns), transmission, np.zeros((0, n * columns)))
+    s = problem.arc_length
+    right = linear.direct(s)
+    balance = section_function("balance", count, n, assembly.eccentric)
+    out = [o.copy() for o in balance(state.theta, problem.stiffness, problem.moment, *_place(assembly))]
+    stiffness = out[1].reshape(count, n, n).swapaxes(1, 2) / assembly.torsional_stiffness[:, None]
+    twist_jump = np.zeros_like(right)
+    if problem.stretch is not None:
+        for jump, moment in zip(linear.jumps, linear.moment_jumps, strict=True):
+            twist_jump[:, :, n + jump.carriage] -= (s < jump.s)[:, None] * moment
+        right = right + _apply(problem.stretch[0], (out[3] - 1)[:, :, None] * twist_jump)
+    theta = np.zeros_like(right)
+    whitened = np.linalg.solve(problem.factor, right[problem.point, problem.tube])
+    theta[problem.point, problem.tube] = problem.factor @ np.linalg.solve(state.hessian, whitened)
+    moment = stiffness @ theta
+    extra = None
+    if problem.stretch is not None:
+        beyond = problem.stretch[1]
+        twist = -(beyond @ state.moment) / assembly.torsional_stiffness
+        stretched = out[4].reshape(count, n, n).swapaxes(1, 2) @ theta
+        change = stretched * twist[:, :, None]
+        change += (out[3] - 1)[:, :, None] * (twist_jump - _apply(beyond, moment))
+        extra = change.reshape(count, -1)
+    return arms.integrate(problem.mesh, np.zeros(n * columns), transmission, moment.reshape(count, -1), extra)
+
+
+def _apply(matrix: Array, columns: Array) -> Array:
+    """matrix (N, N) times columns (N, n, k)."""
+    return np.asarray((matrix @ columns.reshape(len(columns), -1)).reshape(columns.shape))
+
+
+def _jumps(solution: Solution, carriages: tuple[tuple[int, ...], ...], side: int) -> tuple[_Jump, ...]:
     """Every breakpoint in front of the plate, and the cross-section that it uncovers when its tube moves to `side`."""
-    assembly: Assembly = solution.problem.assembly
+    problem, assembly = solution.problem, solution.problem.assembly
     kb, curvature, nudge = assembly.bending_stiffness, assembly.curvature, side * ROUND_OFF
     out = []
-    for i in range(assembly.n_tubes):
-        breakpoints = [float(assembly.end[i])]
-        if assembly.end[i] - assembly.transition[i] > ROUND_OFF:
-            breakpoints.append(float(assembly.transition[i]))
+    for c, tubes in enumerate(carriages):
+        first = tubes[0]
+        breakpoints = [float(assembly.end[first])]
+        if assembly.end[first] - assembly.transition[first] > ROUND_OFF:
+            breakpoints.append(float(assembly.transition[first]))
         for s in breakpoints:
             if s < -ROUND_OFF or (s <= ROUND_OFF and side < 0):
                 continue
-            moved = np.where(np.arange(assembly.n_tubes) == i, 2 * nudge, 0.0)
+            moved = np.where(np.isin(np.arange(assembly.n_tubes), tubes), 2 * nudge, 0.0)
             before = where(assembly.transition, assembly.end, curvature, s + nudge)
             after = where(assembly.transition + moved, assembly.end + moved, curvature, s + nudge)
             lost, gained = ((kb * present, kb * curvature * curved) for present, curved in (before, after))
-            theta = arms.interpolate(solution.problem, solution.arm, np.array([s]))[0]
-            out.append(_Jump(i, max(s, 0.0), theta, gained, lost))
+            theta = arms.interpolate(problem, solution.arm, np.array([s]))[0]
+            twist = arms.twist_at(problem, solution.arm, s)
+            out.append(_Jump(c, max(s, 0.0), theta, twist, gained, lost, _place(assembly)))
     return tuple(out)
-
-
-def _direct(solution: Solution, jumps: tuple[_Jump, ...], moment_jumps: Array, s: Array) -> Array:
-    """(len(s), n, 2n) change of theta at fixed moments: base rotation, transmission, and breakpoints."""
-    assembly, n = solution.problem.assembly, solution.problem.assembly.n_tubes
-    out = np.zeros((len(s), n, 2 * n))
-    diagonal = np.arange(n)
-    out[:, diagonal, diagonal] = 1.0
-    if len(solution.problem.mesh.length):
-        # Advancing a tube shortens its transmission: d|beta| = -1.
-        out[:, diagonal, n + diagonal] -= solution.arm.twist[0]
-    for jump, moment in zip(jumps, moment_jumps, strict=True):
-        out[:, :, n + jump.column] -= moment * (assembly.transmission + np.minimum(s, jump.s)[:, None])
-    return out
 
 
 @lru_cache(maxsize=4)
@@ -164,11 +220,11 @@ def _newton_cotes(count: int) -> Array:
     return np.asarray(np.linalg.solve(np.vander(x, increasing=True).T, 1.0 / np.arange(1, count + 1)))
 
 
-def _pose(linear: _Linearised, side: int) -> tuple[Array, Array]:
-    """(3, 2n) change of tip position and of tip rotation (turn vector)."""
+def _pose(linear: _Linearised, response: arms.Profile) -> tuple[Array, Array]:
+    """(3, n + G) change of tip position and of tip rotation (turn vector)."""
     solution, problem = linear.solution, linear.solution.problem
     mesh, assembly, n = problem.mesh, problem.assembly, problem.assembly.n_tubes
-    position, turn = np.zeros((3, 2 * n)), np.zeros((3, 2 * n))
+    position, turn = (np.zeros((3, n + len(linear.carriages))) for _ in range(2))
     shape = arms.evaluate_arm(problem, solution.rotations, solution.result.state, solution.arm)
     s = shape.arc_length
     lever = shape.position[-1] - shape.position
@@ -179,49 +235,57 @@ def _pose(linear: _Linearised, side: int) -> tuple[Array, Array]:
         index = np.arange(pieces)[:, None] * (count - 1) + np.arange(count)
         theta = arms.rotations_at(problem, solution.arm, x).reshape(-1, n)
         kb, m = (np.repeat(table, count, axis=0) for table in (problem.piece_stiffness, problem.piece_moment))
-        slope = section_function("curvature_slope", pieces * count, n, False)(theta, kb, m)[0].reshape(-1, n, 2)
-        response = arms.rotations_at(problem, linear.response, x).reshape(len(theta), -1)
-        bend = slope.swapaxes(1, 2) @ linear.theta(s[index].ravel(), response)
+        function = section_function("curvature_slope", pieces * count, n, assembly.eccentric)
+        slope = function(theta, kb, m, *_place(assembly))[0].reshape(-1, n, 2)
+        change = arms.rotations_at(problem, response, x).reshape(len(theta), -1)
+        # A breakpoint between two pieces lies behind the first point of one and ahead of the last of the other.
+        inside = s[index] + 10 * ROUND_OFF * np.sign(0.5 - ENDS)
+        bend = slope.swapaxes(1, 2) @ linear.theta(inside.ravel(), change)
         weights = (mesh.length[:, None] * _newton_cotes(count)).ravel()
         spatial = shape.frame[index].reshape(-1, 3, 3)[:, :, :2] @ bend * weights[:, None, None]
         turn += spatial.sum(0)
         position += np.cross(spatial, lever[index].reshape(-1, 3)[:, :, None], axis=1).sum(0)
     for jump in linear.jumps:
         k = int(np.argmin(np.abs(s - jump.s)))
-        gain = side * shape.frame[k][:, :2] @ jump.change("curvature")
-        turn[:, n + jump.column] += gain
-        position[:, n + jump.column] += np.cross(gain, lever[k])
+        gain = linear.side * shape.frame[k][:, :2] @ jump.change("curvature")
+        turn[:, n + jump.carriage] += gain
+        position[:, n + jump.carriage] += np.cross(gain, lever[k])
     longest = np.abs(assembly.end - assembly.total_length) <= ROUND_OFF
-    if side > 0 or longest.sum() == 1:
-        position[:, n + np.flatnonzero(longest)] += shape.frame[-1][:, 2:]
+    for c, tubes in enumerate(linear.carriages):
+        # The tip goes along with a carriage that pushes it out, or that alone holds it there.
+        mine = longest[list(tubes)]
+        if mine.any() and (linear.side > 0 or mine.sum() == longest.sum()):
+            position[:, n + c] += shape.frame[-1][:, 2]
     return position, turn
 
 
-def _margin(linear: _Linearised, side: int) -> Array:
-    """(2n,) change of the margin: of the Rayleigh quotient at its eigenvector y, for which int kt y'^2 = 1."""
+def _margin(linear: _Linearised, response: arms.Profile) -> Array:
+    """(n + G,) change of the margin: of the Rayleigh quotient at its eigenvector y, for which int kt y'^2 = 1."""
     solution, problem = linear.solution, linear.solution.problem
     assembly, state, n = problem.assembly, solution.result.state, problem.assembly.n_tubes
-    out = np.zeros(2 * n)
+    out = np.zeros(n + len(linear.carriages))
     if not problem.size or solution.margin >= 1 - 1e-9:
         # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
         return out
     values, vectors = np.linalg.eigh(second_variation(problem, state))
     if len(values) > 1 and values[1] - values[0] < 1e-9:
-        return np.full(2 * n, np.nan)
+        return np.full(len(out), np.nan)
     count = len(problem.weight)
     y = np.zeros((count, n))
     y[problem.point, problem.tube] = problem.factor @ vectors[:, 0]
     s = problem.arc_length
-    theta = linear.theta(s, arms.interpolate(problem, linear.response, s))
+    theta = linear.theta(s, arms.interpolate(problem, response, s))
     gradient = section_function("variation", count, n, False)(state.theta, problem.stiffness, problem.moment, y)[1]
     out += np.einsum("a,ai,aic->c", problem.weight, gradient, theta)
     # y anywhere follows from y (1 - mu) = -G V'' y, whose moments are known at the points.
     stiffness = section_function("balance", count, n, False)(state.theta, problem.stiffness, problem.moment)[1]
     pull = np.einsum("aji,aj->ai", stiffness.reshape(count, n, n), y) / (1 - solution.margin)
-    mode = arms.profile(problem, np.zeros(n), replace(state, moment=pull))
+    mode = arms.integrate(problem.mesh, np.zeros(n), assembly.transmission, pull / assembly.torsional_stiffness)
     # At fixed y(0) the energy kt y(0)^2 / |beta| of the transmissions falls as they lengthen, and they shorten.
-    out[n:] += (1 - solution.margin) * assembly.torsional_stiffness * mode.twist[0] ** 2
+    gain = (1 - solution.margin) * assembly.torsional_stiffness * mode.twist[0] ** 2
+    for c, tubes in enumerate(linear.carriages):
+        out[n + c] += gain[list(tubes)].sum()
     for jump in linear.jumps:
         here = arms.interpolate(problem, mode, np.array([jump.s]))[0]
-        out[n + jump.column] += side * float(jump.change("variation", here)[0])
+        out[n + jump.carriage] += linear.side * jump.variation_change(here)
     return out

@@ -64,6 +64,11 @@ class ConcentricRobot:
         return np.zeros(self.n_tubes)
 
     @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """Every tube has a carriage of its own."""
+        return tuple((i,) for i in range(self.n_tubes))
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
         return self.joint_limits or default_limits(self.tubes)

@@ -93,6 +93,11 @@ class EccentricRobot:
         return np.zeros(3)
 
     @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """All three tubes."""
+        return ((0, 1, 2),)
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
         return self.joint_limits or default_limits(self.tubes)
@@ -179,6 +184,11 @@ class SegmentedEccentricRobot:
         """(3 k,) translations at which every segment begins where the next outer one ends, m."""
         reach = np.cumsum([0.0] + [tube.curved_length for tube in reversed(self.segments)])[:-1]
         return np.repeat(reach[::-1], 3)
+
+    @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """The three tubes of each segment."""
+        return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.segments)))
 
     @property
     def limits(self) -> JointLimits:

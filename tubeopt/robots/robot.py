@@ -30,6 +30,10 @@ class Robot(Protocol):
         """(n,) translations at home, m."""
 
     @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """Tubes, from 0, that one carriage translates: a partition."""
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint."""
 

@@ -102,6 +102,18 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
     return np.asarray(theta)
 
 
+def twist_at(problem: ReducedProblem, arm: Profile, s: float) -> Array:
+    """w (n,) at arc length s: theta' for concentric tubes, theta' / g in general."""
+    mesh = problem.mesh
+    n = arm.twist.shape[1]
+    if not len(mesh.length) or s >= mesh.start[-1] + mesh.length[-1]:
+        return np.zeros(n)
+    p = max(0, int(np.searchsorted(mesh.start, s, side="right")) - 1)
+    x = (s - mesh.start[p]) / mesh.length[p]
+    inner = mesh.tableau.lagrange([x], integrals=1)[0] @ arm.moment[p]
+    return np.asarray(arm.twist[p] + mesh.length[p] * inner)
+
+
 @dataclass(frozen=True, eq=False)
 class Arm:
     """The whole arm at its m = 1 + STEPS x P shape points, and what integration and mesh get wrong.
