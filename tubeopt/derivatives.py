@@ -45,8 +45,8 @@ class Jacobian:
 
 @dataclass(frozen=True, eq=False)
 class _Jump:
-    """A breakpoint at arc length s that moves along with carriage `carriage`; theta, w (n,) there; kb_i, m_i (n,) of the
-    cross-section that the motion uncovers (`gained`) and of what was there (`lost`); `place` of eccentric tubes."""
+    """A breakpoint at arc length s that moves along with carriage `carriage`; theta, w (n,) there; kb_i, m_i (n,) of
+    the cross-section that the motion uncovers (`gained`) and of what was there (`lost`); `place` of eccentric tubes."""
 
     carriage: int
     s: float
@@ -77,8 +77,7 @@ class _Jump:
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """A solution, the tubes of each of G carriages, the breakpoints that move, [M / kt] at each (J, n), and the response
-    of theta to every rotation and carriage as a profile of n x (n + G) columns, without the direct terms."""
+    """A solution, the tubes of each of G carriages, the breakpoints that move to `side`, [M / kt] (J, n) at each."""
 
     solution: Solution
     carriages: tuple[tuple[int, ...], ...]

@@ -11,13 +11,21 @@ from numpy.typing import ArrayLike
 
 from .equilibrium import Equilibrium, Statistics, Status
 from .errors import InputError, SolveError, choice, positive, vector
-from .robots.assembly import Array, without_offsets
+from .robots.assembly import Array
 from .robots.robot import Robot
 from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
 from .transcription.mesh import make_mesh, piece_counts
-from .transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns, unstable_directions
+from .transcription.reduced import (
+    ReducedProblem,
+    margin,
+    on_centreline,
+    reduce,
+    residual,
+    to_unknowns,
+    unstable_directions,
+)
 from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
@@ -63,9 +71,7 @@ class Solution:
 
 
 @lru_cache(maxsize=64)
-def reduced_problem(
-    robot: Robot, translations: tuple[float, ...], discretisation: Discretisation
-) -> ReducedProblem:
+def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
     """The reduced torsion problem at given translations, built once for all rotations."""
     assembly = robot.assembly(np.array(translations))
     d = discretisation
@@ -183,9 +189,7 @@ def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) ->
 
 def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
-    concentric = problem
-    if problem.assembly.eccentric:
-        concentric = reduce(without_offsets(problem.assembly), problem.mesh)
+    concentric = on_centreline(problem)
     steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / HOMOTOPY_STEP)))
     z = np.zeros(concentric.size)
     for k in range(1, steps + 1):
@@ -201,9 +205,7 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
-def _refine(
-    robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str
-) -> Solution:
+def _refine(robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str) -> Solution:
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
     theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..study.files import write_text
 from ..study.robot_file import load_robot
 from ..tubes import Tube
@@ -33,13 +33,14 @@ def show(robot: RobotArgument, out: OutOption = None, as_json: JsonOption = Fals
     present(RobotReport(load_robot(robot)), out=out, as_json=as_json)
 
 
-def clearances(robot: ConcentricRobot) -> list[float]:
-    """Radial clearance (mm) of every tube but the outermost inside the next one."""
-    pairs = zip(robot.tubes, robot.tubes[1:], strict=False)
-    return [_mm(outer.inner_diameter - inner.outer_diameter) / 2 for inner, outer in pairs]
+def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
+    """Tube -> the tube around it, if any, and the radial clearance (mm) between them; tubes counted from 0."""
+    return {
+        i: (o, _mm(robot.tubes[o].inner_diameter - robot.tubes[i].outer_diameter) / 2) for i, o in robot.nested_pairs
+    }
 
 
-def warnings(robot: ConcentricRobot) -> list[str]:
+def warnings(robot: Robot) -> list[str]:
     """What may go wrong when this robot is built and used: tubes strained too far, tubes too tight or too loose."""
     found = []
     for i, tube in enumerate(robot.tubes, start=1):
@@ -49,8 +50,8 @@ def warnings(robot: ConcentricRobot) -> list[str]:
             found.append(f"{reached} {tube.material.superelastic_strain * 100:.3g} % from which {name} springs back")
         elif strain > tube.material.working_strain:
             found.append(f"{reached} {tube.material.working_strain * 100:.3g} % to which {name} may be cycled")
-    for i, clearance in enumerate(clearances(robot), start=1):
-        fit = f"tube {i} has {clearance:.3g} mm of radial clearance in tube {i + 1},"
+    for i, (around, clearance) in clearances(robot).items():
+        fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"
         if clearance < TIGHT_MM:
             found.append(f"{fit} less than the {TIGHT_MM:g} mm that sliding needs: friction will wind the tubes up")
         elif clearance > LOOSE_MM:
@@ -62,12 +63,15 @@ def warnings(robot: ConcentricRobot) -> list[str]:
 class RobotReport:
     """What is said and saved about a robot."""
 
-    robot: ConcentricRobot
+    robot: Robot
 
     def record(self) -> dict[str, Any]:
         """The answer as JSON: a mapping per tube, and the warnings."""
-        gaps: list[float | None] = [*clearances(self.robot), None]
-        tubes = [_tube(tube) | {"radial_clearance_mm": gap} for tube, gap in zip(self.robot.tubes, gaps, strict=True)]
+        gaps = clearances(self.robot)
+        tubes = [
+            _tube(tube) | {"radial_clearance_mm": gaps[i][1] if i in gaps else None}
+            for i, tube in enumerate(self.robot.tubes)
+        ]
         return {"robot": self.robot.name, "tubes": tubes, "warnings": warnings(self.robot)}
 
     def table(self) -> Group:

@@ -69,6 +69,11 @@ class ConcentricRobot:
         return tuple((i,) for i in range(self.n_tubes))
 
     @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Every tube inside the next."""
+        return tuple(pairwise(range(self.n_tubes)))
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
         return self.joint_limits or default_limits(self.tubes)

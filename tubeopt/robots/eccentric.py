@@ -98,6 +98,11 @@ class EccentricRobot:
         return ((0, 1, 2),)
 
     @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """None: the tubes run side by side."""
+        return ()
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
         return self.joint_limits or default_limits(self.tubes)
@@ -154,8 +159,8 @@ class SegmentedEccentricRobot:
                 )
             if inner.straight_length < outer.length - ROUND_OFF:
                 raise InputError(
-                    f"straight_length of segment {i + 1} is {inner.straight_length:g} m; it must be at least the length "
-                    f"of segment {i + 2}, {outer.length:g} m, or their curved parts would overlap at home"
+                    f"straight_length of segment {i + 1} is {inner.straight_length:g} m; it must be at least the "
+                    f"length of segment {i + 2}, {outer.length:g} m, or their curved parts would overlap at home"
                 )
         widest = EccentricRobot(segments[-1], self.offset)
         object.__setattr__(self, "offset", widest.distance)
@@ -189,6 +194,11 @@ class SegmentedEccentricRobot:
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
         """The three tubes of each segment."""
         return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.segments)))
+
+    @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Every tube inside the one of the next segment at its place."""
+        return tuple((i, i + 3) for i in range(self.n_tubes - 3))
 
     @property
     def limits(self) -> JointLimits:

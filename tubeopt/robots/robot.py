@@ -34,6 +34,10 @@ class Robot(Protocol):
         """Tubes, from 0, that one carriage translates: a partition."""
 
     @property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Tubes, from 0, that run inside another one: (inner, the next around it)."""
+
+    @property
     def limits(self) -> JointLimits:
         """Range of every joint."""
 

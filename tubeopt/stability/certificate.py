@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from ..errors import vector
 from ..kinematics import DEFAULT_DISCRETISATION, reduced_problem
 from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
-from ..robots.assembly import ROUND_OFF, Array, Assembly, without_offsets
+from ..robots.assembly import ROUND_OFF, Array, Assembly
 from ..robots.robot import Robot
-from ..transcription.reduced import ReducedProblem, reduce
+from ..transcription.reduced import ReducedProblem, on_centreline
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +63,7 @@ def _problem(robot: Robot, translations: ArrayLike | None) -> ReducedProblem:
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
     problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
-    if problem.assembly.eccentric:
-        return reduce(without_offsets(problem.assembly), problem.mesh)
-    return problem
+    return on_centreline(problem)
 
 
 def pair_couplings(problem: ReducedProblem) -> Array:

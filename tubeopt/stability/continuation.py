@@ -14,7 +14,7 @@ from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
 from ..transcription.buffered import section_function
 from ..transcription.mesh import make_mesh
-from ..transcription.reduced import ReducedProblem, evaluate, margin, reduce, second_variation, to_unknowns
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, second_variation, to_unknowns
 
 LARGEST_RATIO = 0.3
 """Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
@@ -161,7 +161,7 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
         residual = np.concatenate([state.gradient, state.hessian @ v, [(v @ v - 1) / 2]])
         matrix = np.zeros((2 * size + 1, 2 * size + 1))
         matrix[:size, :size] = state.hessian
-        matrix[size : 2 * size, :size] = _hessian_slope(problem, state.theta, v)
+        matrix[size : 2 * size, :size] = _hessian_slope(problem, path.at(t)[0], state, v)
         matrix[size : 2 * size, size : 2 * size] = state.hessian
         matrix[2 * size, size : 2 * size] = v
         slope = _t_slope(path, t, pieces, z, v)
@@ -214,12 +214,16 @@ def _t_slope(path: JointPath, t: float, pieces: NDArray[np.intp], z: Array, v: A
     return (values[1] - values[0]) / (places[1] - places[0]) if len(values) == 2 else None
 
 
-def _hessian_slope(problem: ReducedProblem, theta: Array, v: Array) -> Array:
-    """(U, U) derivative of H v with respect to z."""
-    count, n = theta.shape
+def _hessian_slope(problem: ReducedProblem, rotations: Array, state: Evaluation, v: Array) -> Array:
+    """(U, U) derivative of H v with respect to z; for tubes off the centreline by central differences."""
+    count, n = state.theta.shape
+    if problem.assembly.eccentric:
+        steps = 1e-6 * np.eye(len(v))
+        pairs = ((evaluate(problem, rotations, state.z + s), evaluate(problem, rotations, state.z - s)) for s in steps)
+        return np.column_stack([(up.hessian - down.hessian) @ v / 2e-6 for up, down in pairs])
     y = np.zeros((count, n))
     y.ravel()[problem.flat] = problem.factor @ v
-    slope = section_function("stiffness_slope", count, n, False)(theta, problem.stiffness, problem.moment, y)[0]
+    slope = section_function("stiffness_slope", count, n, False)(state.theta, problem.stiffness, problem.moment, y)[0]
     second = np.zeros(problem.size**2)
     second[problem.places] = slope.ravel()[problem.entries] * problem.entry_weight
     return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)

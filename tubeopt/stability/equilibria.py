@@ -15,7 +15,7 @@ from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_e
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, margin, to_unknowns, unstable_directions
+from ..transcription.reduced import Index, ReducedProblem, margin, on_centreline, to_unknowns, unstable_directions
 from .shooting import profiles, to_base
 
 TURN = 2 * np.pi
@@ -32,9 +32,7 @@ SAME = 1e-5
 """Equilibria whose rotations differ by less (rad) everywhere are one."""
 
 
-def find_equilibria(
-    robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None
-) -> list[Equilibrium]:
+def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
     For up to three tubes with curved parts in front of the plate the search is systematic: the joint rotations are
@@ -61,7 +59,13 @@ def find_equilibria(
 
 
 def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
-    """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
+    """All solutions of a reduced problem; raises SolveError where their degree is not 1.
+
+    For tubes off the centreline the search is done on it, where turning all joints turns the whole; each equilibrium is
+    then solved with the offsets.
+    """
+    if problem.assembly.eccentric:
+        return _with_offsets(problem, rotations, all_solutions(on_centreline(problem), rotations))
     free = _coupled_tubes(problem)
     dimension = max(len(free) - 1, 0)
     if dimension == 0:
@@ -76,6 +80,18 @@ def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
         f"{len(previous)} equilibria were found, of degree {degree(previous)} instead of 1: one is missing, or the "
         "joint values are at a fold, where two are one"
     )
+
+
+def _with_offsets(problem: ReducedProblem, rotations: Array, concentric: list[Solution]) -> list[Solution]:
+    out = []
+    for solution in concentric:
+        result = newton(problem, rotations, to_unknowns(problem, rotations, solution.result.state.theta))
+        if not result.converged:
+            raise SolveError(
+                "an equilibrium of the tubes on the centreline has none close by with their offsets: a fold"
+            )
+        out.append(Solution(problem, rotations, result, margin(problem, result.state)))
+    return _merge(out)
 
 
 def degree(solutions: list[Solution]) -> int:

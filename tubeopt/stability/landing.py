@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..kinematics import Solution
-from ..robots.assembly import Array, without_offsets
+from ..robots.assembly import Array
 from ..solvers.newton import descend, newton
-from ..transcription.reduced import ReducedProblem, margin, reduce, to_unknowns
+from ..transcription.reduced import margin, on_centreline, to_unknowns
 
 NUDGE = 1e-3
 """Push (rad) along the direction without stiffness."""
@@ -22,8 +22,8 @@ def land(solution: Solution, direction: Array) -> Solution | None:
     The energy is that of the tubes on the centreline; for tubes off it the landing is then solved with their offsets.
     """
     problem, rotations = solution.problem, solution.rotations
-    concentric = _concentric(problem)
-    z = solution.result.state.z
+    concentric = on_centreline(problem)
+    z = to_unknowns(concentric, rotations, solution.result.state.theta)
     turn = float(np.abs(problem.factor @ direction).max())
     best: Solution | None = None
     lowest = np.inf
@@ -40,12 +40,6 @@ def land(solution: Solution, direction: Array) -> Solution | None:
     result = newton(problem, rotations, to_unknowns(problem, rotations, best.result.state.theta))
     value = margin(problem, result.state)
     return Solution(problem, rotations, result, value) if result.converged and value > 0 else None
-
-
-def _concentric(problem: ReducedProblem) -> ReducedProblem:
-    if not problem.assembly.eccentric:
-        return problem
-    return reduce(without_offsets(problem.assembly), problem.mesh)
 
 
 def distance(a: Solution, b: Solution) -> float:

@@ -14,7 +14,7 @@ from ..errors import InputError, vector
 from ..kinematics import DEFAULT_DISCRETISATION, forward_kinematics, polish, reduced_problem
 from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..transcription.reduced import ReducedProblem, evaluate
+from ..transcription.reduced import ReducedProblem, evaluate, on_centreline
 from .continuation import JointPath, Point
 from .equilibria import find_equilibria
 from .following import Event, walk
@@ -42,20 +42,26 @@ def energy_map(
     *,
     tubes: tuple[int, int] = (0, 1),
     samples: int = 61,
+    window: ArrayLike | None = None,
 ) -> EnergyMap:
     """Energy over the tip angles of two tubes at given joint values.
 
     Everything else, the torsion inside and the tips of other tubes, takes the values of least energy, followed from
     point to point.
 
+    Args:
+        tubes: the two whose tips are held, from 0.   samples: points per axis.
+        window: (2, 2) least and largest tip angle of each of them, rad; by default around all equilibria.
+
     Raises:
-        InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part.
+        InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a
+            window that is not two ranges.
         SolveError: the equilibria at these joint values are not complete.
     """
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)
-    problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
+    problem = on_centreline(reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION))
     for tube in tubes:
         if tube not in problem.tube:
             raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
@@ -63,9 +69,7 @@ def energy_map(
         raise InputError(f"tubes is {tubes}; they must be two different tubes")
     found = find_equilibria(robot, alpha, shift)
     tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
-    low, high = tips.min(0), tips.max(0)
-    reach = np.maximum(0.6 * (high - low), np.radians(60))
-    first, second = (np.linspace(low[k] - reach[k], high[k] + reach[k], samples) for k in range(2))
+    first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
     holds = [_hold(problem, tube) for tube in tubes]
     energy = np.empty((samples, samples))
     row = np.zeros(problem.size)
@@ -79,6 +83,18 @@ def energy_map(
             if j == 0:
                 row = z
     return EnergyMap(tubes, first, second, energy, tuple(found))
+
+
+def _window(tips: Array, window: ArrayLike | None) -> Array:
+    """(2, 2) ranges of two tip angles: as given, or around `tips` (k, 2)."""
+    if window is not None:
+        ranges = np.array(window, dtype=float)
+        if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():
+            raise InputError(f"window is {window!r}; it must be two ranges, (least, largest) tip angle in rad each")
+        return ranges
+    low, high = tips.min(0), tips.max(0)
+    reach = np.maximum(0.6 * (high - low), np.radians(60))
+    return np.column_stack([low - reach, high + reach])
 
 
 def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:

@@ -15,7 +15,7 @@ from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_e
 from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
+from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, on_centreline, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate
 from .shooting import profiles, to_base
 
@@ -45,7 +45,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
-    are improved by Nelder and Mead's method.
+    are improved by Nelder and Mead's method. Tubes off the centreline are taken on it, as for the certificate.
 
     Args:
         translations: (n,) m; default home.
@@ -56,7 +56,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     """
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
-    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
+    problem = on_centreline(reduced_problem(robot, shift, DEFAULT_DISCRETISATION))
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
     searches = 0
@@ -110,9 +110,7 @@ class WorstCertificate:
     evaluations: int
 
 
-def worst_certificate(
-    robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None
-) -> WorstCertificate:
+def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> WorstCertificate:
     """Least certificate over a box of translations.
 
     Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyevr, dtrtrs
 
-from ..robots.assembly import Array, Assembly
+from ..robots.assembly import Array, Assembly, without_offsets
 from .buffered import section_function
 from .mesh import Mesh
 
@@ -123,8 +123,19 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
         entries=(at * n + column) * n + row,
         places=index[at, row] * len(point) + index[at, column],
         entry_weight=weight[at],
-        stretch=(*_integrals(mesh, elements), np.linalg.inv(factor)) if assembly.eccentric else None,
+        stretch=(*_integrals(mesh, elements), _inverse(factor)) if assembly.eccentric else None,
     )
+
+
+def _inverse(factor: Array) -> Array:
+    return np.asarray(np.linalg.inv(factor), dtype=float)
+
+
+def on_centreline(problem: ReducedProblem) -> ReducedProblem:
+    """The same tubes without offsets on the same mesh: the problem that has an energy, and defines the margin."""
+    if not problem.assembly.eccentric:
+        return problem
+    return reduce(without_offsets(problem.assembly), problem.mesh)
 
 
 def _points(mesh: Mesh, elements: Index) -> Array:
