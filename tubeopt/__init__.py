@@ -3,11 +3,12 @@
 from .derivatives import Jacobian
 from .equilibrium import Equilibrium, Statistics, Status, Verification
 from .errors import InputError, SolveError
-from .kinematics import Discretisation, forward_kinematics
+from .kinematics import forward_kinematics
 from .materials import NITINOL, Material
 from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.limits import JointLimits
+from .solution import Discretisation
 from .stability import (
     Branch,
     Certificate,
@@ -39,9 +40,8 @@ __all__ = [
     "Branch",
     "Certificate",
     "ConcentricRobot",
-    "EccentricRobot",
-    "SegmentedEccentricRobot",
     "Discretisation",
+    "EccentricRobot",
     "EnergyMap",
     "Equilibrium",
     "InputError",
@@ -49,6 +49,7 @@ __all__ = [
     "JointLimits",
     "Material",
     "Path",
+    "SegmentedEccentricRobot",
     "Snap",
     "SolveError",
     "StabilityMap",

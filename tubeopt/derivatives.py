@@ -18,8 +18,8 @@ import numpy as np
 
 from .equilibrium import Equilibrium
 from .errors import InputError
-from .kinematics import Solution, polish
 from .robots.assembly import ROUND_OFF, Array, Assembly, where
+from .solution import Solution, polish
 from .transcription import arm as arms
 from .transcription.buffered import section_function
 from .transcription.piece import ENDS

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .equilibrium import Equilibrium, Statistics, Status
+from .continuation import LARGEST_RATIO, JointPath, Point, follow_to
+from .equilibrium import Equilibrium, Status
 from .errors import InputError, SolveError, choice, positive, vector
 from .robots.assembly import Array
 from .robots.robot import Robot
-from .solvers.ipopt import solve_ipopt
-from .solvers.newton import NewtonResult, descend, leave_saddle, newton
-from .transcription import arm as arms
-from .transcription.mesh import make_mesh, piece_counts
-from .transcription.reduced import (
-    ReducedProblem,
-    margin,
-    on_centreline,
-    reduce,
-    residual,
-    to_unknowns,
-    unstable_directions,
+from .solution import (
+    DEFAULT_DISCRETISATION,
+    Discretisation,
+    Solution,
+    polish,
+    reduced_problem,
+    sample_rotation,
+    to_equilibrium,
 )
+from .solvers.ipopt import solve_ipopt
+from .solvers.newton import descend, leave_saddle, newton
+from .transcription import arm as arms
+from .transcription.reduced import ReducedProblem, margin, on_centreline, to_unknowns, worst_equation
 from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
@@ -35,48 +34,6 @@ FINEST = 6
 
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
-
-LARGEST_RATIO = 0.5
-"""Newton that follows a branch must at least halve its steps: beyond that it may be on its way to another branch."""
-
-SHORTEST_STEP = 2.0**-14
-"""Fraction of the way from guess to goal below which a branch is taken to have ended."""
-
-
-@dataclass(frozen=True)
-class Discretisation:
-    """How the torsion problem is transcribed: collocation family and degree, and halvings of the default pieces."""
-
-    family: str = "gauss"
-    degree: int = 6
-    refinement: int = 0
-
-
-DEFAULT_DISCRETISATION = Discretisation()
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A solved reduced problem at base rotations (n,)."""
-
-    problem: ReducedProblem
-    rotations: Array
-    result: NewtonResult
-    margin: float
-
-    @property
-    def arm(self) -> arms.Profile:
-        """Torsion along the arm."""
-        return arms.profile(self.problem, self.rotations, self.result.state)
-
-
-@lru_cache(maxsize=64)
-def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
-    """The reduced torsion problem at given translations, built once for all rotations."""
-    assembly = robot.assembly(np.array(translations))
-    d = discretisation
-    pieces = piece_counts(assembly, d.refinement)
-    return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
 
 
 def forward_kinematics(
@@ -174,10 +131,7 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
     else:
         result = solve_ipopt(problem, rotations, guess, "energy" if method == "energy" else "equations")
     if not result.converged:
-        error = residual(problem, result.state)
-        raise SolveError(
-            f"{Status.NOT_CONVERGED}: after {result.iterations} iterations the residual is {error:.1e} rad"
-        )
+        raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
@@ -218,117 +172,26 @@ def _refine(robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Dis
 
 
 def follow_branch(
-    robot: Robot,
-    guess: Equilibrium,
-    rotations: Array,
-    translations: tuple[float, ...],
-    discretisation: Discretisation,
+    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
 ) -> Solution:
-    """Follow the branch of `guess` along the straight path of joint values, in steps that Newton takes with ease.
+    """Follow the branch of `guess`, stable or not, along the straight path of joint values.
 
     Raises:
         SolveError: the branch ends on the way.
     """
-    origin = np.concatenate([guess.rotations, guess.translations])
-    goal = np.concatenate([rotations, translations])
-    n = len(rotations)
-    at, step, current = 0.0, 1.0, None
-    while at < 1.0:
-        fraction = min(1.0, at + step)
-        joint = goal if fraction == 1.0 else origin + fraction * (goal - origin)
-        problem = reduced_problem(robot, tuple(joint[n:].tolist()), discretisation)
-        where = problem.arc_length
-        if current is None:
-            theta = sample_rotation(guess, where) + (joint[:n] - guess.rotations)
-        else:
-            theta = arms.interpolate(current.problem, current.arm, where) + (joint[:n] - current.rotations)
-        result = newton(problem, joint[:n], to_unknowns(problem, joint[:n], theta), iterations=8)
+    own = np.concatenate([guess.rotations, guess.translations])
+    path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
+    if path.largest_step() >= 1.0:
+        # A small motion: one step from the guess itself, without solving for it once more.
+        problem = path.problem(1.0)
+        theta = sample_rotation(guess, problem.arc_length) + (rotations - guess.rotations)
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
         if result.converged and result.contraction <= LARGEST_RATIO:
-            current = Solution(problem, joint[:n], result, margin(problem, result.state))
-            at, step = fraction, step * 2
-        else:
-            step /= 2
-        if step < SHORTEST_STEP:
-            raise SolveError(
-                f"{Status.BRANCH_ENDED}: it ends {100 * at:.2f} % of the way from the guess to the goal", guess
-            )
-    assert current is not None
-    return current
-
-
-def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
-    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
-    shift = tuple(equilibrium.translations.tolist())
-    problem = reduced_problem(equilibrium.robot, shift, discretisation)
-    theta = sample_rotation(equilibrium, problem.arc_length)
-    result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
-    if not result.converged:
-        raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
-    return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
-
-
-def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite."""
-    if np.array_equal(arc_length, equilibrium.point):
-        return equilibrium.point_rotation
-    s = equilibrium.arc_length
-    if len(s) < 2:
-        return np.tile(equilibrium.rotation[:, 0], (len(arc_length), 1))
-    k = np.clip(np.searchsorted(s, arc_length, side="right") - 1, 0, len(s) - 2)
-    h = s[k + 1] - s[k]
-    x = np.clip((arc_length - s[k]) / h, 0.0, 1.0)
-    r, w = equilibrium.rotation, equilibrium.torsion
-    value = r[:, k] * (1 + 2 * x) * (1 - x) ** 2 + r[:, k + 1] * x**2 * (3 - 2 * x)
-    value += h * (w[:, k] * x * (1 - x) ** 2 - w[:, k + 1] * x**2 * (1 - x))
-    return np.asarray(value.T)
-
-
-def to_equilibrium(
-    robot: Robot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
-) -> Equilibrium:
-    """Shape, energy and error estimates of a solved problem; `how` is method, start, and seconds so far."""
-    problem, rotations, state = solution.problem, solution.rotations, solution.result.state
-    began = time.perf_counter()
-    assembly, mesh = problem.assembly, problem.mesh
-    arm = arms.evaluate_arm(problem, rotations, state, solution.arm)
-    s = arm.arc_length
-    ends = np.maximum(assembly.end, 0.0)
-    # The inverse of the linearised equation amplifies a defect by at most one over the margin.
-    error = arm.defect / max(min(1.0, abs(solution.margin)), 1e-6)
-    # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
-    bend = np.sqrt((arm.curvature**2).sum(1)) * (s[-1] - s)
-    lever = 0.5 * float((bend[1:] + bend[:-1]) @ (s[1:] - s[:-1]))
-    method, start, seconds = how
-    return Equilibrium(
-        robot=robot,
-        rotations=rotations,
-        translations=np.array(translations),
-        tip_position=arm.position[-1],
-        tip_rotation=arm.frame[-1],
-        arc_length=s,
-        position=arm.position,
-        frame=arm.frame,
-        curvature=arm.curvature,
-        rotation=arm.rotation,
-        torsion=arm.torsion,
-        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(s, ends - 1e-12)],
-        section_start=assembly.start,
-        point=problem.arc_length,
-        point_rotation=state.theta,
-        tube_end=ends,
-        margin=solution.margin,
-        index=0 if solution.margin > 0 else unstable_directions(problem, state),
-        energy=arm.energy,
-        residual=residual(problem, state),
-        mesh_error=error,
-        tip_error=arm.shape_error + error * lever,
-        status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
-        statistics=Statistics(
-            method=method,
-            iterations=solution.result.iterations,
-            elements=int(mesh.collocated.sum()),
-            degree=mesh.tableau.degree,
-            start=start,
-            seconds=seconds + time.perf_counter() - began,
-        ),
-    )
+            return Solution(problem, rotations, result, margin(problem, result.state))
+    points, reached = follow_to(path, Point(0.0, polish(guess, discretisation)), 1.0, stable=False)
+    if not reached:
+        at = points[-1].t if points else 0.0
+        raise SolveError(
+            f"{Status.BRANCH_ENDED}: it ends {100 * at:.2f} % of the way from the guess to the goal", guess
+        )
+    return points[-1].solution

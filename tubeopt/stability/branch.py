@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..continuation import JointPath, Point
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
-from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
+from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..solution import Solution, polish, to_equilibrium
 from ..solvers.newton import NewtonResult
 from ..transcription.reduced import ReducedProblem, evaluate, margin
-from .continuation import Fold, JointPath, Point, polish_fold
+from .folds import Fold, polish_fold
 
 ARC_STEP = 0.06
 """First step along the branch: largest change (rad) of a rotation at a point or of the turning joints."""

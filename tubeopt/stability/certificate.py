@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import vector
-from ..kinematics import DEFAULT_DISCRETISATION, reduced_problem
 from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
 from ..robots.assembly import ROUND_OFF, Array, Assembly
 from ..robots.robot import Robot
+from ..solution import DEFAULT_DISCRETISATION, reduced_problem
 from ..transcription.reduced import ReducedProblem, on_centreline
 
 

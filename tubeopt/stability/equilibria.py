@@ -11,9 +11,9 @@ from scipy.stats import qmc
 
 from ..equilibrium import Equilibrium
 from ..errors import SolveError, vector
-from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
 from ..transcription.reduced import Index, ReducedProblem, margin, on_centreline, to_unknowns, unstable_directions
 from .shooting import profiles, to_base

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError
-from ..kinematics import Solution, forward_kinematics, polish, to_equilibrium
+from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..solution import Solution, polish, to_equilibrium
 from ..transcription.reduced import second_variation
-from .continuation import Fold, JointPath, Point, follow_to, polish_fold, solve_at
+from .folds import Fold, polish_fold
 from .landing import distance, land
 
 SMOOTH_TURN = 0.05

@@ -11,9 +11,9 @@ from scipy.stats import qmc
 
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
-from ..kinematics import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
+from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, on_centreline, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate

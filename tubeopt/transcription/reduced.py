@@ -261,3 +261,17 @@ def second_variation(problem: ReducedProblem, state: Evaluation) -> Array:
         return state.hessian
     balance = section_function("balance", len(problem.weight), assembly.n_tubes, False)
     return _hessian(problem, balance(state.theta, problem.stiffness, problem.moment)[1])
+
+
+def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
+    """The most violated collocation equation in words, with its violation."""
+    if not problem.size:
+        return "all equations hold"
+    violation = np.abs(problem.factor @ state.gradient)
+    k = int(np.argmax(np.where(np.isfinite(violation), violation, np.inf)))
+    mesh, degree = problem.mesh, problem.mesh.tableau.degree
+    piece = int(np.flatnonzero(mesh.collocated)[problem.point[k] // degree])
+    section = int(mesh.section[piece])
+    point = (piece - int(np.argmax(mesh.section == section))) * degree + int(problem.point[k] % degree)
+    place = f"tube {int(problem.tube[k]) + 1}, section {section + 1}, point {point + 1}"
+    return f"torsion equation, {place}: violated by {violation[k]:.1e} rad"
