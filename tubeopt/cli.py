@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from . import __version__
-from .commands import kinematics, robot, study
+from .commands import kinematics, robot, stability, study, validation
 from .errors import InputError, SolveError
 
 BAD_INPUT, NO_SOLUTION = 2, 3
@@ -27,7 +27,23 @@ app = typer.Typer(
 app.command(
     epilog="Example: tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0"
 )(kinematics.fk)
+app.command(epilog="Example: tubeopt equilibria configs/robots/two_tube.yaml --rotations-deg 190,0")(
+    stability.equilibria
+)
+app.command(epilog="Example: tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results")(
+    stability.snap
+)
+app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv")(
+    stability.follow
+)
+app.command(epilog="Example: tubeopt certify configs/robots/thesis_ctr.yaml --translations-mm 0,0,0")(stability.certify)
+app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
+    stability.stability_map
+)
 app.command(epilog="Example: tubeopt run configs/studies/thesis_actuated.yaml --out results")(study.run)
+app.command(
+    epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv --fit curvature"
+)(validation.validate)
 app.add_typer(robot.app, name="robot")
 
 

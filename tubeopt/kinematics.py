@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .continuation import LARGEST_RATIO, JointPath, Point, follow_to
+from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, Point, follow_to
 from .equilibrium import Equilibrium, Status
 from .errors import InputError, SolveError, choice, positive, vector
 from .robots.assembly import Array
@@ -179,15 +179,17 @@ def follow_branch(
     Raises:
         SolveError: the branch ends on the way.
     """
-    own = np.concatenate([guess.rotations, guess.translations])
-    path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
-    if path.largest_step() >= 1.0:
+    problem = reduced_problem(robot, shift, discretisation)
+    turn = rotations - guess.rotations
+    moved = abs(shift - guess.translations).max() / max(problem.assembly.total_length, 1e-300)
+    if abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT:
         # A small motion: one step from the guess itself, without solving for it once more.
-        problem = path.problem(1.0)
-        theta = sample_rotation(guess, problem.arc_length) + (rotations - guess.rotations)
+        theta = sample_rotation(guess, problem.arc_length) + turn
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
         if result.converged and result.contraction <= LARGEST_RATIO:
             return Solution(problem, rotations, result, margin(problem, result.state))
+    own = np.concatenate([guess.rotations, guess.translations])
+    path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
     points, reached = follow_to(path, Point(0.0, polish(guess, discretisation)), 1.0, stable=False)
     if not reached:
         at = points[-1].t if points else 0.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +18,7 @@ from ..study.files import atomic_write
 from ..study.result_file import save_equilibrium
 from ..study.study_file import ForwardKinematicsStudy
 from ..study.units import parse_number
-from .options import JsonOption, OutOption, PlotOption, RobotArgument
+from .options import JsonOption, OutOption, PlotOption, RobotArgument, RotationsOption, TranslationsOption, numbers
 from .report import present, report, two_columns
 
 CLOSE_TO_A_SNAP = 0.05
@@ -37,12 +36,8 @@ FLAGS = {
 
 def fk(
     robot: RobotArgument,
-    rotations_deg: Annotated[
-        str | None, typer.Option(metavar="A,B,..", help="Rotation of every tube, inner to outer; by default all 0.")
-    ] = None,
-    translations_mm: Annotated[
-        str | None, typer.Option(metavar="A,B,..", help="Advance of every tube from home; by default all 0.")
-    ] = None,
+    rotations_deg: RotationsOption = None,
+    translations_mm: TranslationsOption = None,
     method: Annotated[str, typer.Option(help=f"How to solve: {', '.join(METHODS)}.")] = METHODS[0],
     tolerance_rad: Annotated[
         str, typer.Option("--tolerance-rad", "--tolerance", metavar="RAD", help="Largest error of the tubes' angles.")
@@ -56,18 +51,14 @@ def fk(
     flags: dict[str, Any] = {
         "kind": "forward_kinematics",
         "robot": robot,
-        "rotations_deg": _numbers(rotations_deg),
-        "translations_mm": _numbers(translations_mm),
+        "rotations_deg": numbers(rotations_deg),
+        "translations_mm": numbers(translations_mm),
         "method": method,
         "tolerance_rad": parse_number(tolerance_rad),
         "verify": verify,
     }
     study = check(ForwardKinematicsStudy, flags, "", names=FLAGS)
     present(report(study.run()), out=out, as_json=as_json, plot=plot)
-
-
-def _numbers(text: str | None) -> list[Decimal | str] | None:
-    return None if text is None else [parse_number(part) for part in text.split(",")]
 
 
 @dataclass(frozen=True)

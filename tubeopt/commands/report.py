@@ -14,6 +14,8 @@ from pydantic_core import to_json
 from rich.console import Console, RenderableType
 from rich.table import Table
 
+from ..errors import InputError
+
 
 class Report(Protocol):
     """An answer, ready to be shown and saved. Keys and columns carry their unit."""
@@ -49,12 +51,22 @@ def present(answer: Report, *, out: Path | None, as_json: bool, plot: bool = Fal
         print(to_text(answer.record() | {"files": [str(path) for path in files]}), end="")
         return
     console = Console()
-    console.print(answer.table())
+    console.print(answer.table(), crop=False)
     for path in files:
         console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
     if plot and has_display():
         for path in pictures:
             typer.launch(str(path))
+
+
+def can_be_saved(out: Path | None) -> None:
+    """Raise InputError, before any work is done, where nothing can be written into `out`; None passes."""
+    place = out
+    while place is not None and not place.exists() and place != place.parent:
+        place = place.parent
+    if place is not None and not (place.is_dir() and os.access(place, os.W_OK)):
+        why = "it is a file" if place.is_file() else f"{place} is no directory that can be written to"
+        raise InputError(f"{out}: nothing can be saved there: {why if place == out else f'{place} is in the way'}")
 
 
 def to_text(data: dict[str, Any]) -> str:

@@ -8,7 +8,8 @@ import typer
 
 from ..study.study_file import load_study
 from .options import JsonOption, OutOption, PlotOption
-from .report import present, report
+from .progress import working
+from .report import can_be_saved, present, report
 
 
 def run(
@@ -18,4 +19,8 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Run the study that a file describes."""
-    present(report(load_study(study).run()), out=out, as_json=as_json, plot=plot)
+    question = load_study(study)
+    can_be_saved(out)
+    with working("running the study") as progress:
+        answer = question.run(progress)
+    present(report(answer), out=out, as_json=as_json, plot=plot)

@@ -1,9 +1,27 @@
-"""Pictures of solutions: shapes in space and torsion along the arm. Colour-blind safe, no display needed."""
+"""Pictures of solutions: shapes, torsion, stability. Colour-blind safe, no display needed."""
 
 from __future__ import annotations
 
+from .branch import plot_branch
+from .hysteresis import plot_hysteresis
+from .maps import plot_energy_maps, plot_stability_map
+from .path import plot_path
 from .shape import plot_shape, plot_shapes
+from .snap import plot_snap
 from .style import save_figure, tube_colour
 from .torsion import plot_torsion, plot_torsions
 
-__all__ = ["plot_shape", "plot_shapes", "plot_torsion", "plot_torsions", "save_figure", "tube_colour"]
+__all__ = [
+    "plot_branch",
+    "plot_energy_maps",
+    "plot_hysteresis",
+    "plot_path",
+    "plot_shape",
+    "plot_shapes",
+    "plot_snap",
+    "plot_stability_map",
+    "plot_torsion",
+    "plot_torsions",
+    "save_figure",
+    "tube_colour",
+]

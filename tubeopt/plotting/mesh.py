@@ -17,11 +17,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """k four-sided facets: corners (k, 4, 3) m, outward normals (k, 3), colours (k, 4) as RGBA in [0, 1]."""
+    """k four-sided facets: corners (k, 4, 3) m, outward normals (k, 3), colours (k, 4) as RGBA in [0, 1].
+
+    `lift` (k,) m: how much nearer to whom it faces a facet counts when facets are sorted by depth, so that a surface
+    stays outside of what touches it from within; None is 0.
+    """
 
     corners: Array
     normals: Array
     colours: Array
+    lift: Array | None = None
+
+    def depth(self, towards_viewer: Array) -> Array:
+        """(k,) m: by which to sort facets that are seen from `towards_viewer` (3,), far ones first."""
+        depth: Array = self.corners.mean(1) @ towards_viewer
+        return depth if self.lift is None else depth + self.lift * (self.normals @ towards_viewer)
 
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:
@@ -30,6 +40,7 @@ class Mesh:
             np.concatenate([np.empty((0, 4, 3)), *(part.corners for part in parts)]),
             np.concatenate([np.empty((0, 3)), *(part.normals for part in parts)]),
             np.concatenate([np.empty((0, 4)), *(part.colours for part in parts)]),
+            np.concatenate([np.empty(0), *(np.zeros(len(p.corners)) if p.lift is None else p.lift for p in parts)]),
         )
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:

@@ -1,8 +1,12 @@
-"""The robot in space: tubes as shaded surfaces of true diameter, with close-ups of where each tube ends."""
+"""The robot in space: tubes as shaded surfaces of true diameter, with close-ups of where each tube ends.
+
+Tubes of an eccentric robot stand at their true places, in a translucent sheath.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
 GHOST_OPACITY = 0.25
 PLATE_COLOUR = np.array([0.80, 0.82, 0.85, 1.0])
 BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
+SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
 
 
 @styled
@@ -46,7 +51,7 @@ def plot_shape(
     """
     figure = new_figure(7.0, 5.0)
     figure.suptitle(caption(equilibrium), fontsize=9, x=0.02, ha="left")
-    _draw_shapes(figure, [equilibrium], ghosts, view)
+    draw_scenes(figure, [equilibrium], [ghosts], view)
     return finish(figure, path)
 
 
@@ -66,37 +71,42 @@ def plot_shapes(
         titles: a heading for each; None is the robot's name.
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
-    scenes = _draw_shapes(figure, equilibria, (), view)
+    scenes = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
     return finish(figure, path)
 
 
-def _draw_shapes(
+def draw_scenes(
     figure: Figure,
     equilibria: Sequence[Equilibrium],
-    ghosts: Sequence[Equilibrium],
+    ghosts: Sequence[Sequence[Equilibrium]],
     view: tuple[float, float] | None,
+    *,
+    close_ups: bool = True,
 ) -> list[Axes]:
-    """Fill `figure` with a scene for each equilibrium and a column of close-ups; return the scenes."""
-    everyone = [*equilibria, *ghosts]
+    """Fill `figure` with a scene for each equilibrium and its ghosts; return the scenes.
+
+    With `close_ups`, a column of close-ups of the last equilibrium stands to the right.
+    """
+    everyone = [*equilibria, *(ghost for some in ghosts for ghost in some)]
     seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
-    meshes = [_scene_mesh(equilibrium, ghosts) for equilibrium in equilibria]
+    meshes = [_scene_mesh(equilibrium, some) for equilibrium, some in zip(equilibria, ghosts, strict=True)]
     box = Box.around(np.concatenate([mesh.corners.reshape(-1, 3) for mesh in meshes]))
     last = equilibria[-1]
-    ends = exposed(last)
-    widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0]
-    grid = figure.add_gridspec(max(len(ends), 3), len(widths), width_ratios=widths)
+    ends = bundles(last) if close_ups else []
+    widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
+    grid = figure.add_gridspec(max(len(ends), 3) if close_ups else 1, len(widths), width_ratios=widths)
     scenes = [figure.add_subplot(grid[:, column]) for column in range(len(equilibria))]
-    for scene, equilibrium, mesh in zip(scenes, equilibria, meshes, strict=True):
+    for scene, equilibrium, some, mesh in zip(scenes, equilibria, ghosts, meshes, strict=True):
         draw_box(scene, box, seen)
-        _draw_shadows(scene, [equilibrium, *ghosts], box, seen)
+        _draw_shadows(scene, [equilibrium, *some], box, seen)
         scene.add_collection(facets(mesh, seen))
         if exposed(equilibrium):
             _name_tubes(scene, equilibrium, seen)
-    for row, (tube, _, end) in enumerate(reversed(ends)):
+    for row, bundle in enumerate(reversed(ends)):
         close_up = figure.add_subplot(grid[row, -1])
-        _draw_close_up(close_up, scenes[-1], last, tube, end, seen)
+        _draw_close_up(close_up, scenes[-1], last, bundle, seen)
         if row == len(ends) - 1:
             _draw_scale_bar(close_up)
     return scenes
@@ -116,6 +126,28 @@ def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
         if end > start:
             stretches.append((i, float(start), float(end)))
     return stretches
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Tubes side by side that show between the same arc lengths, m, with the radius around them all, m."""
+
+    tubes: tuple[int, ...]
+    start: float
+    end: float
+    radius: float
+
+
+def bundles(equilibrium: Equilibrium) -> list[Bundle]:
+    """What `exposed` tells, with the tubes of a segment together; of a concentric robot every tube for itself."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    groups: dict[tuple[float, float], list[int]] = {}
+    for i, start, end in exposed(equilibrium):
+        groups.setdefault((start, end), []).append(i)
+    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + assembly.offset
+    return [
+        Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
+    ]
 
 
 def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[float, float] | None = None) -> Mesh:
@@ -151,13 +183,34 @@ def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[
             parts.append(surfaces.ring_mesh(line, end, (inner, outer), rim, offset=offset, sides=sides))
             bore = BORE_COLOUR * [1, 1, 1, opacity]
             parts.append(surfaces.ring_mesh(line, end, (0.0, inner), bore, offset=offset, sides=sides))
+    if assembly.eccentric:
+        parts += _sheaths(equilibrium, line, (low, high), opacity)
     return Mesh.join(parts)
+
+
+def _sheaths(equilibrium: Equilibrium, line: Centreline, window: tuple[float, float], opacity: float) -> list[Mesh]:
+    """The sheath of every segment of an eccentric robot, as wide as its tubes need."""
+    parts = []
+    for bundle in bundles(equilibrium):
+        first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
+        if last > first:
+            s = np.linspace(first, last, 2 + int((last - first) / bundle.radius * 2))
+            sheath = surfaces.tube_mesh(line, s, bundle.radius, SHEATH_COLOUR * [1, 1, 1, opacity], sides=48)
+            parts.append(replace(sheath, lift=np.full(len(sheath.corners), bundle.radius)))
+    return parts
 
 
 def plate_radius(equilibrium: Equilibrium) -> float:
     """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
     thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
     return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
+
+
+def _widest(equilibrium: Equilibrium) -> float:
+    """Diameter of the thickest tube, m; of an eccentric robot, inner diameter of its widest sheath."""
+    offset = equilibrium.robot.assembly(equilibrium.translations).offset
+    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + offset
+    return 2 * float(radius.max())
 
 
 def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
@@ -179,11 +232,15 @@ def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view:
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     """Name each tube to the lower right of the middle of where it shows, and the tip to the upper left of it."""
     line = Centreline(equilibrium)
-    for i, start, end in exposed(equilibrium):
-        middle = (start + end) / 2
+    for bundle in bundles(equilibrium):
+        middle = (bundle.start + bundle.end) / 2
         beside = _beside(line, middle, view)
-        at = view.project(line.position([middle])[0])[:2] + equilibrium.robot.tubes[i].outer_diameter / 2 * MM * beside
-        note(axes, f"tube {i + 1}", at, 5 * beside, colour=tube_colour(i))
+        at = view.project(line.position([middle])[0])[:2] + bundle.radius * MM * beside
+        for row, i in enumerate(bundle.tubes):
+            lower = np.array([0.0, 10.0 * ((len(bundle.tubes) - 1) / 2 - row)])
+            several = len(bundle.tubes) > 1
+            shift = (12 if several else 5) * beside + lower
+            note(axes, f"tube {i + 1}", at, shift, colour=tube_colour(i), level=several)
     beside = _beside(line, line.length, view)
     at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * MM * beside
     note(axes, "tip", at, -3 * beside)
@@ -199,14 +256,15 @@ def _beside(line: Centreline, s: float, view: View) -> Array:
 
 def close_up_radius(equilibrium: Equilibrium) -> float:
     """Radius of what a close-up shows, m."""
-    return 1.7 * max(tube.outer_diameter for tube in equilibrium.robot.tubes)
+    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
+    return max(1.7 * thickest, 1.1 * _widest(equilibrium))
 
 
-def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, tube: int, end: float, view: View) -> None:
-    """The end of one tube seen from the same side, in a circle that is drawn in the scene too."""
+def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
+    """The end of a tube, or of a segment, seen from the same side, in a circle that is drawn in the scene too."""
     from matplotlib.patches import Circle, ConnectionPatch
 
-    radius = close_up_radius(equilibrium)
+    radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
     shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius)), view, centre)
     rim = Circle((0, 0), radius * MM, facecolor="white", edgecolor=FAINT, lw=0.8)
@@ -217,9 +275,13 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, tube: int,
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     axes.set_aspect("equal")
     axes.axis("off")
-    diameter = number(equilibrium.robot.tubes[tube].outer_diameter * MM, 3)
-    name = f"tube {tube + 1}, \N{EMPTY SET} {diameter} mm"
-    axes.text(0, 1.08 * radius * MM, name, color=tube_colour(tube), ha="center", va="bottom")
+    first = bundle.tubes[0]
+    diameter = number(equilibrium.robot.tubes[first].outer_diameter * MM, 3)
+    if len(bundle.tubes) == 1:
+        name, colour = f"tube {first + 1}, \N{EMPTY SET} {diameter} mm", tube_colour(first)
+    else:
+        name, colour = f"tubes {first + 1}\N{EN DASH}{bundle.tubes[-1] + 1}, \N{EMPTY SET} {diameter} mm", INK
+    axes.text(0, 1.08 * radius * MM, name, color=colour, ha="center", va="bottom")
     at = view.project(centre)
     ring = Circle((at[0], at[1]), radius * MM, fill=False, edgecolor=FAINT, lw=0.6, zorder=5)
     scene.add_patch(ring)

@@ -140,6 +140,8 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
         ends = np.tile(edge, (2, 1))
         ends[:, axis] = box.low[axis], box.high[axis]
         start, stop = view.project(ends / MM)[:, :2]
+        if np.linalg.norm(stop - start) < 1e-6 * height:
+            continue  # seen end-on
         outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
         outward *= np.sign(outward @ ((start + stop) / 2 - middle))
         rules = _spaced(box, axis, stop - start, height)
@@ -171,11 +173,19 @@ def _spaced(box: Box, axis: int, edge: Array, height: float) -> Array:
 
 
 def note(
-    axes: Axes, text: str, at: Array, shift: Array, *, size: float = 8, rotation: float = 0, colour: str = INK
+    axes: Axes,
+    text: str,
+    at: Array,
+    shift: Array,
+    *,
+    size: float = 8,
+    rotation: float = 0,
+    colour: str = INK,
+    level: bool = False,
 ) -> None:
-    """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it."""
+    """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it; `level`, its middle line."""
     horizontal = "left" if shift[0] > 2 else "right" if shift[0] < -2 else "center"
-    vertical = "center" if abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
+    vertical = "center" if level or abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
     axes.annotate(
         text,
         (float(at[0]), float(at[1])),
@@ -196,7 +206,7 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     from matplotlib.collections import PolyCollection
 
     seen = view.project(mesh.corners if centre is None else mesh.corners - centre)
-    order = np.argsort(seen[:, :, 2].mean(1))
+    order = np.argsort(mesh.depth(view.towards_viewer))
     colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)

@@ -16,6 +16,7 @@ from ..study.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     from ..equilibrium import Equilibrium
 
@@ -28,6 +29,9 @@ TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9"
 INK = "#222222"
 FAINT = "#8A8A8A"
 DPI = 200
+LAYOUT_PASSES = 3
+"""Passes until axes of equal aspect, whose size follows from their place, leave room for all that stands above them."""
+
 FORMATS = ("png", "pdf", "svg")
 
 RC = {
@@ -41,6 +45,7 @@ RC = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8,
+    "hatch.linewidth": 0.5,
     "legend.frameon": False,
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,
@@ -104,8 +109,19 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     return Path(path)
 
 
+def angle_locator() -> MaxNLocator:
+    """Ticks for an axis in deg, at round parts of a turn."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=9, steps=[1, 1.5, 3, 4.5, 6, 9, 10])
+
+
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
-    """Return `figure`, saved under `path` if that is given."""
+    """Return `figure`, laid out, and saved under `path` if that is given."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        for _ in range(LAYOUT_PASSES):
+            engine.execute(figure)
     if path is not None:
         save_figure(figure, path)
     return figure
@@ -117,7 +133,8 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
     joints = [f"rotations ({rotations})"]
     if np.any(equilibrium.translations):
-        joints.append(f"translations ({_millimetres(equilibrium.translations)}) mm")
+        first = [tubes[0] for tubes in equilibrium.robot.moving_together]
+        joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
     margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
     verdict = margin if equilibrium.stable else f"{margin}, unstable"
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]

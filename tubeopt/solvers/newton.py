@@ -87,7 +87,7 @@ def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Arr
 
 def _turn(problem: ReducedProblem, step: Array) -> float:
     """Largest change of a rotation that a step in z makes, rad."""
-    return float(np.abs(problem.factor @ step).max(initial=0.0))
+    return float(abs(problem.factor @ step).max()) if len(step) else 0.0
 
 
 def _downhill(state: Evaluation) -> Array:

@@ -23,6 +23,9 @@ SMOOTH_TURN = 0.05
 """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
 not a snap."""
 
+LEAST_TURN = 1e-3
+"""A turn (rad) of this size tells where the robot lands from where it was."""
+
 PAST = 1e-4
 """Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
 
@@ -162,11 +165,13 @@ def lose(path: JointPath, here: Point, goal: float) -> Event | Point:
     if fold is None or not here.t - 1e-6 <= fold.t <= min(goal, here.t + 1e-2):
         fold = Fold(here.t, here.solution, _softest(here.solution))
     landed = land(fold.solution, fold.direction)
-    if landed is not None and distance(landed, fold.solution) > SMOOTH_TURN:
+    turn = 0.0 if landed is None else distance(landed, fold.solution)
+    t = min(goal, fold.t + PAST)
+    unstable = solve_at(path, t, here) if turn <= SMOOTH_TURN else None
+    # Without equilibria beyond the fold even a small turn is a snap.
+    if landed is not None and unstable is None and turn > LEAST_TURN:
         return Event(fold, Point(fold.t, landed))
     # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
-    t = min(goal, fold.t + PAST)
-    unstable = solve_at(path, t, here)
     landed = None if unstable is None else land(unstable.solution, _softest(unstable.solution))
     if landed is None:
         raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")

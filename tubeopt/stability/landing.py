@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from ..kinematics import Solution
+from ..solution import Solution
 from ..robots.assembly import Array
 from ..solvers.newton import NewtonResult, newton
 from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns
@@ -32,7 +32,8 @@ def land(solution: Solution, direction: Array) -> Solution | None:
     concentric = on_centreline(problem)
     best: Solution | None = None
     lowest = np.inf
-    for start in _sides(concentric, rotations, to_unknowns(concentric, rotations, solution.result.state.theta), direction):
+    z = to_unknowns(concentric, rotations, solution.result.state.theta)
+    for start in _sides(concentric, rotations, z, direction):
         result = slide(concentric, rotations, start)
         value = margin(concentric, result.state)
         if result.converged and value > 0 and result.state.energy < lowest:
@@ -60,17 +61,19 @@ def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
     """
     state, time = evaluate(problem, rotations, z), 1.0
     identity = np.eye(len(z))
+    # The energy of bending may be next to 0 where curvatures agree; its round-off is that of its parts.
+    parts = float(problem.weight @ ((problem.moment**2).sum(1) / problem.stiffness.sum(1)))
     for count in range(1, MOST_STEPS + 1):
         _, step, not_convex = dposv(state.hessian + identity / time, -state.gradient)
         turn = float(np.abs(problem.factor @ step).max(initial=0.0))
         if not_convex or turn > STRIDE:
-            time /= 4 if not_convex else 2
+            time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)
             continue
         trial = evaluate(problem, rotations, state.z + step)
-        if trial.energy > state.energy + 1e-13 * abs(state.energy):
-            time /= 4
+        if trial.energy > state.energy + 1e-13 * (parts + abs(state.energy)):
+            time *= 0.25
             continue
-        state, time = trial, min(3 * time, 1e12)
+        state, time = trial, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
         if turn < 1e-6 and time > 1e6:
             last = newton(problem, rotations, state.z, iterations=4)
             return NewtonResult(last.state, last.converged, count, 0.0)

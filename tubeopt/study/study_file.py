@@ -7,42 +7,18 @@ from __future__ import annotations
 
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, PlainValidator, ValidationInfo, field_validator
+from pydantic import Field
 
 from ..equilibrium import Equilibrium
 from ..kinematics import forward_kinematics
-from ..robots.concentric import ConcentricRobot
-from .checked import Entry, Number, Positive, check_kind
-from .robot_file import load_robot
-from .units import DEG, MM, shown, to_si
+from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
+from .checked import Positive, check_kind
+from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
+from .validation_study import ValidationStudy
 from .yaml_file import load_yaml
-
-
-def _load(value: object, info: ValidationInfo) -> ConcentricRobot:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a robot file")
-    return load_robot(info.context["directory"] / value if info.context else value)
-
-
-RobotPath = Annotated[
-    ConcentricRobot,
-    PlainValidator(_load, json_schema_input_type=str),
-    Field(description="path of the robot file, relative to this file"),
-]
-"""A robot, given as the path of its file."""
-
-
-class Study(Entry):
-    """What all kinds of study have in common."""
-
-    kind: str
-
-    def run(self) -> Any:
-        """The answer to the question that the study asks."""
-        raise NotImplementedError
 
 
 class ForwardKinematicsStudy(Study):
@@ -50,38 +26,33 @@ class ForwardKinematicsStudy(Study):
 
     kind: Literal["forward_kinematics"]
     robot: RobotPath
-    rotations_deg: list[Number] | None = Field(None, description="one per tube; all 0 where not given")
-    translations_mm: list[Number] | None = Field(None, description="one per tube, from home; all 0 where not given")
+    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
+    translations_mm: OnePerTube | None = Field(None, description="one per tube; home where not given")
     method: Literal["newton", "ipopt", "energy"] = "newton"
     tolerance_rad: Positive = Decimal("1e-8")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
 
-    @field_validator("rotations_deg", "translations_mm")
-    @classmethod
-    def _one_per_tube(cls, values: list[Decimal] | None, info: ValidationInfo) -> list[Decimal] | None:
-        robot = info.data.get("robot")  # absent where the robot itself has problems
-        if values is not None and robot is not None and len(values) != robot.n_tubes:
-            count = "1 number" if len(values) == 1 else f"{len(values)} numbers"
-            raise ValueError(f"has {count}; it must be {robot.n_tubes} (one per tube)")
-        return values
-
-    def run(self) -> Equilibrium:
+    def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""
         return forward_kinematics(
             self.robot,
-            _in_si(self.rotations_deg, DEG, self.robot.n_tubes),
-            _in_si(self.translations_mm, MM, self.robot.n_tubes),
+            radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
+            metres(self.translations_mm, self.robot.home_translations),
             method=self.method,
             tolerance=float(self.tolerance_rad),
             verify=self.verify,
         )
 
 
-def _in_si(values: list[Decimal] | None, unit: Decimal, n: int) -> np.ndarray:
-    return np.zeros(n) if values is None else np.array([to_si(value, unit) for value in values])
-
-
-STUDY_KINDS: dict[str, type[Study]] = {"forward_kinematics": ForwardKinematicsStudy}
+STUDY_KINDS: dict[str, type[Study]] = {
+    "forward_kinematics": ForwardKinematicsStudy,
+    "equilibria": EquilibriaStudy,
+    "snap": SnapStudy,
+    "follow": FollowStudy,
+    "certify": CertifyStudy,
+    "stability_map": StabilityMapStudy,
+    "validation": ValidationStudy,
+}
 """What the key `kind` of a study file may say."""
 
 

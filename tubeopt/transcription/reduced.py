@@ -234,7 +234,7 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
     """Largest violation of the collocation equations, as an error of theta at the points, rad."""
-    return float(np.abs(problem.factor @ state.gradient).max(initial=0.0))
+    return float(abs(problem.factor @ state.gradient).max()) if problem.size else 0.0
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:

@@ -1,0 +1,39 @@
+"""The thesis' Figure 2.12: elastic energy over the tip angles of the two inner tubes as the inner one is turned.
+
+At 135 deg there is one minimum. Before 150 deg a second one has appeared, at 180 deg both are equally deep, and by
+225 deg the first one is gone: a robot that came from home in it has snapped into the other, at 214.22 deg.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import tubeopt
+from tubeopt.plotting import plot_energy_maps
+
+ROOT = Path(__file__).resolve().parents[1]
+INPUTS_DEG = (135.0, 150.0, 180.0, 225.0)
+WINDOW_DEG = ((-30.0, 390.0), (-90.0, 90.0))
+
+
+def main(out: Path) -> list[Path]:
+    """Compute the maps, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+    maps = [tubeopt.energy_map(robot, np.radians([deg, 0, 0]), window=np.radians(WINDOW_DEG)) for deg in INPUTS_DEG]
+    for deg, each in zip(INPUTS_DEG, maps, strict=True):
+        found = [f"{e.energy * 1e3:.3f} mJ ({'stable' if e.stable else 'unstable'})" for e in each.equilibria]
+        print(f"inner tube at {deg:g} deg: {', '.join(found)}")
+    picture = out / "thesis_energy_maps.png"
+    titles = [f"inner tube turned by {deg:g}°" for deg in INPUTS_DEG]
+    plot_energy_maps(maps, picture, titles=titles)
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

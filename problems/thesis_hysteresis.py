@@ -1,0 +1,38 @@
+"""A full turn of the inner tube of the thesis' robot, forth and back: it snaps once each way, at different angles."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import tubeopt
+from tubeopt.plotting import plot_hysteresis
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(out: Path) -> list[Path]:
+    """Follow both ways, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+    angles_deg = np.linspace(0.0, 360.0, 361)
+    rotations = np.radians(angles_deg)[:, None] * [1.0, 0.0, 0.0]
+    forth = tubeopt.follow(robot, rotations)
+    back = tubeopt.follow(robot, rotations[::-1], start=forth.equilibria[-1])
+    for name, walked in (("forth", forth), ("back", back)):
+        for snap in walked.snaps:
+            print(
+                f"{name}: snaps at {np.degrees(snap.rotations[0]):.6f} deg, the tip jumps by "
+                f"{snap.tip_jump * 1e3:.2f} mm, {snap.energy_released * 1e3:.3f} mJ are released"
+            )
+    picture = out / "thesis_hysteresis.png"
+    plot_hysteresis(forth, back, angles_deg, picture, title=f"{robot.name}: a full turn of tube 1, forth and back")
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

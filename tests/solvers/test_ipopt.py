@@ -1,0 +1,103 @@
+"""IPOPT on the same collocation: the same equilibria, minima only from the energy, failures in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
+from tubeopt import SolveError
+from tubeopt.robots.assembly import Array
+from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.solvers import ipopt
+from tubeopt.solvers.ipopt import solve_ipopt, start_values
+from tubeopt.solvers.newton import newton
+from tubeopt.transcription import arm as arms
+from tubeopt.transcription.block import structure_of
+from tubeopt.transcription.mesh import make_mesh
+from tubeopt.transcription.nlp import IPOPT_OPTIONS
+from tubeopt.transcription.reduced import ReducedProblem, margin, reduce, residual
+
+FORMULATIONS = ("equations", "energy")
+
+
+def untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
+    """Tubes without torsion."""
+    pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
+    still = np.zeros((pieces, problem.mesh.tableau.degree, n))
+    extra = still if problem.assembly.eccentric else None
+    return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_same_equilibrium_as_newton(formulation: str) -> None:
+    for robot in (THESIS, CRL):
+        for rotations, _ in configurations(robot, 3, seed=21):
+            problem = reduced_problem(robot, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
+            few = rotations / 3  # within a sixth of a turn of home there is one equilibrium
+            solved = newton(problem, few, np.zeros(problem.size)).state
+            found = solve_ipopt(problem, few, untwisted(problem, few), formulation)
+            assert found.converged
+            assert found.state.theta == pytest.approx(solved.theta, abs=1e-9)
+            assert residual(problem, found.state) < 1e-9
+
+
+def test_equations_of_tubes_beside_the_centreline() -> None:
+    assembly, rotations = eccentric_assembly(), np.array([0.5, 1.7, -0.4])
+    problem = reduce(assembly, make_mesh(assembly))
+    solved = newton(problem, rotations, np.zeros(problem.size)).state
+    found = solve_ipopt(problem, rotations, untwisted(problem, rotations))
+    assert found.state.theta == pytest.approx(solved.theta, abs=1e-9)
+
+
+def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
+    rotations = np.array([np.pi, 0.0, 0.0])
+    saddle = unstable_home(THESIS, rotations)
+    problem = saddle.problem
+    # The equations are content with the saddle; the energy, started a little beside it, is not.
+    found = solve_ipopt(problem, rotations, untwisted(problem, rotations))
+    assert margin(problem, found.state) == pytest.approx(saddle.margin, abs=1e-9)
+    beside = untwisted(problem, rotations)
+    beside.rotation[:, 0] += 0.1
+    found = solve_ipopt(problem, rotations, beside, "energy")
+    assert margin(problem, found.state) > 0
+    assert found.state.energy < saddle.result.state.energy
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_start_values_are_those_of_the_profile(formulation: str) -> None:
+    # Started at the solution, IPOPT has nothing to do: every value is where the program expects it.
+    rotations = np.array([0.3, -0.4, 0.8])
+    problem = reduced_problem(THESIS, (0.06, 0.03, 0.0), DEFAULT_DISCRETISATION)
+    profile = arms.profile(problem, rotations, newton(problem, rotations, np.zeros(problem.size)).state)
+    nlp = ipopt._problem(structure_of(problem), formulation)[0]
+    values = dict(zip(nlp.names, start_values(structure_of(problem), problem, profile, formulation), strict=True))
+    pieces = np.flatnonzero(problem.mesh.section == 2)
+    theta = arms.rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes))[pieces].reshape(-1, 3)
+    assert values["rotation, tube 3, section 3, point 2"] == theta[1, 2]
+    assert solve_ipopt(problem, rotations, profile, formulation).iterations <= 1
+
+
+@pytest.fixture
+def hasty() -> Iterator[None]:
+    """IPOPT that gives up after one iteration."""
+    ipopt._problem.cache_clear()
+    allowed = IPOPT_OPTIONS["ipopt.max_iter"]
+    IPOPT_OPTIONS["ipopt.max_iter"] = 1
+    yield
+    IPOPT_OPTIONS["ipopt.max_iter"] = allowed
+    ipopt._problem.cache_clear()
+
+
+@pytest.mark.usefixtures("hasty")
+def test_failure_names_the_verdict_and_the_worst_equations() -> None:
+    rotations = np.array([0.0, 1.0, 2.0])
+    problem = reduced_problem(THESIS, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
+    with pytest.raises(SolveError) as caught:
+        solve_ipopt(problem, rotations, untwisted(problem, rotations))
+    entry = r"(continuity of torsion|torsion equation), tube \d, section \d(, point \d)?: violated by \d\.\de[+-]\d\d"
+    pattern = rf"IPOPT found no equilibrium \(maximum iterations exceeded\): {entry}; {entry}; {entry}"
+    assert re.fullmatch(pattern, str(caught.value))

@@ -1,0 +1,196 @@
+"""What is said and saved about whether a robot can snap: what is proved apart from what is found."""
+
+from __future__ import annotations
+
+import itertools
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from ..stability import WorstCertificate
+from ..stability.verdict import Finding
+from ..study.files import write_text
+from ..study.stability_studies import Certification
+from .report import report, to_text, two_columns
+from .snap_report import draw_snap
+from .words import MILLI, MM, degrees, flag, millimetres, snap_record
+
+BOX_METHOD = "the DIRECT algorithm, then L-BFGS-B from its best point and from every corner"
+"""How the least certificate in a box is found; see `stability.worst_certificate`."""
+
+GRADIENT = {
+    "bending_stiffness": ("bending stiffness EI", "N_mm2", 1e-6),
+    "torsional_stiffness": ("torsional stiffness GJ", "N_mm2", 1e-6),
+    "curvature": ("precurvature", "per_m", 1.0),
+    "straight_length": ("straight length", "mm", 1e-3),
+    "curved_length": ("curved length", "mm", 1e-3),
+    "translation": ("translation", "mm", 1e-3),
+}
+"""Parameters of the certificate: their name, unit, and what turns a derivative per SI unit into one per this unit."""
+
+SIGNS = {"N_mm2": "N mm²", "per_m": "1/m", "mm": "mm"}
+
+
+@dataclass(frozen=True)
+class CertificationReport:
+    """What is said and saved about a verdict; `robot_file` is what the commands that repeat it name."""
+
+    answer: Certification
+    robot_file: str = "ROBOT.yaml"
+
+    def record(self) -> dict[str, Any]:
+        """The answer as JSON: in words, the numbers proved and found, what limits them, and how to repeat it."""
+        verdict = self.answer.verdict
+        certificate, worst, box = verdict.certificate, verdict.worst, self.answer.box
+        return {
+            "robot": self.answer.robot.name,
+            "translations_mm": (certificate.translations * MM).tolist(),
+            "finding": verdict.finding.name,
+            "answer": self.sentence(),
+            "certificate": certificate.margin,
+            "margin_found": None if worst is None else worst.margin,
+            "found_at_deg": None if worst is None else np.degrees(worst.equilibrium.rotations).tolist(),
+            "limiting_tubes": None if certificate.pair is None else [i + 1 for i in certificate.pair],
+            "limiting_section_mm": None if certificate.section is None else [s * MM for s in certificate.section],
+            "shares": [{"tubes": list(pair), "share": share} for pair, share in self._shares()],
+            "gradient": {
+                f"{key}_{unit}": (certificate.gradient[key] * factor).tolist()
+                for key, (_, unit, factor) in GRADIENT.items()
+            },
+            "ways_tried": verdict.ways,
+            "snap": None if verdict.snap is None else snap_record(verdict.snap),
+            "repeat": self.command(),
+            "box": None if box is None else _box_record(box),
+        }
+
+    def sentence(self) -> str:
+        """The verdict, with what is proved and what is found."""
+        verdict = self.answer.verdict
+        proved = f"{verdict.certificate.margin:.3g}"
+        found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
+        if verdict.finding is Finding.SNAP_FREE:
+            return f"{verdict.finding} (margin {proved} proved; {found} found)"
+        if verdict.snap is None or verdict.start is None or verdict.end is None:
+            return f"not proved (certificate {proved}), and search found no snap (least margin found {found})"
+        return (
+            f"{verdict.finding}: from rotations {degrees(verdict.start, '.6g')} towards "
+            f"{degrees(verdict.end, '.6g')}, at {degrees(verdict.snap.rotations)} "
+            f"(least margin found {found}; certificate {proved})"
+        )
+
+    def command(self) -> str | None:
+        """The command that repeats the snap, or, without one, shows the unstable equilibrium; None without either."""
+        verdict = self.answer.verdict
+        shift = flag(verdict.certificate.translations * MM)
+        file = shlex.quote(self.robot_file)
+        if verdict.snap is not None and verdict.start is not None and verdict.end is not None:
+            start, end = (flag(np.degrees(angles)) for angles in (verdict.start, verdict.end))
+            return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
+        if verdict.worst is None:
+            return None
+        angles = flag(np.degrees(verdict.worst.equilibrium.rotations))
+        return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
+
+    def _shares(self) -> list[tuple[tuple[int, int], float]]:
+        """Pairs of tubes, from 1, and the part that each takes from a margin of 1; the largest first."""
+        share = self.answer.verdict.certificate.share
+        pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
+        return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
+
+    def table(self) -> Group:
+        """The verdict in words; what limits it; the gradient; the command that repeats it."""
+        verdict = self.answer.verdict
+        parts: list[Text | Table] = [Text(f"{self.answer.robot.name or 'the robot'} {self.sentence()}", style="bold")]
+        parts += [Text(note) for note in self._notes()]
+        parts += [two_columns("", self._rows()), self._gradient()]
+        command = self.command()
+        if command is not None:
+            what = "to repeat the least margin found:" if verdict.snap is None else "to repeat the snap:"
+            parts += [Text(what), Text(f"  {command}", no_wrap=True, overflow="ignore")]
+        return Group(*parts)
+
+    def _notes(self) -> list[str]:
+        """What a number of the verdict does not say."""
+        verdict = self.answer.verdict
+        notes = []
+        if self.answer.box is not None:
+            notes.append(
+                "Of the box, these are the translations with the least certificate that search found. A certificate is "
+                "a proof for its own translations, not for the box."
+            )
+        if self.answer.robot.assembly(verdict.certificate.translations).eccentric:
+            notes.append("What is proved holds for the same tubes on the centreline.")
+        return notes
+
+    def _rows(self) -> list[tuple[str, str]]:
+        verdict = self.answer.verdict
+        certificate, worst, box = verdict.certificate, verdict.worst, self.answer.box
+        rows = [
+            ("translations", millimetres(certificate.translations, ".6g")),
+            ("certificate", f"{certificate.margin:.6f}, a lower bound of the margin at all rotations"),
+        ]
+        if worst is None:
+            rows.append(("least margin found", "0, a fold"))
+        else:
+            where = degrees(np.radians(np.round(np.degrees(worst.equilibrium.rotations), 4)), ".7g")
+            rows.append(("least margin found", f"{worst.margin:.6f}, at rotations {where}"))
+        if certificate.pair is not None and certificate.section is not None:
+            i, j = certificate.pair
+            start, end = (f"{s * MM:.6g}" for s in certificate.section)
+            rows.append(("limited by", f"tubes {i + 1} and {j + 1}, on the section from {start} to {end} mm"))
+        shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in self._shares()]
+        rows.append(("takes from the margin", ", ".join(shares) or "nothing: no two tubes are coupled"))
+        if verdict.snap is not None:
+            jump, energy = verdict.snap.tip_jump * MM, verdict.snap.energy_released * MILLI
+            rows.append(("the snap", f"the tip jumps {jump:.3f} mm and {energy:.4f} mJ are released"))
+        elif verdict.ways:
+            rows.append(("the search for a snap", f"{verdict.ways} straight ways from home, none with a snap"))
+        if box is not None:
+            rows += [
+                ("box", f"{millimetres(box.lower, '.6g')} to {millimetres(box.upper, '.6g')}"),
+                ("searched by", f"{BOX_METHOD}, {box.evaluations} evaluations"),
+            ]
+        return rows
+
+    def _gradient(self) -> Table | Text:
+        certificate = self.answer.verdict.certificate
+        if not np.isfinite(certificate.gradient["curvature"]).all():
+            return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
+        table = Table(title="change of the certificate", title_justify="left", box=None, padding=(0, 2, 0, 0))
+        table.add_column("per unit of", style="bold", no_wrap=True)
+        for i in range(self.answer.robot.n_tubes):
+            table.add_column(f"tube {i + 1}", justify="right")
+        for key, (name, unit, factor) in GRADIENT.items():
+            table.add_row(f"{name} ({SIGNS[unit]})", *(f"{value * factor:.4g}" for value in certificate.gradient[key]))
+        return table
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write certificate.json."""
+        path = directory / "certificate.json"
+        write_text(path, to_text(self.record()))
+        return [path]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write snap.png where a snap was found."""
+        snap = self.answer.verdict.snap
+        return [] if snap is None else [draw_snap(directory / "snap.png", snap)]
+
+
+def _box_record(box: WorstCertificate) -> dict[str, Any]:
+    return {
+        "lower_mm": (box.lower * MM).tolist(),
+        "upper_mm": (box.upper * MM).tolist(),
+        "method": BOX_METHOD,
+        "evaluations": box.evaluations,
+    }
+
+
+@report.register
+def _(answer: Certification) -> CertificationReport:
+    return CertificationReport(answer)

@@ -1,0 +1,118 @@
+"""Residuals of measured tips as a function of a robot's parameters, with the registration eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError
+from ..robots.assembly import Array
+from ..robots.robot import Robot
+from .comparison import Progress, predict
+from .measurements import Measurements
+from .parameters import Parameter, apply
+from .registration import BasePose, Registration, register
+
+STEP = 1e-5
+"""Step of the difference quotients, in units of a parameter's scale: tips are exact to round-off on a fixed mesh."""
+
+
+class TipModel:
+    """Tips and residuals at parameters x; every solve starts from the shapes of the one before.
+
+    Args:
+        robot, measurements: as given.   parameters: that x holds; `vary` leaves some of them at their start.
+        registration, base: method, as for `register`.   progress: called after each solved shape.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        measurements: Measurements,
+        parameters: Sequence[Parameter],
+        registration: str,
+        base: BasePose,
+        progress: Progress | None = None,
+    ) -> None:
+        self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
+        self.method, self.base, self.progress = registration, base, progress
+        self.free = list(range(len(self.parameters)))
+        self._shapes: list[Equilibrium] | None = None
+        self._at: Array | None = None
+        self._tips = np.empty((0, 3))
+        self.registration = Registration("none", np.eye(3), np.zeros(3))
+
+    @property
+    def varied(self) -> tuple[Parameter, ...]:
+        """The parameters that x holds."""
+        return tuple(self.parameters[k] for k in self.free)
+
+    def vary(self, free: Sequence[int]) -> None:
+        """Let x hold only the parameters with these indices."""
+        self.free, self._at = list(free), None
+
+    def rows(self, index: NDArray[np.intp]) -> TipModel:
+        """The same model of some of the measurements, started from the shapes of this one."""
+        part = TipModel(
+            self.robot, self.measurements.rows(index), self.parameters, self.method, self.base, self.progress
+        )
+        part.vary(self.free)
+        part._shapes = None if self._shapes is None else [self._shapes[k] for k in index]
+        return part
+
+    def tips(self, x: Array) -> Array:
+        """(N, 3) predicted tips, m; the shapes are kept as guesses for the next."""
+        if self._at is None or not np.array_equal(x, self._at):
+            self._shapes = self._solve(x)
+            self._tips = np.array([shape.tip_position for shape in self._shapes])
+            self._at = np.array(x)
+        return self._tips
+
+    def residuals(self, x: Array) -> Array:
+        """(3N,) registered measured minus predicted tips, m; infinite where there is no such robot or no such shape.
+
+        They have the directions of the device's frame: in the plate's they would turn along with the registration, and
+        a change of x that only turns the robot would seem to have an effect.
+        The registration is kept in `registration`. At the first x an impossible robot or shape is an error.
+        """
+        first = self._shapes is None
+        try:
+            tips = self.tips(x)
+        except (InputError, SolveError):
+            if first:
+                raise
+            return np.full(3 * len(self.measurements), np.inf)
+        self.registration = register(self.measurements.tip_position, tips, self.method, base=self.base)
+        return self._difference(self.registration, tips)
+
+    def jacobian(self, x: Array) -> Array:
+        """(3N, P) derivatives of `residuals`, the registration following along.
+
+        Difference quotients of the tips, in scaled steps towards the middle of each range.
+        """
+        base = self._difference(*self._register(self.tips(x)))
+        columns = []
+        for k, parameter in enumerate(self.varied):
+            inward = -1.0 if x[k] > (parameter.low + parameter.high) / 2 else 1.0
+            moved = np.array(x, dtype=float)
+            moved[k] += inward * STEP * parameter.scale
+            tips = np.array([shape.tip_position for shape in self._solve(moved)])
+            columns.append((self._difference(*self._register(tips)) - base) / (moved[k] - x[k]))
+        return np.array(columns).T
+
+    def _register(self, tips: Array) -> tuple[Registration, Array]:
+        return register(self.measurements.tip_position, tips, self.method, base=self.base), tips
+
+    def _difference(self, registration: Registration, tips: Array) -> Array:
+        registered = registration.apply(self.measurements.tip_position)
+        return np.asarray(((registered - tips) @ registration.rotation).ravel())
+
+    def _solve(self, x: Array) -> list[Equilibrium]:
+        values = np.array([parameter.start for parameter in self.parameters])
+        values[self.free] = x
+        robot, offsets = apply(self.robot, self.parameters, values)
+        turned = self.measurements.turned(offsets)
+        return predict(robot, turned, guesses=self._shapes, progress=self.progress)

@@ -1,0 +1,122 @@
+"""From the frame of the measuring device to the plate frame of the robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError, choice, vector
+from ..robots.assembly import Array
+
+FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0}
+"""Methods, and how many numbers each takes from the measured tips."""
+
+IN_LINE = 1e-6
+"""Tips that lie within this distance (m, root mean square) of a line do not tell how the frame is turned about it."""
+
+
+@dataclass(frozen=True)
+class BasePose:
+    """Where the device sees the robot's base: centre of the plate (m) and the axis along which the tubes leave it.
+
+    Raises:
+        InputError: not three finite numbers each, or an axis without length.
+    """
+
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    axis: tuple[float, ...] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        position = vector("base position", self.position, 3, "x, y and z")
+        axis = vector("base axis", self.axis, 3, "x, y and z")
+        if not np.linalg.norm(axis):
+            raise InputError("base axis is (0, 0, 0); it must have a length")
+        object.__setattr__(self, "position", tuple(position.tolist()))
+        object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
+
+
+SENSOR_FRAME = BasePose()
+"""Base at the origin of the device, axis along its z: data that were brought into place before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A rigid motion without scale: plate coordinates are rotation (3, 3) @ device coordinates + translation (3,) m."""
+
+    method: str
+    rotation: Array
+    translation: Array
+
+    def apply(self, points: Array) -> Array:
+        """Points (..., 3) of the device in the plate frame, m."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+    @property
+    def yaw(self) -> float:
+        """Turn about the plate's axis (rad, in (-pi, pi]), the twist that is left when the tilt is undone."""
+        x = Rotation.from_matrix(self.rotation).as_quat()
+        return math.remainder(2 * math.atan2(x[2], x[3]), 2 * math.pi)
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the device's z axis and the plate's, rad."""
+        return math.atan2(math.hypot(self.rotation[0, 2], self.rotation[1, 2]), self.rotation[2, 2])
+
+
+def register(
+    measured: ArrayLike, predicted: ArrayLike, method: str = "rigid", *, base: BasePose = SENSOR_FRAME
+) -> Registration:
+    """The registration with the least sum of squared distances between measured and predicted tips.
+
+    - "rigid": any rotation and translation, by the singular values of the cross-covariance (Kabsch, Acta Cryst. A 32
+      (1976); with the sign of Umeyama, IEEE Trans. PAMI 13 (1991), which excludes mirrorings; without his scale).
+    - "base-axis": `base` is taken to the plate's origin and z axis by the smallest turn, as measured at the base or at
+      the straight robot; only the yaw about that axis is fitted, in closed form.
+    - "none": device coordinates are plate coordinates.
+
+    Args:
+        measured: (N, 3) in the device's frame, m.   predicted: (N, 3) in the plate frame, m.
+
+    Raises:
+        InputError: unknown method, or tips that leave the turn undetermined: on a line (rigid) or on the axis.
+    """
+    choice("registration", method, FREEDOMS)
+    m, p = np.asarray(measured, dtype=float), np.asarray(predicted, dtype=float)
+    if method == "none":
+        return Registration(method, np.eye(3), np.zeros(3))
+    if method == "base-axis":
+        return _about_axis(m, p, base)
+    if len(m) < 3:
+        raise InputError(f"registration is 'rigid' and there are {len(m)} measurements; it needs at least 3")
+    m_mean, p_mean = m.mean(0), p.mean(0)
+    if np.linalg.svd(p - p_mean, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
+        raise InputError(
+            "registration is 'rigid' and the predicted tips lie on a line, about which the frame could turn; measure "
+            "more configurations, or use base-axis or none"
+        )
+    u, _, vt = np.linalg.svd((p - p_mean).T @ (m - m_mean))
+    sign = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
+    rotation = u @ sign @ vt
+    return Registration(method, rotation, p_mean - rotation @ m_mean)
+
+
+def _about_axis(measured: Array, predicted: Array, base: BasePose) -> Registration:
+    """Base to the origin, its axis to z by the smallest turn, then the best yaw."""
+    x, y, z = base.axis
+    across = math.hypot(x, y)
+    turn = np.array([y, -x, 0.0]) / across if across else np.array([1.0, 0.0, 0.0])
+    upright = Rotation.from_rotvec(turn * math.atan2(across, z)).as_matrix()
+    q = (measured - np.array(base.position)) @ upright.T
+    along = float((q[:, :2] * predicted[:, :2]).sum())
+    turned = float((q[:, 0] * predicted[:, 1] - q[:, 1] * predicted[:, 0]).sum())
+    if math.hypot(along, turned) <= IN_LINE**2 * len(q):
+        raise InputError(
+            "registration is 'base-axis' and every tip lies on the axis, about which the frame could turn; measure "
+            "bent configurations, or use none"
+        )
+    rotation = Rotation.from_euler("z", math.atan2(turned, along)).as_matrix() @ upright
+    return Registration("base-axis", rotation, -rotation @ np.array(base.position))
