@@ -19,10 +19,11 @@ INPUTS_DEG = (135.0, 150.0, 180.0, 225.0)
 WINDOW_DEG = ((-30.0, 390.0), (-90.0, 90.0))
 
 
-def main(out: Path) -> list[Path]:
-    """Compute the maps, save the picture into `out`, and return its path."""
+def main(out: Path, samples: int = 61) -> list[Path]:
+    """Compute the maps with `samples` points per axis, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-    maps = [tubeopt.energy_map(robot, np.radians([deg, 0, 0]), window=np.radians(WINDOW_DEG)) for deg in INPUTS_DEG]
+    window = np.radians(WINDOW_DEG)
+    maps = [tubeopt.energy_map(robot, np.radians([deg, 0, 0]), window=window, samples=samples) for deg in INPUTS_DEG]
     for deg, each in zip(INPUTS_DEG, maps, strict=True):
         found = [f"{e.energy * 1e3:.3f} mJ ({'stable' if e.stable else 'unstable'})" for e in each.equilibria]
         print(f"inner tube at {deg:g} deg: {', '.join(found)}")
@@ -35,5 +36,7 @@ def main(out: Path) -> list[Path]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
-    for path in main(parser.parse_args().out):
+    parser.add_argument("--samples", type=int, default=61, help="points per axis")
+    args = parser.parse_args()
+    for path in main(args.out, args.samples):
         print(f"saved {path}")

@@ -44,7 +44,9 @@ def opposed(ratio: float = 1.0) -> ConcentricRobot:
     """Two tubes of equal length that pull with equal moments kb kappa, the outer one by `ratio` of it."""
     inner, outer = nested((0.0, 0.1, 14.0), (0.0, 0.1, 1.0)).tubes
     curvature = ratio * inner.curvature * inner.bending_stiffness / outer.bending_stiffness
-    return ConcentricRobot((inner, Tube(outer.outer_diameter, outer.inner_diameter, 0.0, 0.1, curvature, outer.material)))
+    return ConcentricRobot(
+        (inner, Tube(outer.outer_diameter, outer.inner_diameter, 0.0, 0.1, curvature, outer.material))
+    )
 
 
 def configurations(robot: ConcentricRobot, count: int, seed: int) -> Iterator[tuple[Array, Array]]:

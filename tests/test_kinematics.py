@@ -102,9 +102,7 @@ def test_three_methods_one_answer(robot: ConcentricRobot, degree: int) -> None:
     for rotations, translations in configurations(robot, 3, seed=degree):
         # Within a sixth of a turn of each other the tubes have one equilibrium, so that no method can find another.
         newton, *others = (
-            forward_kinematics(
-                robot, rotations / 3, translations, method=method, discretisation=gauss, tolerance=1e-3
-            )
+            forward_kinematics(robot, rotations / 3, translations, method=method, discretisation=gauss, tolerance=1e-3)
             for method in METHODS
         )
         for other in others:

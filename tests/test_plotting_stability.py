@@ -343,9 +343,7 @@ def drawings(
 
 
 @pytest.mark.parametrize("name", ["branch", "energy", "snap", "map", "ways", "shapes"])
-def test_pictures_are_whole(
-    name: str, drawings: dict[str, Callable[[FilePath], Figure]], tmp_path: FilePath
-) -> None:
+def test_pictures_are_whole(name: str, drawings: dict[str, Callable[[FilePath], Figure]], tmp_path: FilePath) -> None:
     path = tmp_path / "new" / "picture.png"
     drawings[name](path)
     with Image.open(path) as image:

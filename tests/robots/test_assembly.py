@@ -38,7 +38,9 @@ def table(assembly: Assembly) -> list[tuple[float, float, str]]:
         ((-250, -180, -100), []),
     ],
 )
-def test_sections_of_the_thesis_robot(translations: tuple[float, ...], expected: list[tuple[float, float, str]]) -> None:
+def test_sections_of_the_thesis_robot(
+    translations: tuple[float, ...], expected: list[tuple[float, float, str]]
+) -> None:
     assert table(THESIS.assembly(np.array(translations) * MM)) == expected
 
 

@@ -105,7 +105,9 @@ def test_energy_falls_at_every_step(family: str) -> None:
             assert end.converged
             assert margin(problem, end.state) > 0
             energies = [evaluate(problem, 2 * rotations, z).energy]
-            energies += [descend(problem, 2 * rotations, z, iterations=k).state.energy for k in range(1, end.iterations)]
+            energies += [
+                descend(problem, 2 * rotations, z, iterations=k).state.energy for k in range(1, end.iterations)
+            ]
             assert (np.diff([*energies, end.state.energy]) <= 1e-12 * energies[0]).all()
 
 

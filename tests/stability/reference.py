@@ -201,6 +201,9 @@ def _unique(tips: Array) -> Array:
 
 ORDER = 5
 
+STILL = 1e-8
+"""Last step of Newton's method, rad: elements of a short section are stiff, so that round-off leaves about 1e-10."""
+
 
 class Elements:
     """The elastic energy of a bundle in Lagrange elements of order 5 on Lobatto nodes; theta is (M, n) at the nodes."""
@@ -230,19 +233,22 @@ class Elements:
         stiffness = self.slope.T @ (self.weight[:, None] * self.slope)
         self.stretch = np.kron(stiffness, np.diag(tubes.torsional))
         self.held = tubes.lever < 1e-12
-        spring = np.where(self.held, 0.0, tubes.torsional / np.where(self.held, 1.0, tubes.lever))
-        self.stretch[:n, :n] += np.diag(spring)
+        self.spring = np.where(self.held, 0.0, tubes.torsional / np.where(self.held, 1.0, tubes.lever))
+        self.stretch[:n, :n] += np.diag(self.spring)
         self.free = np.append(np.flatnonzero(~self.held), np.arange(n, n * m))
         self.pairs = [(i, j) for i, j in combinations(range(n), 2) if tubes.coupling[:, i, j].any()]
 
     def energy(self, rotations: Array, theta: Array) -> tuple[float, Array, Array]:
         """Energy (J), gradient and Hessian with respect to the flat theta, without the rotations held at the plate."""
         theta_q = self.value @ theta
-        twist = (theta - rotations).ravel()
-        force = self.stretch @ twist
-        energy = float(twist @ force) / 2 + float(self.tubes.constant @ self.tubes.length)
-        gradient, hessian = force.reshape(theta.shape).copy(), self.stretch.copy()
-        n = theta.shape[1]
+        # By the slopes, not by the stiffness matrix, in which those of short sections would drown all others.
+        slope, n = self.slope @ theta, theta.shape[1]
+        moment = self.weight[:, None] * slope * self.tubes.torsional
+        spring = self.spring * (theta[0] - rotations)
+        energy = float((moment * slope).sum() + spring @ (theta[0] - rotations)) / 2
+        energy += float(self.tubes.constant @ self.tubes.length)
+        gradient, hessian = self.slope.T @ moment, self.stretch.copy()
+        gradient[0] += spring
         for i, j in self.pairs:
             c = self.coupling[:, i, j] * self.weight
             apart = theta_q[:, i] - theta_q[:, j]
@@ -302,8 +308,10 @@ class Elements:
                 rate /= 4
                 continue
             theta, rate = trial, min(3 * rate, 1e9)
-            if np.abs(step).max() < 1e-10 and rate > 1e5:
-                return theta
+            if np.abs(step).max() < 1e-4 and rate > 1e3:
+                near = self.newton(rotations, theta)
+                if near is not None and np.abs(near - theta).max() < stride:
+                    return near
         raise AssertionError("the gradient flow did not end")
 
     def newton(self, rotations: Array, theta: Array, *, stable: bool = True) -> Array | None:
@@ -319,7 +327,7 @@ class Elements:
             step = np.zeros(theta.size)
             step[self.free] = np.linalg.solve(hessian, -gradient)
             theta = theta + step.reshape(theta.shape)
-            if np.abs(step).max() < 1e-10:
+            if np.abs(step).max() < STILL:
                 return theta
         return None
 

@@ -97,7 +97,9 @@ def test_error_estimates_hold_and_are_not_absurd(robot: ConcentricRobot, degree:
 def test_more_points_give_a_smaller_error() -> None:
     errors = []
     for degree in (1, 2, 3, 4, 5):
-        solved = forward_kinematics(CRL, (2.0, 0.5, 0.0), tolerance=10.0, discretisation=Discretisation("gauss", degree))
+        solved = forward_kinematics(
+            CRL, (2.0, 0.5, 0.0), tolerance=10.0, discretisation=Discretisation("gauss", degree)
+        )
         errors.append(true_errors(CRL, solved)[0])
     assert (np.array(errors[1:]) < 0.2 * np.array(errors[:-1])).all()
 

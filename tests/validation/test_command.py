@@ -69,6 +69,15 @@ def test_a_comparison(run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(errors, found.errors * 1e3, atol=1e-6)
 
 
+def test_the_example_of_the_help_works(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "configs").symlink_to(CONFIGS)
+    monkeypatch.chdir(tmp_path)
+    text = " ".join(run("validate", "--help").out.split())
+    outcome = run(*text.split("Example: tubeopt ")[1].split(), "--folds", "0")
+    assert outcome.code == 0
+    assert "curvature" in outcome.out
+
+
 def test_a_comparison_as_a_table(run: Run) -> None:
     outcome = run("validate", ROBOT, MEASURED)
     assert outcome.code == 0
@@ -87,7 +96,6 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
         "held out",
         "95 % interval",
         "add to the rotations",
-        "robot.yaml",
     ):
         assert part in outcome.out
     record = json.loads((tmp_path / "report.json").read_text())

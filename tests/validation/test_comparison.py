@@ -99,7 +99,7 @@ def test_three_sensors_of_the_synthetic_file_average_to_the_centreline() -> None
     robot = load_robot(CONFIGS / "robots" / "thesis_etr.yaml")
     m = load_measurements(CONFIGS / "experiments" / "synthetic_etr.csv", robot)
     assert m.sensors.shape == (48, 3, 3)
-    # Each sensor is off by its tube's distance, and by 0.5 sqrt(3) mm per coordinate, of which averaging removes a third.
+    # Each sensor is off by its tube's distance and, of 0.5 sqrt(3) mm per coordinate, by what averaging leaves.
     spread = np.hypot(1.1085, 0.5 * np.sqrt(3) * np.sqrt(2)) * MM
     assert np.sqrt((m.sensor_spread**2).mean()) == pytest.approx(spread, rel=0.1)
     one = replace(m, sensors=m.sensors[:, :1])

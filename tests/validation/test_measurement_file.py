@@ -35,7 +35,7 @@ def test_units_comments_and_home(tmp_path: Path) -> None:
     )
     m = read(tmp_path, text)
     np.testing.assert_allclose(np.degrees(m.rotations), [[-90, 180], [100, 0]])
-    np.testing.assert_allclose(m.translations, [[0, -0.005], [0, 0]])
+    np.testing.assert_allclose(m.translations, [[0.0, -0.005], [0.0, 0.0]])
     np.testing.assert_allclose(m.tip_position, [[1e-3, 2e-3, 3e-3], [4e-3, 5e-3, 6e-3]])
     assert m.direction is None
     assert m.source == "m.csv"

@@ -13,7 +13,7 @@ from tubeopt import InputError
 from tubeopt.validation import BasePose, register
 
 RANDOM = np.random.default_rng(2)
-POINTS = RANDOM.uniform(-0.04, 0.04, (12, 3)) + [0.0, 0.0, 0.09]
+POINTS = RANDOM.uniform(-0.04, 0.04, (12, 3)) + np.array([0.0, 0.0, 0.09])
 ANGLE = st.floats(-np.pi, np.pi)
 PLACE = st.floats(-1.0, 1.0)
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_told_is_refused() -> None:
         register(POINTS[:2], POINTS[:2])
     with pytest.raises(InputError, match="every tip lies on the axis"):
         register(line, line, "base-axis")
-    with pytest.raises(InputError, match="registration is 'rigd'.*did you mean 'rigid'"):
+    with pytest.raises(InputError, match=r"registration is 'rigd'.*did you mean 'rigid'"):
         register(POINTS, POINTS, "rigd")
     with pytest.raises(InputError, match=r"base axis is \(0, 0, 0\)"):
         BasePose(axis=(0.0, 0.0, 0.0))

@@ -13,15 +13,14 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..stability import WorstCertificate
-from ..stability.verdict import Finding
+from ..stability import Finding, WorstCertificate
 from ..study.files import write_text
 from ..study.stability_studies import Certification
 from .report import report, to_text, two_columns
 from .snap_report import draw_snap
 from .words import MILLI, MM, degrees, flag, millimetres, snap_record
 
-BOX_METHOD = "the DIRECT algorithm, then L-BFGS-B from its best point and from every corner"
+BOX_METHOD = "the DIRECT algorithm, L-BFGS-B from its best point and every corner, Nelder-Mead from the best of all"
 """How the least certificate in a box is found; see `stability.worst_certificate`."""
 
 GRADIENT = {
@@ -94,7 +93,7 @@ class CertificationReport:
             return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
         if verdict.worst is None:
             return None
-        angles = flag(np.degrees(verdict.worst.equilibrium.rotations))
+        angles = flag(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4))
         return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
 
     def _shares(self) -> list[tuple[tuple[int, int], float]]:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console, Group
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..study.base import Progress as Callback
 from ..study.checked import check
 from ..study.csv_file import to_csv
 from ..study.files import write_text
@@ -24,8 +19,9 @@ from ..study.robot_file import save_robot
 from ..study.units import parse_number
 from ..study.validation_study import ValidationStudy
 from ..validation import ErrorGroup, ErrorSummary, Estimate, Fit, Registration, Validation
-from .options import JsonOption, OutOption, PlotOption, RobotArgument
-from .report import present, report, to_text, two_columns
+from .options import JsonOption, OutOption, PlotOption, RobotArgument, numbers
+from .progress import working
+from .report import can_be_saved, present, report, to_text, two_columns
 
 MM = 1e3
 
@@ -68,29 +64,16 @@ def validate(
         "robot": robot,
         "measurements": measured,
         "registration": registration,
-        "base_position_mm": _numbers(base_position_mm),
-        "base_axis": _numbers(base_axis),
+        "base_position_mm": numbers(base_position_mm),
+        "base_axis": numbers(base_axis),
         "fit": [] if parameters is None else [name.strip() for name in parameters.split(",")],
         "folds": parse_number(folds),
     }
     study = check(ValidationStudy, flags, "", names=FLAGS)
-    with _bar("solving shapes") as step:
-        answer = study.run(step)
+    can_be_saved(out)
+    with working("solving shapes") as progress:
+        answer = study.run(progress)
     present(report(answer), out=out, as_json=as_json, plot=plot)
-
-
-def _numbers(text: str | None) -> list[Decimal | str] | None:
-    return None if text is None else [parse_number(part) for part in text.split(",")]
-
-
-@contextmanager
-def _bar(what: str) -> Iterator[Callback]:
-    """A progress bar on stderr, where somebody looks at it."""
-    console = Console(stderr=True)
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 # --- what is said about a comparison ----------------------------------------------------------------------------------
@@ -204,8 +187,8 @@ _UNITS = {"": ("", 1.0), "1/m": ("_per_m", 1.0), "rad": ("_deg", 180 / np.pi), "
 
 def _estimate(e: Estimate) -> dict[str, Any]:
     suffix, factor = _UNITS[e.unit]
-    numbers = {name: getattr(e, name) * factor for name in ("start", "value", "standard_error", "low", "high")}
-    return {"name": e.name, **{f"{name}{suffix}": x for name, x in numbers.items()}, "held": e.held}
+    values = {name: getattr(e, name) * factor for name in ("start", "value", "standard_error", "low", "high")}
+    return {"name": e.name, **{f"{name}{suffix}": x for name, x in values.items()}, "held": e.held}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ MM = 1e3
 GRID = "#E6E8EB"
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
-LONG_ENOUGH = 0.08
+LONG_ENOUGH = 0.16
 """Arrows are lengthened by a round factor until the longest is this part of the picture's width."""
 
 
@@ -71,10 +71,10 @@ def _draw_arrows(axes: Axes, start: Array, arrow: Array, factor: float) -> None:
         angles="xy",
         scale_units="xy",
         scale=1,
-        width=0.0035,
-        headwidth=4,
-        headlength=5,
-        headaxislength=4.5,
+        width=0.004,
+        headwidth=3.5,
+        headlength=4,
+        headaxislength=3.6,
         color=MEASURED,
         zorder=3,
     )
@@ -137,6 +137,7 @@ def _mean_by_place(direction: Array, separation: Array, errors: Array) -> tuple[
 def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -> None:
     """Errors (S, D), mm, over directions (D,) as closed lines, one for each of separations (S,); rad."""
     from matplotlib.projections.polar import PolarAxes
+    from matplotlib.ticker import MaxNLocator
 
     assert isinstance(axes, PolarAxes)
     axes.set_theta_zero_location("N")  # clockwise from the top, as the thesis draws it
@@ -148,6 +149,7 @@ def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -
     axes.set_ylim(0, None)
     axes.set_xticks(np.radians(np.arange(0, 360, 40)))
     axes.set_rlabel_position(350)
+    axes.yaxis.set_major_locator(MaxNLocator(6, min_n_ticks=3))
     axes.tick_params(axis="y", labelsize=7, labelcolor=FAINT)
     axes.grid(color="#D5D8DC", lw=0.5)
     axes.legend(title="separation", loc="upper left", bbox_to_anchor=(-0.28, 1.13), handlelength=1.4)

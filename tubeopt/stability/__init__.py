@@ -6,15 +6,18 @@ from .equilibria import find_equilibria
 from .following import Path, Snap, follow
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
+from .verdict import Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
     "Branch",
     "Certificate",
     "EnergyMap",
+    "Finding",
     "Path",
     "Snap",
     "StabilityMap",
+    "Verdict",
     "WorstCertificate",
     "WorstMargin",
     "certify",
@@ -22,6 +25,7 @@ __all__ = [
     "find_equilibria",
     "find_snap",
     "follow",
+    "judge",
     "snap_free_certificate",
     "stability_map",
     "trace_branch",

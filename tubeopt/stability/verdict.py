@@ -122,11 +122,16 @@ def _ways(robot: Robot, start: Array, worst: Equilibrium | None) -> Iterator[Arr
         # Its own mirror image, where tubes oppose each other, is half of the way.
         relative = worst.rotations - worst.rotations[-1] + start[-1] - start
         relative -= TURN * np.round((worst.tip_rotations - worst.tip_rotations[-1] + start[-1] - start) / TURN)
-        yield start + 2 * relative
+        yield start + 2 * _rounded(relative, 4)
     for signs in itertools.product((0, 1, -1), repeat=n - 1):
         if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
             yield start + TURN * np.array([*signs, 0])
     if n > 2:
         unit = 2 * qmc.Sobol(n - 1, rng=0).random_base2(RANDOM_WAYS_LOG2) - 1
         for direction in unit[np.abs(unit).max(1) > 1e-3]:
-            yield start + TURN * np.append(direction / np.abs(direction).max(), 0.0)
+            yield start + _rounded(TURN * np.append(direction / np.abs(direction).max(), 0.0), 1)
+
+
+def _rounded(angles: Array, digits: int) -> Array:
+    """Angles (rad) that have few digits in deg, so that they can be told and typed."""
+    return np.radians(np.round(np.degrees(angles), digits))

@@ -114,9 +114,9 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
     """Least certificate over a box of translations.
 
     Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
-    L-BFGS-B from its best point and from every corner.
-    mu_cert is continuous and piecewise smooth in the translations, so this finds the least value to the resolution of
-    DIRECT; it is not a proof for the box.
+    L-BFGS-B from its best point and from every corner, then Nelder and Mead's method from the best of all, since mu_cert
+    has kinks where two breakpoints meet. It is continuous and piecewise smooth in the translations, so this finds the
+    least value to the resolution of DIRECT; it is not a proof for the box.
 
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
@@ -150,6 +150,8 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
         local = minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
         if local.fun < least:
             best, least = local.x, float(local.fun)
+    kink = minimize(value, best, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9})
+    best = kink.x if kink.fun < least else best
     return WorstCertificate(certify(robot, _fill(low, moving, best)), low, high, count)
 
 

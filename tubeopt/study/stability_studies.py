@@ -15,14 +15,15 @@ from ..stability import (
     Path,
     Snap,
     StabilityMap,
+    Verdict,
     WorstCertificate,
     find_equilibria,
     find_snap,
     follow,
+    judge,
     stability_map,
     worst_certificate,
 )
-from ..stability.verdict import Verdict, judge
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
 from .path_file import Waypoints, load_waypoints
 from .units import shown

@@ -176,7 +176,8 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta = np.empty((count, assembly.n_tubes))
     theta[:] = rotations
     if count == 0:
-        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), theta.copy(), None)
+        nothing = theta.copy()
+        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), nothing, nothing if assembly.eccentric else None)
     theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)

@@ -24,7 +24,7 @@ from .errors import ErrorSummary
 from .identifiability import doubts, undetermined
 from .measurements import Measurements
 from .model import TipModel
-from .parameters import apply, choose_parameters
+from .parameters import Parameter, apply, choose_parameters
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose
 
 ITERATIONS = 50
@@ -125,24 +125,18 @@ def fit(
     if not free:
         raise InputError("\n".join(remarks))
     model.vary(free)
-    x, residuals, jacobian = _minimise(model, start[free])
     values = start.copy()
-    values[free] = x
+    values[free], residuals, jacobian = _minimise(model, start[free])
     degrees = residuals.size - len(free) - FREEDOMS[registration]
     noise = float(np.sqrt(residuals @ residuals / degrees))
     errors, correlation = _spread(jacobian, noise, free, len(chosen))
     half = student.ppf((1 + confidence) / 2, degrees) * errors
-    table = zip(chosen, values.tolist(), errors.tolist(), half.tolist(), strict=True)
-    estimates = tuple(
-        Estimate(p.name, p.unit, p.start, value, error, value - width, value + width, k in held)
-        for k, (p, value, error, width) in enumerate(table)
-    )
     calibrated, offsets = apply(robot, chosen, values)
     after = validate(calibrated, measurements.turned(offsets), registration=registration, base=base)
     return Fit(
         robot=calibrated,
         rotation_offsets=offsets,
-        estimates=estimates,
+        estimates=_estimates(chosen, values, errors, half),
         correlation=correlation,
         confidence=confidence,
         noise=noise,
@@ -151,6 +145,14 @@ def fit(
         held_out_errors=_cross_validate(model, values, free, folds) if folds else None,
         remarks=(*remarks, *doubts(chosen, free, values, half, correlation)),
         evaluations=counter.done,
+    )
+
+
+def _estimates(parameters: Sequence[Parameter], values: Array, errors: Array, half: Array) -> tuple[Estimate, ...]:
+    table = zip(parameters, values.tolist(), errors.tolist(), half.tolist(), strict=True)
+    return tuple(
+        Estimate(p.name, p.unit, p.start, value, error, value - width, value + width, bool(np.isinf(error)))
+        for p, value, error, width in table
     )
 
 

@@ -1,0 +1,246 @@
+"""Time and accuracy of forward kinematics, beside SciPy's `solve_bvp` on the same configurations in the same run.
+
+    python -m benchmarks.forward_kinematics [--robot FILE ...] [--solves N] [--bvp N] [--json]
+
+Cold: random configurations, from tubes without torsion; new translations each time, so that sections, mesh and
+compliance are laid out anew, but with compiled functions of the same structure from an untimed first round.
+Warm: a path on which all joints move by half a degree and 0.1 mm per step, each step from the one before.
+Both include shape, margin, energy and error estimates. First use: building the functions of a robot, in a new process,
+imports excluded. `solve_bvp` gets the Jacobians in closed form or not, starts cold from tubes without torsion and warm
+from the mesh and values of the step before, and its time includes the shape, but no margin and no other tube's tip.
+The error of the tip is the distance to shooting with DOP853 at 3e-14.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tubeopt import ConcentricRobot, Equilibrium, forward_kinematics, load_robot
+
+from . import bvp
+from .shooting import Array, shoot
+from .timing import ROOT, Timing, clock, dump, fresh_process, milliseconds, show, summarise, table
+
+ROBOTS = tuple(ROOT / "configs" / "robots" / f"{name}.yaml" for name in ("thesis_ctr", "crl_ctr"))
+
+BVP_TOLERANCES = (1e-6, 1e-9)
+"""The first is a usual choice; the second makes the tip as accurate as that of the default mesh, or a little worse."""
+
+TURN, SHIFT = np.pi / 360, 1e-4
+"""Largest motion of a joint per step of a path, rad and m."""
+
+APART = 1e-6
+"""How far (m) the timed translations lie from those of the untimed first round."""
+
+FIRST_USE = """
+import time
+from tubeopt import forward_kinematics, load_robot
+robot = load_robot({path!r})
+began = time.perf_counter()
+forward_kinematics(robot, (0.0, 0.3, -0.2)[: robot.n_tubes], method={method!r})
+print(time.perf_counter() - began)
+"""
+
+TARGETS = {
+    "newton warm": (0.4e-3, "Newton warm, with shape and margin"),
+    "newton cold": (1e-3, "Newton cold"),
+    "ipopt cold": (8e-3, "IPOPT cold"),
+    "ipopt warm": (8e-3, "IPOPT warm"),
+    "newton first use": (1.5, "first use of a robot"),
+}
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One row: what was solved and how, time per solve, error of the tip (median and largest, m)."""
+
+    robot: str
+    what: str
+    timing: Timing
+    error: float | None = None
+    worst: float | None = None
+
+
+def random_joints(robot: ConcentricRobot, count: int, seed: int = 0) -> list[tuple[Array, Array]]:
+    """Random configurations: half a turn to either side, each tube within 20 % of its curved length from home."""
+    random = np.random.default_rng(seed)
+    reach = 0.2 * np.array([tube.curved_length for tube in robot.tubes])
+    most = np.array([tube.straight_length for tube in robot.tubes]) - 2 * APART
+    return [
+        (random.uniform(-np.pi, np.pi, robot.n_tubes), np.minimum(random.uniform(-reach, reach), most))
+        for _ in range(count)
+    ]
+
+
+def path_joints(robot: ConcentricRobot, count: int, shift: float = 0.0) -> list[tuple[Array, Array]]:
+    """A path that turns around before the tubes are twisted so much that they could snap; all joints move."""
+    n = robot.n_tubes
+    phase = np.arange(n) * 2 * np.pi / n
+    period = 400
+    out = []
+    for k in range(count):
+        # The largest rate of a sine of amplitude a and period T is 2 pi a / T.
+        wave = np.sin(2 * np.pi * k / period + phase) * period / (2 * np.pi)
+        out.append((TURN * wave, SHIFT * np.roll(wave, 1) - 5e-3 + shift))
+    return out
+
+
+def solve_cold(
+    robot: ConcentricRobot, joints: Iterable[tuple[Array, Array]], **options: Any
+) -> list[tuple[float, Any]]:
+    """Seconds and equilibrium of each configuration by itself."""
+    return [clock(lambda a=a, d=d: forward_kinematics(robot, a, d, **options)) for a, d in joints]
+
+
+def solve_warm(robot: ConcentricRobot, joints: list[tuple[Array, Array]], **options: Any) -> list[tuple[float, Any]]:
+    """Seconds and equilibrium of each step from the one before."""
+    last: Equilibrium = forward_kinematics(robot, *joints[0])
+    out = []
+    for a, d in joints[1:]:
+        seconds, last = clock(lambda a=a, d=d, last=last: forward_kinematics(robot, a, d, guess=last, **options))
+        out.append((seconds, last))
+    return out
+
+
+def solve_bvp(
+    robot: ConcentricRobot, joints: list[tuple[Array, Array]], tolerance: float, *, jacobians: bool, warm: bool
+) -> list[tuple[float, Any]]:
+    """Seconds and tip of each configuration by `solve_bvp`, laying out the problem included."""
+    guess = None
+    out = []
+    for a, d in joints:
+
+        def run(a: Array = a, d: Array = d, guess: bvp.Guess | None = guess) -> bvp.BvpSolution:
+            problem = bvp.pose(robot, a, d)
+            # The order of breakpoints may change on the way, and with it the states: then the guess does not fit.
+            fits = guess is not None and len(guess.y) == problem.size
+            start = guess if fits and guess is not None else bvp.untwisted(problem)
+            return bvp.solve(problem, start, tolerance, jacobians=jacobians)
+
+        seconds, solution = clock(run)
+        guess = solution.guess if warm else None
+        out.append((seconds, solution))
+    return out[1:] if warm else out
+
+
+def tip_errors(solved: Iterable[Any], references: Iterable[Array]) -> Array:
+    """(N,) distance of the tips from those of the reference, m."""
+    return np.array([np.linalg.norm(one.tip_position - tip) for one, tip in zip(solved, references, strict=True)])
+
+
+def reference_tips(robot: ConcentricRobot, solved: Iterable[Equilibrium]) -> list[Array]:
+    """Tips by shooting, on the branch of each equilibrium."""
+    return [shoot(robot, e.rotations, e.translations, e.torsion[:, 0]).tip_position for e in solved]
+
+
+def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int) -> list[Measurement]:
+    """All rows of one robot."""
+    out = []
+    cold = random_joints(robot, solves)
+    fresh = [(a, d + APART) for a, d in cold]
+    # Within a quarter of a turn there is one equilibrium, so that `solve_bvp` cannot find another than Newton.
+    shared = [(a / 4, d) for a, d in random_joints(robot, bvps, seed=1)]
+    steps, again = path_joints(robot, solves + 1), path_joints(robot, solves + 1, APART)
+    for method in ("newton", "ipopt"):
+        few = solves if method == "newton" else max(2, solves // 4)
+        solve_cold(robot, cold[:few], method=method)
+        runs = solve_cold(robot, fresh[:few], method=method)
+        out.append(_row(robot, f"{method} cold", runs, reference_tips(robot, [e for _, e in runs][:bvps])))
+        solve_warm(robot, steps[: few + 1], method=method)
+        runs = solve_warm(robot, again[: few + 1], method=method)
+        out.append(_row(robot, f"{method} warm", runs, reference_tips(robot, [e for _, e in runs][:bvps])))
+        script = FIRST_USE.format(path=str(path), method=method)
+        out.append(Measurement(robot.name, f"{method} first use", fresh_process(script, 5)))
+    tips = reference_tips(robot, [forward_kinematics(robot, a, d) for a, d in shared])
+    walk = again[: bvps + 1]
+    walked = reference_tips(robot, [e for _, e in solve_warm(robot, walk)])
+    for tolerance in BVP_TOLERANCES:
+        for jacobians in (True, False):
+            name = f"solve_bvp {{}}, tol {tolerance:g}{'' if jacobians else ', no Jacobians'}"
+            runs = solve_bvp(robot, shared, tolerance, jacobians=jacobians, warm=False)
+            out.append(_row(robot, name.format("cold"), runs, tips))
+            runs = solve_bvp(robot, walk, tolerance, jacobians=jacobians, warm=True)
+            out.append(_row(robot, name.format("warm"), runs, walked))
+    return out
+
+
+def _row(robot: ConcentricRobot, what: str, runs: list[tuple[float, Any]], references: list[Array]) -> Measurement:
+    errors = tip_errors([solved for _, solved in runs[: len(references)]], references)
+    timing = summarise(seconds for seconds, _ in runs)
+    return Measurement(robot.name, what, timing, float(np.median(errors)), float(errors.max()))
+
+
+def ratios(rows: list[Measurement]) -> dict[str, float]:
+    """How many times longer than Newton every other row took, cold beside cold and warm beside warm."""
+    newton = {start: row.timing.median for row in rows for start in ("cold", "warm") if row.what == f"newton {start}"}
+    out = {}
+    for row in rows:
+        start = next((start for start in newton if start in row.what), None)
+        if start is not None:
+            out[row.what] = row.timing.median / newton[start]
+    return out
+
+
+def verdicts(rows: list[Measurement]) -> list[str]:
+    """Every target beside what was measured."""
+    out = []
+    for row in rows:
+        if row.what in TARGETS:
+            limit, words = TARGETS[row.what]
+            verdict = "reached" if row.timing.median <= limit else "MISSED"
+            out.append(
+                f"{row.robot}: {words}: {milliseconds(row.timing.median)} ms, target {milliseconds(limit)} ms: {verdict}"
+            )
+    return out
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.forward_kinematics", description=__doc__.split("\n")[0])
+    parser.add_argument("--robot", type=Path, action="append", help="robot file; default: thesis CTR and CRL CTR")
+    parser.add_argument("--solves", type=int, default=400, help="solves per row (default 400)")
+    parser.add_argument("--bvp", type=int, default=20, help="solves by solve_bvp per row (default 20)")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    arguments = parser.parse_args()
+    measured: dict[str, list[Measurement]] = {}
+    for path in arguments.robot or ROBOTS:
+        robot = load_robot(path)
+        if not isinstance(robot, ConcentricRobot):
+            parser.error(f"{path} is not a concentric robot; the reference and solve_bvp are written for those")
+        measured[robot.name] = measure(robot, path, arguments.solves, arguments.bvp)
+    if arguments.json:
+        rows = [
+            asdict(row) | {"ratio": ratios(all_rows).get(row.what)}
+            for all_rows in measured.values()
+            for row in all_rows
+        ]
+        dump({"rows": rows})
+        return
+    tables = []
+    for name, rows in measured.items():
+        ratio = ratios(rows)
+        cells = [
+            (
+                row.what,
+                milliseconds(row.timing.median),
+                f"{milliseconds(row.timing.fast)}–{milliseconds(row.timing.slow)}",
+                str(row.timing.calls),
+                "" if row.error is None else f"{row.error:.1e}",
+                "" if row.worst is None else f"{row.worst:.1e}",
+                f"{ratio[row.what]:.3g}" if row.what in ratio else "",
+            )
+            for row in rows
+        ]
+        head = ("", "median, ms", "10–90 %", "solves", "tip error, m", "largest", "× Newton")
+        tables.append(table(name, head, cells))
+    show(tables, [line for rows in measured.values() for line in verdicts(rows)])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Timing of many short calls, the machine they ran on, and tables of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+import scipy
+from rich.console import Console
+from rich.table import Table
+
+import tubeopt
+
+ROOT = Path(__file__).resolve().parents[1]
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+"""Environment variables that tell the linear algebra of NumPy and SciPy how many threads to take."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds per call: median, first and ninth decile, number of calls."""
+
+    median: float
+    fast: float
+    slow: float
+    calls: int
+
+
+def summarise(seconds: Iterable[float]) -> Timing:
+    """Median and deciles of measured times."""
+    times = np.fromiter(seconds, float)
+    fast, median, slow = np.quantile(times, [0.1, 0.5, 0.9])
+    return Timing(float(median), float(fast), float(slow), len(times))
+
+
+def clock(call: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds (wall clock) that a call takes, and what it returns."""
+    began = time.perf_counter()
+    result = call()
+    return time.perf_counter() - began, result
+
+
+def fresh_process(script: str, repeats: int) -> Timing:
+    """Seconds that a script prints, run in a new interpreter each time; the first run only warms the disk."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    seconds = []
+    for _ in range(repeats + 1):
+        out = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        )
+        seconds.append(float(out.stdout.split()[-1]))
+    return summarise(seconds[1:])
+
+
+def machine() -> dict[str, str]:
+    """Processor, load, versions and threads: what times mean nothing without."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0] if names else cpu
+    load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
+    return {
+        "processor": f"{cpu}, {os.cpu_count()} cores",
+        "load": load,
+        "threads": os.environ.get(THREADS[0], "default"),
+        "python": platform.python_version(),
+        "tubeopt": tubeopt.__version__,
+        "casadi": casadi.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[str]]) -> Table:
+    """A table whose first column is text and whose others are numbers."""
+    out = Table(title=title, title_justify="left")
+    for k, column in enumerate(columns):
+        out.add_column(column, justify="right" if k else "left")
+    for row in rows:
+        out.add_row(*row)
+    return out
+
+
+def milliseconds(seconds: float) -> str:
+    """Three figures of a time in ms."""
+    return f"{1e3 * seconds:.3g}"
+
+
+def show(tables: Iterable[Table], notes: Iterable[str]) -> None:
+    """Print tables, then notes, then the machine."""
+    console = Console()
+    for one in tables:
+        console.print(one)
+    for note in (*notes, "; ".join(f"{key} {value}" for key, value in machine().items())):
+        console.print(note, style="dim", highlight=False)
+
+
+def dump(record: dict[str, Any]) -> None:
+    """Print a record as JSON, the machine included."""
+    print(json.dumps({"machine": machine(), **record}, indent=2))
