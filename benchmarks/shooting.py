@@ -7,6 +7,7 @@ c_ij = m_i m_j / sum kb, so that the equations, their linearisation and the sect
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +49,11 @@ def sections_of(robot: ConcentricRobot, translations: Array) -> tuple[Section, .
     """The sections of a robot in front of the plate, base to tip."""
     kb = np.array([tube.bending_stiffness for tube in robot.tubes])
     kappa = np.array([tube.curvature for tube in robot.tubes])
-    bend = np.array([shift for shift in translations])
-    end = bend + np.array([tube.curved_length for tube in robot.tubes])
+    bend = np.asarray(translations, dtype=float)
+    end = bend + [tube.curved_length for tube in robot.tubes]
     cuts = np.unique(np.clip(np.concatenate([[0.0], bend, end]), 0.0, None))
     out = []
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in pairwise(cuts):
         middle = (start + stop) / 2
         there = end > middle
         moment = np.where(there & (bend < middle), kb * kappa, 0.0)

@@ -23,9 +23,6 @@ import tubeopt
 
 ROOT = Path(__file__).resolve().parents[1]
 
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-"""Environment variables that tell the linear algebra of NumPy and SciPy how many threads to take."""
-
 
 @dataclass(frozen=True)
 class Timing:
@@ -74,7 +71,7 @@ def machine() -> dict[str, str]:
     return {
         "processor": f"{cpu}, {os.cpu_count()} cores",
         "load": load,
-        "threads": os.environ.get(THREADS[0], "default"),
+        "threads of OpenBLAS": os.environ.get("OPENBLAS_NUM_THREADS", "default"),
         "python": platform.python_version(),
         "tubeopt": tubeopt.__version__,
         "casadi": casadi.__version__,
@@ -87,7 +84,7 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[str]]) -> 
     """A table whose first column is text and whose others are numbers."""
     out = Table(title=title, title_justify="left")
     for k, column in enumerate(columns):
-        out.add_column(column, justify="right" if k else "left")
+        out.add_column(column, justify="right" if k else "left", no_wrap=True)
     for row in rows:
         out.add_row(*row)
     return out
@@ -101,6 +98,8 @@ def milliseconds(seconds: float) -> str:
 def show(tables: Iterable[Table], notes: Iterable[str]) -> None:
     """Print tables, then notes, then the machine."""
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
     for one in tables:
         console.print(one)
     for note in (*notes, "; ".join(f"{key} {value}" for key, value in machine().items())):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,48 +20,11 @@ from tubeopt.errors import SolveError
 from tubeopt.study import study_file
 from tubeopt.study.result_file import load_equilibrium
 
-ROOT = Path(__file__).parents[1]
-THESIS = str(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-CRL = str(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+from .command_line import COLOUR, CRL, ROOT, THESIS, Run, answer, refused
+
 STUDY = str(ROOT / "configs" / "studies" / "thesis_actuated.yaml")
 ACTUATED = ["--rotations-deg", "0,57.29577951308232,114.59155902616465"]
 TIP_MM = [72.83688204, -41.40882527, 169.68901052]
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-
-
-class Outcome(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-class Run(Protocol):
-    def __call__(self, *arguments: str) -> Outcome: ...
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run the program with these arguments."""
-    monkeypatch.setenv("COLUMNS", "80")
-
-    def run_main(*arguments: str) -> Outcome:
-        with pytest.raises(SystemExit) as exit_:
-            main(list(arguments))
-        out, err = (COLOUR.sub("", stream) for stream in capsys.readouterr())
-        assert "Traceback" not in out + err
-        code = exit_.value.code
-        assert isinstance(code, int)
-        return Outcome(code, out, err)
-
-    return run_main
-
-
-def answer(outcome: Outcome) -> dict[str, Any]:
-    """The one JSON object that a command printed."""
-    assert (outcome.code, outcome.err) == (0, "")
-    data = json.loads(outcome.out)
-    assert isinstance(data, dict)
-    return data
 
 
 # --- every command ----------------------------------------------------------------------------------------------------
@@ -235,14 +197,6 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------
-
-
-def refused(outcome: Outcome) -> list[str]:
-    """The problems that a command reports on stderr."""
-    assert (outcome.code, outcome.out) == (2, "")
-    lines = outcome.err.splitlines()
-    assert all(line.startswith("error: ") for line in lines)
-    return [line.removeprefix("error: ") for line in lines]
 
 
 @pytest.mark.parametrize(

@@ -242,7 +242,8 @@ def test_stability_map_hatches_what_a_snap_led_to(chart: StabilityMap) -> None:
     figure = plot_stability_map(chart, title="made up")
     axes = figure.axes[0]
     (hatched,) = [each for each in axes.collections if isinstance(each, PolyCollection) and each.get_hatch()]
-    centres = np.array([path.vertices[:4].mean(0) for path in hatched.get_paths()], dtype=float)
+    corners = [np.asarray(path.vertices, dtype=float)[:4] for path in hatched.get_paths()]
+    centres = np.mean(corners, axis=1)
     wanted = np.degrees(chart.angles[np.argwhere(chart.snaps > 0)])
     np.testing.assert_allclose(centres, wanted, atol=1e-9)
     names = [text.get_text() for text in figure.legends[0].get_texts()]
@@ -350,15 +351,19 @@ def test_pictures_are_whole(name: str, drawings: dict[str, Callable[[FilePath], 
         assert image.format == "PNG"
         assert [round(dpi) for dpi in image.info["dpi"]] == [200, 200]
         pixels = np.asarray(image.convert("L"))
-    assert 0.01 < np.mean(pixels < 200)
+    assert np.mean(pixels < 200) > 0.01
     edge = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
     assert edge.min() == 255, "something is cut off at the edge"
     assert [file.name for file in path.parent.iterdir()] == ["picture.png"]
 
 
 def test_equal_data_give_equal_files(maps: list[EnergyMap], chart: StabilityMap, tmp_path: FilePath) -> None:
+    draws: list[Callable[[FilePath], Figure]] = [
+        lambda file: plot_energy_maps(maps, file),
+        lambda file: plot_stability_map(chart, file),
+    ]
     for suffix in ("png", "pdf", "svg"):
-        for draw in (lambda file: plot_energy_maps(maps, file), lambda file: plot_stability_map(chart, file)):
+        for draw in draws:
             files = [tmp_path / f"{name}.{suffix}" for name in "ab"]
             for file in files:
                 draw(file)

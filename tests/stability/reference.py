@@ -201,6 +201,9 @@ def _unique(tips: Array) -> Array:
 
 ORDER = 5
 
+SUBSTEPS = 12
+"""Steps of the midpoint rule between two nodes."""
+
 STILL = 1e-8
 """Last step of Newton's method, rad: elements of a short section are stiff, so that round-off leaves about 1e-10."""
 
@@ -263,8 +266,13 @@ class Elements:
 
     def margins(self, rotations: Array, theta: Array) -> Array:
         """Eigenvalues of the second variation relative to its torsional part, ascending."""
+        return self.modes(rotations, theta)[0]
+
+    def modes(self, rotations: Array, theta: Array) -> tuple[Array, Array]:
+        """The eigenvalues and their vectors, in the columns, of the nodes that are free."""
         hessian = self.energy(rotations, theta)[2]
-        return np.asarray(eigh(hessian, self.stretch[np.ix_(self.free, self.free)], eigvals_only=True))
+        values, vectors = eigh(hessian, self.stretch[np.ix_(self.free, self.free)])
+        return values, vectors
 
     def at(self, theta: Array, arc_length: Array) -> Array:
         """theta (len(arc_length), n) between the nodes; at the tip beyond it."""
@@ -358,22 +366,25 @@ def settle(robot: ConcentricRobot, rotations: Array, translations: Array, before
 def settle_at(robot: ConcentricRobot, rotations: Array, translations: Array, tips: Array) -> State:
     """The equilibrium with given tip angles: theta integrated from the tip, then Newton's method."""
     elements = Elements(bundle(robot, translations))
-    theta = elements.newton(rotations, _integrated(elements, tips), stable=False)
+    theta = elements.newton(rotations, integrated(elements, tips), stable=False)
     assert theta is not None
     return State(rotations, elements, theta)
 
 
-def _integrated(elements: Elements, tips: Array) -> Array:
+def integrated(elements: Elements, tips: Array) -> Array:
+    """theta (M, n) at the nodes, from the tip."""
     tubes, theta, twist = elements.tubes, np.array(tips, dtype=float), np.zeros_like(tips)
     stop = np.cumsum(tubes.length)
     out = [theta]
     for a, b in zip(elements.node[-2::-1], elements.node[:0:-1], strict=True):
         coupling = tubes.coupling[min(int(np.searchsorted(stop, (a + b) / 2)), len(stop) - 1)]
-        for _ in range(4):
-            h = (a - b) / 4
-            force = [(coupling * np.sin(np.subtract.outer(t, t))).sum(1) / tubes.torsional for t in (theta, theta + h / 2 * twist)]
-            theta, twist = theta + h * twist + h**2 / 2 * (force[0] + 2 * (force[1] - force[0]) / 3), twist + h * force[1]
+        h = (a - b) / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            here, ahead = (
+                (coupling * np.sin(np.subtract.outer(angle, angle))).sum(1) / tubes.torsional
+                for angle in (theta, theta + h / 2 * twist)
+            )
+            theta = theta + h * twist + h**2 * (here + 2 * ahead) / 6
+            twist = twist + h * ahead
         out.append(theta)
-    theta = np.array(out[::-1])
-    theta[0, elements.held] = theta[0, elements.held]
-    return theta
+    return np.array(out[::-1])

@@ -93,7 +93,7 @@ class CertificationReport:
             return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
         if verdict.worst is None:
             return None
-        angles = flag(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4))
+        angles = flag(np.asarray(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4), dtype=float))
         return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
 
     def _shares(self) -> list[tuple[tuple[int, int], float]]:

@@ -66,16 +66,7 @@ def plot_branch(
     figure = new_figure(6.0, 4.6)
     axes = figure.add_subplot()
     _draw_curve(axes, inputs, tips, curve.margin, tube_colour(tube))
-    folds = fold_points(curve)
-    growing = bool(inputs[-1] > inputs[0])
-    if folds:
-        axes.plot(inputs[folds], tips[folds], "o", ms=5.5, mfc="white", mec=INK, mew=1.2, zorder=5, label="fold")
-    for k in folds:
-        _draw_jump(axes, curve, inputs, tips, k, outward=1 if _ahead(curve, k) == growing else -1)
-    for first, second in pairwise(folds):
-        if curve.margin[(first + second) // 2] < 0:
-            name = "more than one stable shape" if first == folds[0] else None
-            axes.axvspan(*sorted(inputs[[first, second]]), color=BAND, lw=0, zorder=0, label=name)
+    _draw_folds(axes, curve, inputs, tips)
     if dots is not None:
         x, y = np.degrees(np.asarray(dots, dtype=float)).T
         axes.plot(x, y, ".", ms=5, color=DOT_COLOUR, zorder=6, label=dots_label)
@@ -86,7 +77,7 @@ def plot_branch(
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(angle_locator())
     axes.margins(x=0.07)
-    axes.legend(loc="upper left" if (tips[-1] > tips[0]) == growing else "upper right")
+    axes.legend(loc="upper left" if (tips[-1] > tips[0]) == (inputs[-1] > inputs[0]) else "upper right")
     return finish(figure, path)
 
 
@@ -152,6 +143,19 @@ def _draw_curve(axes: Axes, inputs: Array, tips: Array, margin: Array, colour: s
         line = "-" if kind else (0, (4, 2))
         axes.plot(inputs[part], tips[part], color=colour, ls=line, lw=2.0 if kind else 1.4, label=label, zorder=3)
         named.add(kind)
+
+
+def _draw_folds(axes: Axes, curve: Branch, inputs: Array, tips: Array) -> None:
+    """Folds, the jumps from them, and a band over the inputs between two folds."""
+    folds = fold_points(curve)
+    if folds:
+        axes.plot(inputs[folds], tips[folds], "o", ms=5.5, mfc="white", mec=INK, mew=1.2, zorder=5, label="fold")
+    for k in folds:
+        _draw_jump(axes, curve, inputs, tips, k, outward=1 if _ahead(curve, k) == (inputs[-1] > inputs[0]) else -1)
+    for first, second in pairwise(folds):
+        if curve.margin[(first + second) // 2] < 0:
+            name = "more than one stable shape" if first == folds[0] else None
+            axes.axvspan(*sorted(inputs[[first, second]]), color=BAND, lw=0, zorder=0, label=name)
 
 
 def _draw_jump(axes: Axes, branch: Branch, inputs: Array, tips: Array, fold: int, *, outward: int) -> None:

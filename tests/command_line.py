@@ -1,0 +1,39 @@
+"""The program as tests run it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+ROOT = Path(__file__).parents[1]
+THESIS = str(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+CRL = str(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+COLOUR = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+class Run(Protocol):
+    def __call__(self, *arguments: str) -> Outcome: ...
+
+
+def answer(outcome: Outcome) -> dict[str, Any]:
+    """The one JSON object that a command printed."""
+    assert (outcome.code, outcome.err) == (0, "")
+    data = json.loads(outcome.out)
+    assert isinstance(data, dict)
+    return data
+
+
+def refused(outcome: Outcome) -> list[str]:
+    """The problems that a command reports on stderr."""
+    assert (outcome.code, outcome.out) == (2, "")
+    lines = outcome.err.splitlines()
+    assert all(line.startswith("error: ") for line in lines)
+    return [line.removeprefix("error: ") for line in lines]

@@ -1,0 +1,189 @@
+"""A reference for eccentric robots that shares nothing with tubeopt but the numbers of their tubes.
+
+Every tube is a row of numbers; sections, cross-sections and boundary conditions are written out here once more in NumPy,
+and solved by shooting with DOP853. The one-segment robot is there too in the polar form of the thesis, equation (3.31)
+with (3.39) to (3.49), which is singular where the arm is straight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+
+from tubeopt import SegmentedEccentricRobot, Tube
+from tubeopt.robots.assembly import Array
+
+TOLERANCE = 3e-14
+
+
+@dataclass(frozen=True)
+class Row:
+    """One tube: EI, GJ, precurvature, where it begins to curve and ends in front of the plate, where it is held, and
+    its place (across, along) beside the centreline."""
+
+    bending: float
+    torsional: float
+    curvature: float
+    begin: float
+    end: float
+    held: float
+    place: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Tip (3,) and its frame (3, 3), theta and w (n,) at the plate, theta (n,) at each tube's own end."""
+
+    tip: Array
+    frame: Array
+    rotation: Array
+    twist: Array
+    end_rotation: Array
+
+
+def rows(segments: tuple[Tube, ...], advance: tuple[float, ...], distance: float) -> tuple[Row, ...]:
+    """The tubes of segments, inner to outer, each advanced by its number of metres from home at the plate."""
+    out = []
+    for tube, shift in zip(segments, advance, strict=True):
+        inertia = np.pi / 64 * (tube.outer_diameter**4 - tube.inner_diameter**4)
+        stiffness = tube.material.youngs_modulus * inertia, 2 * tube.material.shear_modulus * inertia
+        for angle in np.radians([0.0, 120.0, 240.0]):
+            place = (float(distance * np.cos(angle)), float(distance * np.sin(angle)))
+            ends = (shift, shift + tube.curved_length, tube.straight_length - shift)
+            out.append(Row(*stiffness, tube.curvature, *ends, place))
+    return tuple(out)
+
+
+def rows_of(robot: SegmentedEccentricRobot, advance: tuple[float, ...]) -> tuple[Row, ...]:
+    """The tubes of a robot of segments; offset as where the tubes of the outermost one touch, if it has any."""
+    distance = robot.segments[-1].outer_diameter / np.sqrt(3) if robot.distance else 0.0
+    return rows(robot.segments, advance, distance)
+
+
+def shoot(tubes: tuple[Row, ...], rotations: Array) -> Answer:
+    """The equilibrium that is reached from tubes without torsion."""
+    held = np.array([tube.held for tube in tubes])
+
+    def loose(w: Array) -> Array:
+        return _integrate(tubes, rotations + held * w, w)[1]
+
+    found = root(loose, np.zeros(len(tubes)), tol=1e-13)
+    assert np.abs(found.fun).max() < 1e-9, found.message
+    theta = rotations + held * found.x
+    state, _, ends = _integrate(tubes, theta, found.x)
+    n = len(tubes)
+    frame = state[2 * n : 2 * n + 9].reshape(3, 3)
+    return Answer(state[2 * n + 9 :], frame, theta, found.x, ends)
+
+
+def _integrate(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, Array, Array]:
+    """State at the tip; w and theta of every tube at its own end."""
+    cuts = np.unique(np.clip([[0.0, tube.begin, tube.end] for tube in tubes], 0.0, None).round(15))
+    state = np.concatenate([theta, w, np.eye(3).ravel(), np.zeros(3)])
+    twist, rotation = w.copy(), theta.copy()
+    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+        middle = (start + stop) / 2
+        there = np.array([middle < tube.end for tube in tubes])
+        curved = there & [tube.begin < middle for tube in tubes]
+        run = solve_ivp(
+            lambda s, y, there=there, curved=curved: _slope(tubes, there, curved, y),
+            (start, stop),
+            state,
+            method="DOP853",
+            rtol=TOLERANCE,
+            atol=TOLERANCE,
+        )
+        state = run.y[:, -1]
+        twist[there], rotation[there] = state[len(w) : 2 * len(w)][there], state[: len(w)][there]
+    return state, twist, rotation
+
+
+def curvature(bending: Array, pull: Array, place: Array, theta: Array) -> tuple[Array, Array]:
+    """u (2,) and g (n,): u (sum EI / g) = sum pull (cos theta, sin theta), iterated to the last bit."""
+    total = np.array([pull @ np.cos(theta), pull @ np.sin(theta)])
+    stretch = np.ones(len(theta))
+    for _ in range(60):
+        u = total / (bending / stretch).sum()
+        # e3' hat(u) d of (3.10): the tube on the inside of the bend is the shorter one.
+        stretch = 1 + u[0] * place[:, 1] - u[1] * place[:, 0]
+    return u, stretch
+
+
+def _slope(tubes: tuple[Row, ...], there: Array, curved: Array, y: Array) -> Array:
+    n = len(tubes)
+    bending, torsional, bend = (
+        np.array([getattr(tube, name) for tube in tubes]) for name in ("bending", "torsional", "curvature")
+    )
+    theta, w, frame = y[:n], y[n : 2 * n], y[2 * n : 2 * n + 9].reshape(3, 3)
+    pull = bending * bend * curved
+    u, stretch = curvature(bending * there, pull, np.array([tube.place for tube in tubes]), theta)
+    gain = pull * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / torsional
+    hat = np.array([[0.0, 0.0, u[1]], [0.0, 0.0, -u[0]], [-u[1], u[0], 0.0]])
+    return np.concatenate([stretch * w * there, gain, (frame @ hat).ravel(), frame[:, 2]])
+
+
+def stepped_tip(tubes: tuple[Row, ...], answer: Answer, steps: int) -> Array:
+    """Tip by `steps` exponentials of the mean curvature of each step: the leading term of the Magnus series alone,
+    which leaves out what curvatures of one step do not commute by. One section, all tubes curved."""
+    n, length = len(tubes), tubes[0].end
+    flags = np.ones(n, dtype=bool)
+    start = np.concatenate([answer.rotation, answer.twist, np.eye(3).ravel(), np.zeros(3)])
+    x, weight = np.polynomial.legendre.leggauss(5)
+    h = length / steps
+    s = (np.arange(steps)[:, None] * h + h * (x + 1) / 2).ravel()
+    run = solve_ivp(
+        lambda _, y: _slope(tubes, flags, flags, y), (0.0, length), start, "DOP853", s, rtol=TOLERANCE, atol=TOLERANCE
+    )
+    bending, bend = np.array([tube.bending for tube in tubes]), np.array([tube.curvature for tube in tubes])
+    place = np.array([tube.place for tube in tubes])
+    u = np.array([curvature(bending, bending * bend, place, theta)[0] for theta in run.y[:n].T])
+    mean = np.einsum("k,akc->ac", weight / 2, u.reshape(steps, 5, 2))
+    frame, tip = np.eye(3), np.zeros(3)
+    for ux, uy in mean:
+        turn = float(np.hypot(ux, uy)) * h
+        hat = h * np.array([[0.0, 0.0, uy], [0.0, 0.0, -ux], [-uy, ux, 0.0]])
+        first, second, third = _rodrigues(turn)
+        tip = tip + h * frame @ (np.eye(3) + second * hat + third * hat @ hat)[:, 2]
+        frame = frame @ (np.eye(3) + first * hat + second * hat @ hat)
+    return np.asarray(tip)
+
+
+def _rodrigues(x: float) -> tuple[float, float, float]:
+    """sin x / x, (1 - cos x) / x^2, (x - sin x) / x^3 as series, for small x."""
+    square = x * x
+    return (
+        1 - square / 6 * (1 - square / 20),
+        0.5 - square / 24 * (1 - square / 30),
+        1 / 6 - square / 120 * (1 - square / 42),
+    )
+
+
+def thesis_slope(theta: Array, slope: Array, bend: float, distance: float, nu: float) -> Array:
+    """theta'' (3,) of one segment at theta and theta' (3,), as the thesis writes it: (3.31) with (3.39) to (3.49).
+
+    Its symbols: S, C and their derivatives (3.35) to (3.38), psi (3.39), its derivative (3.42), u by the cubic (3.45)
+    with (3.46), its derivative (3.49) with (3.48).
+    """
+    phi = np.radians([0.0, 120.0, -120.0])
+    d = distance
+    S, C = np.sin(theta).sum(), np.cos(theta).sum()
+    dS, dC = (np.cos(theta) * slope).sum(), -(np.sin(theta) * slope).sum()
+    psi = np.arctan2(S, C)
+    dpsi = (C * dS - S * dC) / (C**2 + S**2)
+    size = np.hypot(S, C)
+    a0 = 4 * bend * size
+    a1, a2 = -12.0, -3 * d**2 * a0 / 4
+    a3 = 3 * d**2 + d**3 * np.sin(3 * psi) * a0 / 4
+    roots = np.roots([a3, a2, a1, a0]) if d else np.array([a0 / 12])
+    real = roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]
+    u = real[np.argmin(np.abs(real - bend * size / 3))]
+    da0 = 2 * bend * (2 * C * dC + 2 * S * dS) / size
+    da2 = -3 * d**2 * da0 / 4
+    da3 = (d**3 * np.sin(3 * psi) * da0 + 3 * d**3 * np.cos(3 * psi) * a0 * dpsi) / 4
+    du = -(u**3 * da3 + u**2 * da2 + da0) / (3 * a3 * u**2 + 2 * a2 * u + a1)
+    g = d * np.sin(phi - psi) * u + 1
+    first = (d * np.sin(phi - psi) * du - d * np.cos(phi - psi) * u * dpsi) / g * slope
+    return np.asarray(first - bend * u * np.sin(psi - theta) * g * (nu + 1))

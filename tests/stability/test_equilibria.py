@@ -1,0 +1,156 @@
+"""All equilibria against a dense grid of shots from the tip."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, THESIS
+from tests.stability.reference import TURN, all_tips, bundle, settle_at
+from tests.stability.robots import random_robot, random_translations, strong, unit_pair
+from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, find_equilibria, forward_kinematics
+from tubeopt.robots.assembly import Array
+
+
+def check_set(robot: ConcentricRobot, rotations: Array, translations: Array, found: list[Equilibrium], size: int) -> None:
+    """The same tip angles as by brute force; margin, index and energy as in finite elements; degree 1."""
+    expected = all_tips(bundle(robot, translations), rotations, size=size)
+    tips = np.array([equilibrium.tip_rotations for equilibrium in found])
+    assert len(tips) == len(expected)
+    for row in expected:
+        assert np.abs(tips - row).max(1).min() < 1e-7
+    assert sum((-1) ** equilibrium.index for equilibrium in found) == 1
+    assert [e.energy for e in found] == sorted(e.energy for e in found)
+    for equilibrium in found:
+        state = settle_at(robot, rotations, translations, equilibrium.tip_rotations)
+        margins = state.elements.margins(rotations, state.theta)
+        assert equilibrium.margin == pytest.approx(min(1.0, margins[0]), rel=1e-4, abs=1e-4)
+        assert equilibrium.index == int((margins < 0).sum())
+        assert equilibrium.stable == (equilibrium.index == 0)
+        energy = state.elements.energy(rotations, state.theta)[0]
+        assert equilibrium.energy == pytest.approx(energy, rel=1e-7, abs=1e-10)
+
+
+def test_two_tubes_against_brute_force() -> None:
+    counts = []
+    for seed in range(40):
+        random = np.random.default_rng([40, seed])
+        robot = strong(random, 2, bend=random.uniform(1.0, 4.5))
+        rotations = random.uniform(-TURN, TURN, 2)
+        shift = random_translations(random, robot) if seed % 2 else np.zeros(2)
+        found = find_equilibria(robot, rotations, shift)
+        check_set(robot, rotations, shift, found, 1500)
+        counts.append(len(found))
+    assert max(counts) >= 5
+    assert len(set(counts)) >= 3
+
+
+@pytest.mark.parametrize("part", range(3))
+def test_three_tubes_against_brute_force(part: int) -> None:
+    counts = []
+    for seed in range(6):
+        random = np.random.default_rng([41, part, seed])
+        robot = strong(random, 3, bend=random.uniform(1.0, 3.0))
+        rotations = random.uniform(-TURN, TURN, 3)
+        shift = random_translations(random, robot) if seed % 2 else np.zeros(3)
+        found = find_equilibria(robot, rotations, shift)
+        check_set(robot, rotations, shift, found, 180)
+        counts.append(len(found))
+    assert max(counts) >= 3
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL], ids=["thesis", "CRL"])
+def test_published_robots_against_brute_force(robot: ConcentricRobot) -> None:
+    for rotations in np.array([[np.pi, 0.0, 0.1], [3.0, 0.2, -0.2], [0.5, np.pi, 0.0], [-3.3, 3.0, 0.0]]):
+        check_set(robot, rotations, np.zeros(3), find_equilibria(robot, rotations), 180)
+
+
+def test_strong_coupling_has_many() -> None:
+    """sqrt(c) L = 4.9: the closed form winds, and five tip angles or more share an input."""
+    found = find_equilibria(unit_pair(24.0, 0.0), [np.pi + 0.1, 0.0])
+    check_set(unit_pair(24.0, 0.0), np.array([np.pi + 0.1, 0.0]), np.zeros(2), found, 3000)
+    assert len(found) >= 5
+
+
+def test_a_turn_of_all_tubes_shifts_all() -> None:
+    rotations = np.array([3.0, 0.2, -0.2])
+    plain = find_equilibria(THESIS, rotations)
+    for turn in (TURN, 1.234):
+        shifted = find_equilibria(THESIS, rotations + turn)
+        assert len(shifted) == len(plain)
+        for a, b in zip(plain, shifted, strict=True):
+            assert b.tip_rotations == pytest.approx(a.tip_rotations + turn, abs=1e-8)
+            assert (b.energy, b.margin) == pytest.approx((a.energy, a.margin), rel=1e-8)
+            assert b.tip_position[2] == pytest.approx(a.tip_position[2], abs=1e-9)
+
+
+def test_a_turn_of_one_tube_is_another_configuration_of_the_same_shapes() -> None:
+    """The tube is wound, but its equilibria are those of the unwound one with tips a turn on."""
+    plain = find_equilibria(THESIS, [3.0, 0.2, -0.2])
+    wound = find_equilibria(THESIS, [3.0 + TURN, 0.2, -0.2])
+    assert len(plain) == len(wound)
+    for a in plain:
+        assert min(np.abs(b.tip_rotations - a.tip_rotations - [TURN, 0, 0]).max() for b in wound) < 1e-8
+
+
+def test_mirror_images() -> None:
+    plain, mirrored = (find_equilibria(CRL, sign * np.array([2.9, 0.3, 0.1])) for sign in (1, -1))
+    for a, b in itertools.zip_longest(plain, mirrored):
+        assert b.tip_rotations == pytest.approx(-a.tip_rotations, abs=1e-8)
+
+
+def test_the_cold_start_is_one_of_them() -> None:
+    random = np.random.default_rng(42)
+    for _ in range(10):
+        rotations = random.uniform(-np.pi, np.pi, 3)
+        cold = forward_kinematics(CRL, rotations)
+        found = find_equilibria(CRL, rotations)
+        assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in found) < 1e-7
+
+
+def test_one_tube_and_tubes_without_coupling() -> None:
+    single = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.05, 0.1, 10.0),))
+    (only,) = find_equilibria(single, [7.0])
+    assert only.tip_rotations == pytest.approx([7.0])
+    assert (only.margin, only.index) == (1.0, 0)
+    inner, middle, outer = THESIS.tubes
+    # All curved parts but the inner one's behind the plate.
+    (apart,) = find_equilibria(THESIS, [1.0, 2.0, 3.0], [0.0, -middle.curved_length, -outer.curved_length])
+    assert apart.tip_rotations == pytest.approx([1.0, 2.0, 3.0])
+    assert inner.curved_length == pytest.approx(apart.arc_length[-1])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_four_tubes(seed: int) -> None:
+    """By multi-start: each is an equilibrium in finite elements, their degree is 1, and the cold start is among them."""
+    random = np.random.default_rng([43, seed])
+    robot = strong(random, 4, bend=1.2)
+    rotations = random.uniform(-TURN, TURN, 4)
+    found = find_equilibria(robot, rotations)
+    assert sum((-1) ** equilibrium.index for equilibrium in found) == 1
+    for equilibrium in found:
+        state = settle_at(robot, rotations, np.zeros(4), equilibrium.tip_rotations)
+        assert state.tips == pytest.approx(equilibrium.tip_rotations, abs=1e-7)
+    cold = forward_kinematics(robot, rotations)
+    assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in found) < 1e-7
+
+
+def test_unequal_transmissions_and_materials() -> None:
+    random = np.random.default_rng(44)
+    robot = random_robot(random, 3, bend=2.0)
+    materials = {tube.material.poisson_ratio for tube in robot.tubes}
+    assert len(materials) == 3
+    shift = random_translations(random, robot)
+    rotations = random.uniform(-np.pi, np.pi, 3)
+    check_set(robot, rotations, shift, find_equilibria(robot, rotations, shift), 180)
+
+
+def test_messages() -> None:
+    with pytest.raises(InputError, match="rotations has 2 numbers; it must be 3"):
+        find_equilibria(THESIS, [0.0, 0.0])
+    with pytest.raises(InputError, match="every number must be finite"):
+        find_equilibria(THESIS, [0.0, np.nan, 0.0])
+    with pytest.raises(InputError, match="translation of tube 1 is 0.3 m, which pulls it out of its actuator"):
+        find_equilibria(THESIS, [0.0, 0.0, 0.0], [0.3, 0.0, 0.0])
