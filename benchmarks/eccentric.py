@@ -9,8 +9,6 @@ tip; forward kinematics also energy, stability margin and error estimate. Run it
 from __future__ import annotations
 
 import argparse
-import statistics
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +19,8 @@ from scipy.integrate import solve_bvp, solve_ivp
 
 from tubeopt import Discretisation, EccentricRobot, Equilibrium, forward_kinematics, load_robot
 from tubeopt.actuation import mirror_rotations
+
+from .timing import clock, milliseconds, show, summarise, table
 
 Array = NDArray[np.float64]
 
@@ -98,12 +98,7 @@ def median_seconds(run: Callable[[Array], object], inputs: Sequence[Array]) -> f
     """Median time of `run` over all inputs, after a first pass that builds what is built once."""
     for each in inputs[:3]:
         run(each)
-    times = []
-    for each in inputs:
-        began = time.perf_counter()
-        run(each)
-        times.append(time.perf_counter() - began)
-    return statistics.median(times)
+    return summarise(clock(lambda each=each: run(each))[0] for each in inputs).median
 
 
 def variant_rates(robot: EccentricRobot, configurations: int) -> dict[str, float]:
@@ -159,15 +154,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     robot = load_robot(ROBOT)
     assert isinstance(robot, EccentricRobot)
-    for name, rate in variant_rates(robot, options.configurations).items():
-        thesis = THESIS_RATES[name]
-        print(f"{name:28s}{rate:9.0f} configurations/s   thesis {thesis:5.1f}   ratio {rate / thesis:4.0f}")
+    rates = variant_rates(robot, options.configurations)
     warm, *others = compare(robot, options.configurations, options.bvp_configurations)
-    for each in (warm, *others):
-        ratio = each.seconds / warm.seconds
-        print(
-            f"{each.name:28s}{each.seconds * 1e3:9.3f} ms   tip off by {each.error * 1e3:.1e} mm   ratio {ratio:4.0f}"
-        )
+    cold = table(
+        "Cold solves, configurations per second",
+        ("variant", "tubeopt", "thesis", "ratio"),
+        (
+            (name, f"{rate:.0f}", f"{THESIS_RATES[name]:.1f}", f"{rate / THESIS_RATES[name]:.0f}")
+            for name, rate in rates.items()
+        ),
+    )
+    beside = table(
+        "One configuration, torsion and tip",
+        ("solver", "ms", "tip off by (mm)", "times the first"),
+        (
+            (each.name, milliseconds(each.seconds), f"{each.error * 1e3:.1e}", f"{each.seconds / warm.seconds:.0f}")
+            for each in (warm, *others)
+        ),
+    )
+    show((cold, beside), ())
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[str]]) -> 
     """A table whose first column is text and whose others are numbers."""
     out = Table(title=title, title_justify="left")
     for k, column in enumerate(columns):
-        out.add_column(column, justify="right" if k else "left", no_wrap=True)
+        out.add_column(column, justify="right" if k else "left", no_wrap=not k)
     for row in rows:
         out.add_row(*row)
     return out
@@ -99,7 +99,7 @@ def show(tables: Iterable[Table], notes: Iterable[str]) -> None:
     """Print tables, then notes, then the machine."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=120)
+        console = Console(width=132)
     for one in tables:
         console.print(one)
     for note in (*notes, "; ".join(f"{key} {value}" for key, value in machine().items())):

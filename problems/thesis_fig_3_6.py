@@ -24,9 +24,8 @@ def main(out: Path) -> list[Path]:
         rotations = [mirror_rotations(direction, separation) for direction in DIRECTIONS]
         tips = np.array([tubeopt.forward_kinematics(robot, each).tip_position for each in rotations])
         radius = np.hypot(tips[:, 0], tips[:, 1]) * 1e3
-        print(
-            f"separation {np.degrees(separation):3.0f} deg: radius {radius.mean():.3f} mm, round to {np.ptp(radius):.4f}"
-        )
+        angle = f"separation {np.degrees(separation):3.0f} deg"
+        print(f"{angle}: radius {radius.mean():.3f} mm, round to {np.ptp(radius):.4f} mm")
         curves.append(Curve(tips, float(np.degrees(separation)), tip=False))
     picture = out / "thesis_etr_contours.png"
     title = f"{robot.name}: paths of the tip as the direction turns, at separations of 0° to 110°"

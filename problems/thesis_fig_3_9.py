@@ -1,7 +1,7 @@
 """The thesis' Figure 3.9: the six ways to assign three tubes to one mirror actuation, beside the robot at d = 0.
 
-The thesis measures a largest distance between the tips of about 0.36 mm, "less than 0.04 %" of the robot's length (it is
-0.38 %). Its own equations give less by a factor of 26.
+The thesis measures a largest distance between the tips of about 0.36 mm, "less than 0.04 %" of the robot's length (it
+is 0.38 %). Its own equations give less by a factor of 26.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def main(out: Path) -> list[Path]:
     direction, separation = float(DIRECTIONS[column]), float(SEPARATIONS[row])
     largest, length = float(table.max()), robot.tube.length
     print(
-        f"largest distance from d = 0: {largest * 1e3:.4f} mm ({100 * largest / length:.4f} % of the length) at direction "
-        f"{np.degrees(direction):.0f}, separation {np.degrees(separation):.0f} deg; "
+        f"largest distance from d = 0: {largest * 1e3:.4f} mm ({100 * largest / length:.4f} % of the length) "
+        f"at direction {np.degrees(direction):.0f}, separation {np.degrees(separation):.0f} deg; "
         f"thesis: {THESIS * 1e3:.2f} mm ({100 * THESIS / length:.2f} %)"
     )
     tips, reference = permuted_tips(robot, direction, separation)

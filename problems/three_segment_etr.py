@@ -13,7 +13,7 @@ from tubeopt.eccentric import chained_approximation
 from tubeopt.plotting import plot_shape
 
 ROOT = Path(__file__).resolve().parents[1]
-MIRROR_DEG = ((150.0, 0.0), (-70.0, 15.0), (80.0, 10.0))
+MIRROR_DEG = ((160.0, 0.0), (-70.0, 0.0), (80.0, 0.0))
 """Direction and separation of each segment, inner to outer."""
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 
+# Matrices here are small: BLAS threads only wait for each other, long where every core has a worker.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import HealthCheck, settings
 

@@ -1,13 +1,15 @@
 """A reference for eccentric robots that shares nothing with tubeopt but the numbers of their tubes.
 
-Every tube is a row of numbers; sections, cross-sections and boundary conditions are written out here once more in NumPy,
-and solved by shooting with DOP853. The one-segment robot is there too in the polar form of the thesis, equation (3.31)
-with (3.39) to (3.49), which is singular where the arm is straight.
+Every tube is a row of numbers; sections, cross-sections and boundary conditions are written out here once more in
+NumPy, and solved by shooting with DOP853. The one-segment robot is there too in the polar form of the thesis, equation
+(3.31) with (3.39) to (3.49), which is singular where the arm is straight.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -16,7 +18,7 @@ from scipy.optimize import root
 from tubeopt import SegmentedEccentricRobot, Tube
 from tubeopt.robots.assembly import Array
 
-TOLERANCE = 3e-14
+TOLERANCE = 1e-13
 
 
 @dataclass(frozen=True)
@@ -63,14 +65,14 @@ def rows_of(robot: SegmentedEccentricRobot, advance: tuple[float, ...]) -> tuple
     return rows(robot.segments, advance, distance)
 
 
-def shoot(tubes: tuple[Row, ...], rotations: Array) -> Answer:
-    """The equilibrium that is reached from tubes without torsion."""
+def shoot(tubes: tuple[Row, ...], rotations: Array, twist: Array | None = None) -> Answer:
+    """The equilibrium whose torsion w at the plate is near `twist` (n,), by default 0."""
     held = np.array([tube.held for tube in tubes])
 
     def loose(w: Array) -> Array:
         return _integrate(tubes, rotations + held * w, w)[1]
 
-    found = root(loose, np.zeros(len(tubes)), tol=1e-13)
+    found = root(loose, np.zeros(len(tubes)) if twist is None else twist, tol=1e-12)
     assert np.abs(found.fun).max() < 1e-9, found.message
     theta = rotations + held * found.x
     state, _, ends = _integrate(tubes, theta, found.x)
@@ -84,12 +86,12 @@ def _integrate(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, A
     cuts = np.unique(np.clip([[0.0, tube.begin, tube.end] for tube in tubes], 0.0, None).round(15))
     state = np.concatenate([theta, w, np.eye(3).ravel(), np.zeros(3)])
     twist, rotation = w.copy(), theta.copy()
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in pairwise(cuts):
         middle = (start + stop) / 2
         there = np.array([middle < tube.end for tube in tubes])
         curved = there & [tube.begin < middle for tube in tubes]
         run = solve_ivp(
-            lambda s, y, there=there, curved=curved: _slope(tubes, there, curved, y),
+            _slope(tubes, there, curved),
             (start, stop),
             state,
             method="DOP853",
@@ -102,27 +104,34 @@ def _integrate(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, A
 
 
 def curvature(bending: Array, pull: Array, place: Array, theta: Array) -> tuple[Array, Array]:
-    """u (2,) and g (n,): u (sum EI / g) = sum pull (cos theta, sin theta), iterated to the last bit."""
+    """u (2,) and g (n,): u (sum EI / g) = sum pull (cos theta, sin theta), by iteration that gains a factor d |u| at
+    every step, to the last bit."""
     total = np.array([pull @ np.cos(theta), pull @ np.sin(theta)])
     stretch = np.ones(len(theta))
-    for _ in range(60):
+    for _ in range(12):
         u = total / (bending / stretch).sum()
         # e3' hat(u) d of (3.10): the tube on the inside of the bend is the shorter one.
         stretch = 1 + u[0] * place[:, 1] - u[1] * place[:, 0]
     return u, stretch
 
 
-def _slope(tubes: tuple[Row, ...], there: Array, curved: Array, y: Array) -> Array:
+def _slope(tubes: tuple[Row, ...], there: Array, curved: Array) -> Callable[[float, Array], Array]:
+    """(theta, w, R, p)' of a section with these tubes there and curved, as a function of s and state."""
     n = len(tubes)
     bending, torsional, bend = (
         np.array([getattr(tube, name) for tube in tubes]) for name in ("bending", "torsional", "curvature")
     )
-    theta, w, frame = y[:n], y[n : 2 * n], y[2 * n : 2 * n + 9].reshape(3, 3)
+    place = np.array([tube.place for tube in tubes])
     pull = bending * bend * curved
-    u, stretch = curvature(bending * there, pull, np.array([tube.place for tube in tubes]), theta)
-    gain = pull * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / torsional
-    hat = np.array([[0.0, 0.0, u[1]], [0.0, 0.0, -u[0]], [-u[1], u[0], 0.0]])
-    return np.concatenate([stretch * w * there, gain, (frame @ hat).ravel(), frame[:, 2]])
+
+    def slope(_: float, y: Array) -> Array:
+        theta, w, frame = y[:n], y[n : 2 * n], y[2 * n : 2 * n + 9].reshape(3, 3)
+        u, stretch = curvature(bending * there, pull, place, theta)
+        gain = pull * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / torsional
+        hat = np.array([[0.0, 0.0, u[1]], [0.0, 0.0, -u[0]], [-u[1], u[0], 0.0]])
+        return np.concatenate([stretch * w * there, gain, (frame @ hat).ravel(), frame[:, 2]])
+
+    return slope
 
 
 def stepped_tip(tubes: tuple[Row, ...], answer: Answer, steps: int) -> Array:
@@ -134,9 +143,7 @@ def stepped_tip(tubes: tuple[Row, ...], answer: Answer, steps: int) -> Array:
     x, weight = np.polynomial.legendre.leggauss(5)
     h = length / steps
     s = (np.arange(steps)[:, None] * h + h * (x + 1) / 2).ravel()
-    run = solve_ivp(
-        lambda _, y: _slope(tubes, flags, flags, y), (0.0, length), start, "DOP853", s, rtol=TOLERANCE, atol=TOLERANCE
-    )
+    run = solve_ivp(_slope(tubes, flags, flags), (0.0, length), start, "DOP853", s, rtol=TOLERANCE, atol=TOLERANCE)
     bending, bend = np.array([tube.bending for tube in tubes]), np.array([tube.curvature for tube in tubes])
     place = np.array([tube.place for tube in tubes])
     u = np.array([curvature(bending, bending * bend, place, theta)[0] for theta in run.y[:n].T])

@@ -14,7 +14,6 @@ import pytest
 import typer
 
 import tubeopt
-from tubeopt.cli import main
 from tubeopt.commands import report
 from tubeopt.errors import SolveError
 from tubeopt.study import study_file

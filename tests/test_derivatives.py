@@ -278,5 +278,5 @@ def test_at_a_fold_there_are_none() -> None:
     # The rotations just before the snap at 203.9 deg, with joint values just beyond it, where the branch has ended.
     home = forward_kinematics(TWO_TUBE, (0.0, 0.0))
     before = forward_kinematics(TWO_TUBE, (203.9 * DEG, 0.0), guess=home)
-    with pytest.raises(SolveError, match="^the equilibrium is a fold"):
+    with pytest.raises(SolveError, match=r"^the equilibrium is a fold"):
         replace(before, rotations=np.array([203.95 * DEG, 0.0])).jacobian()

@@ -18,6 +18,7 @@ from tubeopt import (
     Tube,
     forward_kinematics,
     load_robot,
+    snap_free_certificate,
 )
 from tubeopt.actuation import mirror_rotations
 from tubeopt.eccentric import chained_approximation, tube_centrelines, tube_lengths
@@ -29,7 +30,7 @@ THREE = load_robot(CONFIGS / "example_three_segment_etr.yaml")
 assert isinstance(ETR, EccentricRobot)
 assert isinstance(THREE, SegmentedEccentricRobot)
 OFFSET = 1.92 * MM / np.sqrt(3)
-HOME = (110 * MM, 60 * MM, 0.0)
+HOME = (90 * MM, 50 * MM, 0.0)
 
 PUBLISHED = (
     # rotations (deg), tip (mm) as printed in the design
@@ -39,7 +40,7 @@ PUBLISHED = (
 )
 
 POSES = (
-    # direction and separation (deg) of each segment, inner to outer; all of one branch with the tubes without torsion
+    # direction and separation (deg) of each segment, inner to outer
     ((150.0, 0.0), (-70.0, 15.0), (80.0, 10.0)),
     ((10.0, 70.0), (200.0, 40.0), (-95.0, 60.0)),
     ((0.0, 120.0), (60.0, 120.0), (-30.0, 120.0)),
@@ -63,7 +64,7 @@ def test_published_tips(rotations: tuple[float, ...], tip: tuple[float, ...]) ->
     assert solved.tip_position / MM == pytest.approx(tip, abs=3e-5)
     # What is left is the shape's integration in 200 steps, each with its mean curvature: it gives every printed digit.
     assert stepped_tip(tubes, answer, 200) / MM == pytest.approx(tip, abs=5.5e-7)
-    assert stepped_tip(tubes, answer, 3200) == pytest.approx(answer.tip, abs=1e-10)
+    assert stepped_tip(tubes, answer, 800) == pytest.approx(answer.tip, abs=2e-9)
 
 
 @pytest.mark.parametrize(("separation", "radius"), [(0, 34.971), (30, 32.864), (60, 26.204), (90, 14.276)])
@@ -162,7 +163,7 @@ def test_lengths_are_those_of_the_lines(pose: tuple[tuple[float, float], ...] | 
     robot = ETR if pose is None else THREE
     alpha = np.array([30.0, 100.0, -20.0]) * DEG if pose is None else mirrored(pose)
     lengths = tube_lengths(forward_kinematics(robot, alpha))
-    fine = forward_kinematics(robot, alpha, discretisation=Discretisation(refinement=4))
+    fine = forward_kinematics(robot, alpha, discretisation=Discretisation(refinement=5 if pose is None else 3))
     lines = tube_centrelines(fine)
 
     def chords(step: int) -> Array:
@@ -187,7 +188,7 @@ def test_tubes_end_where_they_end() -> None:
     for i in range(9):
         there = ~np.isnan(lines[i, :, 0])
         assert solved.arc_length[there].max() == pytest.approx(solved.tube_end[i])
-    withdrawn = THREE.home_translations - np.repeat([60, 60, 60], 3) * MM
+    withdrawn = THREE.home_translations - np.repeat([50, 50, 50], 3) * MM
     hidden = forward_kinematics(THREE, mirrored(POSES[0]), withdrawn)
     assert np.isnan(tube_centrelines(hidden)[6:, 1:]).all()
     assert tube_lengths(hidden)[6:] == pytest.approx([0, 0, 0])
@@ -196,22 +197,20 @@ def test_tubes_end_where_they_end() -> None:
 # --- several segments -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize("gap", [(0.0, 0.0, 0.0), (5 * MM, 3 * MM, 3 * MM), (-20 * MM, -20 * MM, -20 * MM)])
-def test_segments_against_shooting(pose: tuple[tuple[float, float], ...], gap: tuple[float, ...]) -> None:
-    """Held where torsion is stiff enough for one equilibrium; shooting knows nothing of assemblies."""
-    short = tuple(
-        replace(tube, straight_length=length)
-        for tube, length in zip(THREE.segments, (130 * MM, 70 * MM, 10 * MM), strict=True)
-    )
-    robot = SegmentedEccentricRobot(tuple(replace(t, straight_length=t.straight_length + 45 * MM) for t in short))
-    advance = tuple(a + b for a, b in zip(HOME, gap, strict=True))
-    alpha = mirrored(pose)
-    answer = shoot(rows_of(robot, advance), alpha)
-    solved = forward_kinematics(robot, alpha, np.repeat(advance, 3))
+@pytest.mark.parametrize("gap", [(0, 0, 0), (9, 5, 3), (-20, -20, -20), (-25, -60, -60)])
+def test_segments_against_shooting(gap: tuple[float, ...]) -> None:
+    """At random rotations; shooting knows nothing of assemblies, and starts from the torsion that was solved for."""
+    advance = tuple(a + b * MM for a, b in zip(HOME, gap, strict=True))
+    alpha = np.random.default_rng(9).uniform(-1.5, 1.5, 9)
+    solved = forward_kinematics(THREE, alpha, np.repeat(advance, 3))
+    bundle = THREE.assembly(solved.translations)
+    twist = (solved.rotation[:, 0] - alpha) / bundle.transmission
+    answer = shoot(rows_of(THREE, advance), alpha, twist)
     assert solved.tip_position == pytest.approx(answer.tip, abs=1e-10)
     assert solved.tip_rotation == pytest.approx(answer.frame, abs=1e-8)
     assert solved.rotation[:, 0] == pytest.approx(answer.rotation, abs=1e-8)
+    there = solved.tube_end > 0
+    assert solved.tip_rotations[there] == pytest.approx(answer.end_rotation[there], abs=1e-8)
 
 
 def test_one_segment_is_the_single_robot() -> None:
@@ -262,12 +261,14 @@ def test_torques_add_up_to_nothing(pose: tuple[tuple[float, float], ...]) -> Non
 def test_overlap_is_refused_in_words() -> None:
     closer = THREE.home_translations - np.repeat([1 * MM, 0, 0], 3)
     for solve in (forward_kinematics, chained_approximation):
-        with pytest.raises(InputError, match=r"^segment 1 begins to curve at 0\.109 m, before segment 2 ends at 0\.11 m"):
+        with pytest.raises(
+            InputError, match=r"^segment 1 begins to curve at 0\.089 m, before segment 2 ends at 0\.09 m"
+        ):
             solve(THREE, np.zeros(9), closer)
 
 
 @pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize("gap", [(0, 0, 0), (10, 4, 2), (-30, -30, -30), (-70, -70, -70), (-160, -120, -70)])
+@pytest.mark.parametrize("gap", [(0, 0, 0), (10, 4, 2), (-30, -30, -30), (-60, -60, -60), (-120, -90, -50)])
 def test_chain_is_the_whole_robot_on_the_centreline(
     pose: tuple[tuple[float, float], ...], gap: tuple[float, ...]
 ) -> None:
@@ -291,7 +292,11 @@ def test_chain_is_close_to_the_full_model(pose: tuple[tuple[float, float], ...])
     assert full.stable
     distance, share = chain.deviation(full)
     assert distance < 0.1 * MM
-    assert share == pytest.approx(distance / 0.15)
+    assert share == pytest.approx(distance / (120 * MM))
+
+
+def test_no_rotation_of_the_example_snaps() -> None:
+    assert snap_free_certificate(THREE) == pytest.approx(0.15, abs=5e-3)
 
 
 def test_a_chain_on_another_branch_says_so() -> None:

@@ -46,7 +46,7 @@ def test_impossible_pair_of_moduli(shear: float, ratio: str) -> None:
 
 @pytest.mark.parametrize("ratio", [-0.01, 0.5, 1.0, math.nan])
 def test_impossible_poisson_ratio(ratio: float) -> None:
-    with pytest.raises(InputError, match="^poisson_ratio of material 'wrong' is .*; it must lie in \\[0, 0.5\\)$"):
+    with pytest.raises(InputError, match=r"^poisson_ratio of material 'wrong' is .*; it must lie in \[0, 0\.5\)$"):
         Material.from_poisson_ratio("wrong", 58e9, ratio)
 
 

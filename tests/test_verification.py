@@ -69,7 +69,7 @@ def test_an_error_of_the_mesh_shows_at_its_true_size() -> None:
 
 
 def test_a_wrong_shape_shows(solved: Equilibrium) -> None:
-    wrong = replace(solved, tip_position=solved.tip_position + [0.0, 3e-6, 4e-6])
+    wrong = replace(solved, tip_position=solved.tip_position + np.array([0.0, 3e-6, 4e-6]))
     assert checked(wrong).tip_position == pytest.approx(5e-6, rel=1e-3)
     c, s = np.cos(1e-5), np.sin(1e-5)
     wrong = replace(solved, tip_rotation=solved.tip_rotation @ [[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -89,7 +89,7 @@ def test_a_wrong_torsion_shows(solved: Equilibrium) -> None:
 
 
 def test_other_joint_values_than_those_solved_show(solved: Equilibrium) -> None:
-    wrong = replace(solved, rotations=solved.rotations + [0.0, 0.01, 0.0])
+    wrong = replace(solved, rotations=solved.rotations + np.array([0.0, 0.01, 0.0]))
     assert checked(wrong).base_rotation == pytest.approx(0.01, rel=1e-6)
-    moved = replace(solved, translations=solved.translations + [0.0, 0.0, 1e-3])
+    moved = replace(solved, translations=solved.translations + np.array([0.0, 0.0, 1e-3]))
     assert checked(moved).tip_position > 1e-5

@@ -1,9 +1,9 @@
 """Symmetric ("mirror") actuation of a one-segment eccentric robot: a direction and a separation for three tubes.
 
 One tube points in the direction, the other two are turned from it by the separation to either side (thesis, eq. 3.51).
-Three equal vectors then add up to one in that direction, of length 1 + 2 cos(separation): the arm bends in a plane, from
-the precurvature at separation 0 to straight at 120 deg. Elastic torsion bends the law, and tubes off the centreline
-break its symmetry a little: the inverse starts from the law and solves the equations themselves.
+Three equal vectors then add up to one in that direction, of length 1 + 2 cos(separation): the arm bends in a plane,
+from the precurvature at separation 0 to straight at 120 deg. Torsion bends this law, and tubes off the centreline break
+its symmetry a little: the inverse starts from the law and solves the equations themselves.
 """
 
 from __future__ import annotations

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from .equilibrium import Equilibrium
 from .errors import SolveError, vector
-from .kinematics import forward_kinematics, polish
+from .kinematics import forward_kinematics
 from .robots.assembly import ROUND_OFF, Array
 from .robots.eccentric import SegmentedEccentricRobot
+from .solution import polish
 from .transcription.buffered import section_function
 
 

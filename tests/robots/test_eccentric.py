@@ -74,7 +74,10 @@ def test_transmission_lies_behind_the_plate() -> None:
     [
         ({"offset": 1.0 * MM}, r"^offset is 0\.001 m; tubes of outer_diameter 0\.00192 m need at least 0\.0011"),
         ({"offset": -1.0 * MM}, r"^offset is -0\.001; it must be at least 0"),
-        ({"offset": 0.05}, r"^offset is 0\.05 m; it must be less than a quarter of the radius of precurvature, 0\.03 m"),
+        (
+            {"offset": 0.05},
+            r"^offset is 0\.05 m; it must be less than a quarter of the radius of precurvature, 0\.03 m",
+        ),
         ({"transmission_length": -1e-3}, r"^transmission_length is -0\.001; it must be at least 0"),
         ({"transmission_length": math.nan}, r"^transmission_length is nan; it must be a finite number"),
     ],
@@ -103,10 +106,10 @@ def test_tubes_of_a_segment_move_together() -> None:
 
 def test_segments_follow_each_other_at_home() -> None:
     bundle = THREE.assembly(THREE.home_translations)
-    assert bundle.transition[::3] / MM == pytest.approx([110, 60, 0])
-    assert bundle.end[::3] / MM == pytest.approx([150, 110, 60])
-    assert bundle.transmission[::3] / MM == pytest.approx([130, 90, 60])
-    assert bundle.start / MM == pytest.approx([0, 60, 110])
+    assert bundle.transition[::3] / MM == pytest.approx([90, 50, 0])
+    assert bundle.end[::3] / MM == pytest.approx([120, 90, 50])
+    assert bundle.transmission[::3] / MM == pytest.approx([70, 60, 50])
+    assert bundle.start / MM == pytest.approx([0, 50, 90])
     letters = ["".join("c" if c else "s" if p else "-" for c, p in zip(*row, strict=True)) for row in _masks(bundle)]
     assert letters == ["ssssssccc", "sssccc---", "ccc------"]
     assert bundle.offset == pytest.approx([1.92 * MM / math.sqrt(3)] * 9)

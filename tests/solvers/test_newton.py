@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,11 +41,11 @@ def test_convergence_is_quadratic(path: list[Evaluation]) -> None:
     assert result.iterations == len(path) - 1 <= 6
     assert residual(problem, result.state) < 1e-13
     errors = [float(np.linalg.norm(state.z - result.state.z)) for state in path]
-    constants = [after / before**2 for before, after in zip(errors, errors[1:], strict=False) if after > 1e-12]
+    constants = [after / before**2 for before, after in pairwise(errors) if after > 1e-12]
     assert len(constants) >= 3
     assert max(constants) < 30
-    steps = [float(np.abs(problem.factor @ (b.z - a.z)).max()) for a, b in zip(path, path[1:], strict=False)]
-    ratios = [b / a for a, b in zip(steps, steps[1:], strict=False)]
+    steps = [float(np.abs(problem.factor @ (b.z - a.z)).max()) for a, b in pairwise(path)]
+    ratios = [b / a for a, b in pairwise(steps)]
     # The last step is round-off and tells nothing.
     assert result.contraction == pytest.approx(max(ratios[:-1]), rel=1e-6)
 

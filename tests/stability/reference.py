@@ -125,7 +125,7 @@ def all_tips(tubes: Bundle, rotations: Array, *, size: int) -> Array:
     grid = np.stack(np.meshgrid(*[axis] * len(turning), indexing="ij"), axis=-1)
     tips = np.zeros((grid.size // len(turning), len(rotations)))
     tips[:, turning] = grid.reshape(-1, len(turning))
-    base = shoot(tubes, tips, step=0.1)
+    base = shoot(tubes, tips, step=0.15)
     gap = (base[:, turning] - base[:, [fixed]] - (rotations[turning] - rotations[fixed])) / TURN
     gap = gap.reshape(grid.shape)
     starts = np.concatenate(list(_simplex_roots(grid, gap)))
@@ -171,13 +171,13 @@ def _newton(tubes: Bundle, rotations: Array, tips: Array) -> Array:
     tips[:, free] += (rotations - shoot(tubes, tips))[:, free[-1:]]
     start = tips.copy()
     for _ in range(12):
-        gap = (shoot(tubes, tips, step=0.01) - rotations)[:, free]
+        gap = (shoot(tubes, tips, step=0.02) - rotations)[:, free]
         columns = []
         for k in free:
             up, down = tips.copy(), tips.copy()
             up[:, k] += 1e-5
             down[:, k] -= 1e-5
-            columns.append((shoot(tubes, up, step=0.01) - shoot(tubes, down, step=0.01))[:, free] / 2e-5)
+            columns.append((shoot(tubes, up, step=0.02) - shoot(tubes, down, step=0.02))[:, free] / 2e-5)
         slope = np.stack(columns, axis=2)
         slope[np.abs(np.linalg.det(slope)) < 1e-12] += 1e-6 * np.eye(len(free))
         step = np.linalg.solve(slope, -gap[:, :, None])[:, :, 0]
@@ -288,8 +288,6 @@ class Elements:
 
         Implicit steps that turn no node by more than `stride` (rad); they become Newton's where the flow ends.
         """
-        theta = theta.copy()
-        theta[0, self.held] = rotations[self.held]
         near = self.newton(rotations, theta)
         if near is not None and np.abs(near - theta).max() < stride:
             return near
@@ -325,6 +323,8 @@ class Elements:
     def newton(self, rotations: Array, theta: Array, *, stable: bool = True) -> Array | None:
         """The equilibrium that a few Newton steps reach; None where they do not, or where it has to be stable and the
         energy is not convex on the way."""
+        theta = theta.copy()
+        theta[0, self.held] = rotations[self.held]
         for _ in range(8):
             _, gradient, hessian = self.energy(rotations, theta)
             if stable:

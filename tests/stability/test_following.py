@@ -78,8 +78,8 @@ def check_snap(snap: Snap) -> None:
 
 def test_the_paths_snap() -> None:
     """Otherwise the comparison above would compare nothing."""
-    snaps = [snap for _, *path in paths(20) for snap in follow(*path).snaps]
-    assert len(snaps) >= 10
+    snaps = [snap for _, *path in paths(8) for snap in follow(*path).snaps]
+    assert len(snaps) >= 4
 
 
 def test_hysteresis_of_two_tubes() -> None:

@@ -20,7 +20,8 @@ def waypoints(path: Path, text: str) -> list[list[float]]:
 
 
 def test_columns_in_any_order_with_blanks_comments_and_a_byte_order_mark(tmp_path: Path) -> None:
-    text = "\ufeff# a comment\n translation_2_mm, rotation_2_deg ,rotation_1_deg,translation_1_mm\n\n1e1,-90, 360,0.1\n1,2,3,4\n"
+    header = "\ufeff# a comment\n translation_2_mm, rotation_2_deg ,rotation_1_deg,translation_1_mm\n\n"
+    text = f"{header}1e1,-90, 360,0.1\n1,2,3,4\n"
     assert waypoints(tmp_path / "path.csv", text) == [[360, -90, 0.1, 10], [3, 2, 4, 1]]
 
 
@@ -34,8 +35,8 @@ def test_without_translations_at_home(tmp_path: Path) -> None:
         (
             "rotation_1_deg,rotaton_2_deg\n1,2\n",
             [
-                "column rotaton_2_deg is not known; columns are rotation_1_deg to rotation_2_deg and translation_1_mm to "
-                "translation_2_mm; did you mean 'rotation_2_deg'?",
+                "column rotaton_2_deg is not known; columns are rotation_1_deg to rotation_2_deg and translation_1_mm "
+                "to translation_2_mm; did you mean 'rotation_2_deg'?",
                 "column rotation_2_deg is missing",
             ],
         ),

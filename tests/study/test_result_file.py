@@ -38,6 +38,7 @@ def an_equilibrium(seed: int = 0) -> Equilibrium:
     return Equilibrium(
         robot=ConcentricRobot(tubes, "röbot", limits),
         margin=1 / 3,
+        index=2,
         energy=1e-3 / 7,
         residual=1.1e-17,
         mesh_error=0.1 + 0.2,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -50,7 +52,7 @@ def test_refinement_halves_the_curved_pieces_only() -> None:
     counts = [piece_counts(assembly, level) for level in range(3)]
     straight = ~assembly.curved.any(1)
     assert straight.tolist() == [True, False, False, False]
-    for coarse, fine in zip(counts, counts[1:], strict=False):
+    for coarse, fine in pairwise(counts):
         assert (fine[~straight] == 2 * coarse[~straight]).all()
         assert (fine[straight] == 1).all()
 

@@ -24,7 +24,7 @@ class RobotMapReport:
     def record(self) -> dict[str, Any]:
         """The answer as JSON: what the map says in numbers, and the snap boundary."""
         found = self.answer.map
-        snapped, first = found.snaps > 0, self._first()
+        snapped, nearest = found.snaps > 0, self._nearest()
         return {
             "robot": self.answer.robot.name,
             "translations_mm": (self.answer.translations * MM).tolist(),
@@ -35,11 +35,11 @@ class RobotMapReport:
             "least_margin_before_a_snap": None if snapped.all() else float(found.margin[~snapped].min()),
             "snapped_fraction": float(snapped.mean()),
             "most_snaps": int(found.snaps.max()),
-            "first_snap_deg": None if first is None else np.degrees(first).tolist(),
+            "nearest_snap_deg": None if nearest is None else np.degrees(nearest).tolist(),
             "boundary_deg": np.degrees(found.boundary).tolist(),
         }
 
-    def _first(self) -> np.ndarray | None:
+    def _nearest(self) -> np.ndarray | None:
         """The snap that needs the least turning of the tube that turns more; None without snaps."""
         boundary = self.answer.map.boundary
         boundary = boundary[np.isfinite(boundary).all(1)]
@@ -49,7 +49,7 @@ class RobotMapReport:
         """What the map says in numbers."""
         found, record = self.answer.map, self.record()
         i, j = record["tubes"]
-        first = self._first()
+        nearest = self._nearest()
         snapping = int(np.isfinite(found.boundary).all(1).sum())
         rows = [
             ("axes", f"rotations of tubes {i} and {j} from -180 to 180 deg, {len(found.angles)} points each"),
@@ -58,8 +58,8 @@ class RobotMapReport:
             ("reached after a snap", f"{100 * record['snapped_fraction']:.1f} % of the map"),
             ("snaps on the way", f"in {snapping} of {len(found.boundary)} directions"),
         ]
-        if first is not None:
-            rows.append(("the first of them", f"at {degrees(first, '.6f')}"))
+        if nearest is not None:
+            rows.append(("the nearest snap", f"at {degrees(nearest, '.6f')}"))
         return two_columns(f"{self.answer.robot.name or 'robot'}: stability map", rows)
 
     def save(self, directory: Path) -> list[Path]:

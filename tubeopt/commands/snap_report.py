@@ -49,13 +49,13 @@ class EquilibriaReport:
         stable = sum(e.stable for e in a.equilibria)
         count = "1 equilibrium" if len(a.equilibria) == 1 else f"{len(a.equilibria)} equilibria"
         head = f"{a.robot.name or 'robot'}: {count} ({stable} stable) at rotations {degrees(a.rotations)}"
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for name in ("tip (mm)", "tubes' tips (deg)", "margin", "energy (mJ)", "index", ""):
+        table = Table(box=None, padding=(0, 1, 0, 0))
+        for name in ("tip (mm)", "tubes' tips (deg)", "margin", "mJ", "index", ""):
             table.add_column(name, justify="left" if "tip" in name or not name else "right", header_style="bold")
         for e in a.equilibria:
             table.add_row(
-                row(e.tip_position * MM, ".3f"),
-                row(np.degrees(e.tip_rotations), ".4f"),
+                row(e.tip_position * MM, ".2f"),
+                row(np.degrees(e.tip_rotations), ".2f"),
                 f"{e.margin:.4f}",
                 f"{e.energy * MILLI:.4f}",
                 str(e.index),

@@ -31,7 +31,7 @@ ARM_POINTS = 33
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line in space (k, 3), m, a value (k,) or one for all that colours it, and whether its end is marked as a tip."""
+    """A line in space (k, 3), m, the value that colours it, (k,) or one for all, and whether its end is a tip."""
 
     points: Array
     value: Array | float
@@ -155,7 +155,7 @@ class Permutations:
 def plot_permutations(
     data: Permutations, path: str | PathLike[str] | None = None, *, title: str, arms: Sequence[Equilibrium] = ()
 ) -> Figure:
-    """Picture of the six tips of one mirror actuation around the tip of the robot at d = 0, and of the largest distance.
+    """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
 
     Args:
         data: what to draw.

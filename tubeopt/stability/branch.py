@@ -14,7 +14,7 @@ from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solution import Solution, polish, to_equilibrium
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, newton
 from ..transcription.reduced import ReducedProblem, evaluate, margin
 from .folds import Fold, polish_fold
 
@@ -85,7 +85,7 @@ def trace_branch(
 
 
 def _solution(path: JointPath, problem: ReducedProblem, t: float, z: Array) -> Solution:
-    rotations = (path.start + t * (path.end - path.start))[: problem.assembly.n_tubes]
+    rotations = path.at(t)[0]
     state = evaluate(problem, rotations, z)
     return Solution(problem, rotations, NewtonResult(state, True, 0, 0.0), margin(problem, state))
 
@@ -122,12 +122,23 @@ def _continue(path: JointPath, problem: ReducedProblem, z: Array) -> tuple[list[
             if fold is not None:
                 folds.append(fold)
                 points.append((fold.t, fold.solution.result.state.z))
-        t, z, tangent = t_new, z_new, following
-        if not -1e-12 <= t <= 1 + 1e-12:
+        if not 0.0 <= t_new <= 1.0:
+            points.append(_last(path, problem, (t, z), (t_new, z_new)))
             break
+        t, z, tangent = t_new, z_new, following
         points.append((t, z))
         step = min(2 * ARC_STEP, step * (1.5 if easy else 1.0))
     return points, folds
+
+
+def _last(
+    path: JointPath, problem: ReducedProblem, inside: tuple[float, Array], outside: tuple[float, Array]
+) -> tuple[float, Array]:
+    """The point of the branch where it crosses the end of the way, between two points of it."""
+    t = 0.0 if outside[0] < 0 else 1.0
+    share = (t - inside[0]) / (outside[0] - inside[0])
+    result = newton(problem, path.at(t)[0], inside[1] + share * (outside[1] - inside[1]))
+    return (t, result.state.z) if result.converged else inside
 
 
 def _tangent(hessian: Array, slope: Array, like: Array) -> Array:

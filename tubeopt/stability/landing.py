@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from ..solution import Solution
 from ..robots.assembly import Array
+from ..solution import Solution
 from ..solvers.newton import NewtonResult, newton
 from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns
 

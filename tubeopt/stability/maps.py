@@ -101,12 +101,11 @@ def _window(tips: Array, window: ArrayLike | None) -> Array:
 def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
     """The tip angle of a tube given z: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
 
-    (a, d) is the next row of the Cholesky factor when the tube's last coupled end joins the collocation points.
+    (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
     """
     assembly = problem.assembly
     mine = problem.tube == tube
-    curved = np.flatnonzero(assembly.curved[:, tube] & assembly.coupled)
-    end = float(assembly.start[curved[-1]] + assembly.length[curved[-1]])
+    end = float(assembly.end[tube])
     # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
     across = problem.arc_length[problem.point[mine]]
     beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]

@@ -114,9 +114,9 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
     """Least certificate over a box of translations.
 
     Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
-    L-BFGS-B from its best point and from every corner, then Nelder and Mead's method from the best of all, since mu_cert
-    has kinks where two breakpoints meet. It is continuous and piecewise smooth in the translations, so this finds the
-    least value to the resolution of DIRECT; it is not a proof for the box.
+    L-BFGS-B from its best point and from every corner, then Nelder and Mead's method from the best of all, since
+    mu_cert has kinks where two breakpoints meet. It is continuous and piecewise smooth in the translations, so this
+    finds the least value to the resolution of DIRECT; it is not a proof for the box.
 
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
