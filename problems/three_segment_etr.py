@@ -1,4 +1,4 @@
-"""An eccentric robot of three segments in an S with a hook, and how well the fast approximation tells its tip."""
+"""An eccentric robot of three segments actuated by mirror, and how well the fast approximation tells its tip."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tubeopt.eccentric import chained_approximation
 from tubeopt.plotting import plot_shape
 
 ROOT = Path(__file__).resolve().parents[1]
-MIRROR_DEG = ((160.0, 0.0), (-70.0, 0.0), (80.0, 0.0))
+MIRROR_DEG = ((-50.0, 15.0), (110.0, 15.0), (70.0, 15.0))
 """Direction and separation of each segment, inner to outer."""
 
 

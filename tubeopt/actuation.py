@@ -222,9 +222,9 @@ class _Arm:
         size = float(np.linalg.norm(start))
         guess = start * min(1.0, 0.999 * self.most / size) if size else start
         scale = self.most * np.ones(2)
-        answer = least_squares(residual, guess, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-        if not answer.success:
-            raise SolveError(f"no mirror actuation was found: {answer.message}")
+        answer = least_squares(residual, guess, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200)
+        # At separation 0 the residual has a kink, where the iteration may crawl: what is left of the gap tells, not why
+        # it stopped.
         direction, separation, rotations, equilibrium = self.at(answer.x)
         error = float(np.linalg.norm(gap(equilibrium)))
         return MirrorInput(direction, separation, rotations, equilibrium, error)

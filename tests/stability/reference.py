@@ -2,14 +2,17 @@
 flow of the elastic energy in finite elements.
 
 Tubes interact in pairs, kt_i theta_i'' = sum_j c_ij sin(theta_i - theta_j), and the energy is
-sum_i int kt_i theta_i'^2 / 2 - sum_pairs int c_ij cos(theta_i - theta_j) + sum_i kt_i / (2 |beta_i|) (theta_i(0) - alpha_i)^2.
+
+    sum_i [int kt_i theta_i'^2 / 2 + kt_i / (2 |beta_i|) (theta_i(0) - alpha_i)^2]
+        - sum_pairs int c_ij cos(theta_i - theta_j) + what does not depend on the rotations.
+
 Beyond its end a tube is continued without coupling, which leaves it without torsion there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import ellipj
 
-from tubeopt import ConcentricRobot
+from tubeopt.robots.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -59,7 +62,7 @@ class Bundle:
         return np.asarray(np.sqrt(2 * rate.max(1, initial=0.0)) * self.length)
 
 
-def bundle(robot: ConcentricRobot, translations: Array | None = None) -> Bundle:
+def bundle(robot: Robot, translations: Array | None = None) -> Bundle:
     """The sections of a robot at its translations."""
     shift = np.zeros(robot.n_tubes) if translations is None else np.asarray(translations)
     kb = np.array([tube.bending_stiffness for tube in robot.tubes])
@@ -122,7 +125,7 @@ def all_tips(tubes: Bundle, rotations: Array, *, size: int) -> Array:
         return np.array(rotations, dtype=float)[None]
     turning, fixed = free[:-1], free[-1]
     axis = np.arange(size + 1) * TURN / size
-    grid = np.stack(np.meshgrid(*[axis] * len(turning), indexing="ij"), axis=-1)
+    grid: Array = np.stack(np.meshgrid(*[axis] * len(turning), indexing="ij"), axis=-1)
     tips = np.zeros((grid.size // len(turning), len(rotations)))
     tips[:, turning] = grid.reshape(-1, len(turning))
     base = shoot(tubes, tips, step=0.15)
@@ -146,8 +149,8 @@ def _simplex_roots(grid: Array, gap: Array) -> Iterator[Array]:
             yield (x[hit] + (turn - y[hit]) / slope * (x[hit + 1] - x[hit]) - TURN * turn)[:, None]
         return
     corner = {(a, b): np.s_[a : len(grid) - 1 + a, b : len(grid) - 1 + b] for a in (0, 1) for b in (0, 1)}
-    for triangle in (((0, 0), (1, 0), (0, 1)), ((1, 1), (0, 1), (1, 0))):
-        x, y = (np.stack([field[corner[c]].reshape(-1, 2) for c in triangle], axis=1) for field in (grid, gap))
+    for corners in (((0, 0), (1, 0), (0, 1)), ((1, 1), (0, 1), (1, 0))):
+        x, y = (np.stack([field[corner[c]].reshape(-1, 2) for c in corners], axis=1) for field in (grid, gap))
         low, high = np.floor(y.min(1)).astype(int), np.ceil(y.max(1)).astype(int)
         for first in range(int(low[:, 0].min()), int(high[:, 0].max()) + 1):
             for second in range(int(low[:, 1].min()), int(high[:, 1].max()) + 1):
@@ -354,7 +357,7 @@ class State:
         return np.asarray(self.theta[-1])
 
 
-def settle(robot: ConcentricRobot, rotations: Array, translations: Array, before: State | None = None) -> State:
+def settle(robot: Robot, rotations: Array, translations: Array, before: State | None = None) -> State:
     """Where slow motion takes a robot from the state `before` at nearby joint values (else from no torsion)."""
     elements = Elements(bundle(robot, translations))
     twist = np.zeros((len(elements.node), robot.n_tubes))
@@ -363,7 +366,43 @@ def settle(robot: ConcentricRobot, rotations: Array, translations: Array, before
     return State(rotations, elements, elements.flow(rotations, rotations + twist))
 
 
-def settle_at(robot: ConcentricRobot, rotations: Array, translations: Array, tips: Array) -> State:
+JUMP = 0.5
+"""Turn (rad) of a tip in the smallest step that makes it a snap."""
+
+
+class Creep:
+    """Slow motion along the straight way between two sets of joint values, (2, n) each: rotations, translations.
+
+    `snaps` holds the fractions of the way at which the robot snapped.
+    """
+
+    def __init__(self, robot: Robot, start: Array, stop: Array, state: State) -> None:
+        self.robot, self.start, self.stop = robot, start, stop
+        self.at, self.state = 0.0, state
+        self.snaps: list[float] = []
+
+    def to(self, t: float, halvings: int = 10) -> State:
+        """The state at fraction t, in halves where the robot moves much."""
+        rotations, translations = self.start + t * (self.stop - self.start)
+        after = settle(self.robot, rotations, translations, self.state)
+        jump = np.abs(after.tips - self.state.tips - (rotations - self.state.rotations)).max() > JUMP
+        if jump and halvings and t - self.at > 1e-5:
+            self.to((self.at + t) / 2, halvings - 1)
+            return self.to(t, halvings - 1)
+        if jump:
+            self.snaps.append(t)
+        self.at, self.state = t, after
+        return after
+
+
+def worst_by_elements(tubes: Bundle) -> float:
+    """The certificate by its definition: the least eigenvalue with every pair of tubes opposed."""
+    elements = Elements(replace(tubes, coupling=-np.abs(tubes.coupling)), size=0.5)
+    still = np.zeros((len(elements.node), len(tubes.torsional)))
+    return min(1.0, float(elements.margins(still[0], still)[0]))
+
+
+def settle_at(robot: Robot, rotations: Array, translations: Array, tips: Array) -> State:
     """The equilibrium with given tip angles: theta integrated from the tip, then Newton's method."""
     elements = Elements(bundle(robot, translations))
     theta = elements.newton(rotations, integrated(elements, tips), stable=False)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from tests.examples import CRL, MM, THESIS
 from tubeopt import ConcentricRobot, Material, Tube
 from tubeopt.robots.assembly import Array
+from tubeopt.robots.robot import Robot
 
 ALLOY = Material.from_poisson_ratio("m", 1e9, 0.3)
 
@@ -62,7 +61,7 @@ def random_robot(random: np.random.Generator, n: int, *, bend: float = 1.0, home
 
 
 def random_translations(random: np.random.Generator, robot: ConcentricRobot) -> Array:
-    """From nearly withdrawn, with curved parts behind the plate, to wholly advanced; a tube is in front of the plate."""
+    """From nearly withdrawn, with curved parts behind the plate, to wholly advanced."""
     low = [-0.9 * tube.curved_length for tube in robot.tubes]
     high = [tube.straight_length for tube in robot.tubes]
     return np.asarray(random.uniform(low, high))
@@ -76,20 +75,15 @@ def strong(random: np.random.Generator, n: int, *, bend: float = 2.0) -> Concent
             return robot
 
 
-def paths(count: int) -> Iterator[tuple[str, ConcentricRobot, Array, Array]]:
-    """Name, robot, and three waypoints of rotations (3, n) and translations (3, n), for robots that snap."""
-    for k in range(count):
-        random = np.random.default_rng([20, k])
-        name, robot = (
-            ("thesis", THESIS),
-            ("CRL", CRL),
-            ("two tubes", strong(random, 2, bend=2.5)),
-            ("three tubes", strong(random, 3, bend=2.0)),
-        )[k % 4]
-        n = robot.n_tubes
-        rotations = random.uniform(-2 * np.pi, 2 * np.pi, (3, n))
-        rotations[0] = random.uniform(-0.5, 0.5, n)
-        low = [-0.5 * tube.curved_length for tube in robot.tubes]
-        high = [tube.straight_length for tube in robot.tubes]
-        translations = np.maximum(low, random.uniform(np.full(n, -0.03), np.minimum(high, 0.03), (3, n)))
-        yield f"{name}, seed {k}", robot, rotations, translations
+def snapping_way(k: int) -> tuple[Robot, Array, Array]:
+    """Robot, and three random waypoints of rotations (3, n) and translations (3, n); k in 4 is which kind of robot."""
+    random = np.random.default_rng([20, k])
+    robots: tuple[Robot, ...] = (THESIS, CRL, strong(random, 2, bend=2.5), strong(random, 3, bend=2.0))
+    robot = robots[k % 4]
+    n = robot.n_tubes
+    rotations = random.uniform(-2 * np.pi, 2 * np.pi, (3, n))
+    rotations[0] = random.uniform(-0.5, 0.5, n)
+    low = [-0.5 * tube.curved_length for tube in robot.tubes]
+    high = [tube.straight_length for tube in robot.tubes]
+    translations = np.maximum(low, random.uniform(np.full(n, -0.03), np.minimum(high, 0.03), (3, n)))
+    return robot, rotations, np.asarray(translations)

@@ -46,7 +46,9 @@ def test_folds_by_following_and_by_tracing(c: float, lever: float, tip: float, t
     branch = trace_branch(robot, [0.0, 0.0], [TURN, 0.0])
     # The S-curve from 0 to a turn passes the second fold, the mirror image of the first, on its way.
     assert [fold.rotations[0] / DEG for fold in branch.folds] == pytest.approx([turn, 360 - turn], abs=1e-6)
-    assert [np.subtract(*fold.tip_rotations) / DEG for fold in branch.folds] == pytest.approx([tip, 360 - tip], abs=1e-6)
+    assert [np.subtract(*fold.tip_rotations) / DEG for fold in branch.folds] == pytest.approx(
+        [tip, 360 - tip], abs=1e-6
+    )
 
 
 @pytest.mark.parametrize(("c", "lever"), [(1.0, 0.0), (2.0, 0.5), (4.0, 0.0), (1.0, 1.0), (7.0, 0.3), (0.5, 4.0)])

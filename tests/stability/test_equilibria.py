@@ -12,9 +12,12 @@ from tests.stability.reference import TURN, all_tips, bundle, settle_at
 from tests.stability.robots import random_robot, random_translations, strong, unit_pair
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, find_equilibria, forward_kinematics
 from tubeopt.robots.assembly import Array
+from tubeopt.robots.robot import Robot
 
 
-def check_set(robot: ConcentricRobot, rotations: Array, translations: Array, found: list[Equilibrium], size: int) -> None:
+def check_set(
+    robot: Robot, rotations: Array, translations: Array, found: list[Equilibrium], size: int
+) -> None:
     """The same tip angles as by brute force; margin, index and energy as in finite elements; degree 1."""
     expected = all_tips(bundle(robot, translations), rotations, size=size)
     tips = np.array([equilibrium.tip_rotations for equilibrium in found])
@@ -52,8 +55,8 @@ def test_three_tubes_against_brute_force(part: int) -> None:
     counts = []
     for seed in range(4):
         random = np.random.default_rng([41, part, seed])
-        robot = strong(random, 3, bend=random.uniform(1.0, 3.0))
-        rotations = random.uniform(-TURN, TURN, 3)
+        robot = strong(random, 3, bend=random.uniform(2.0, 4.0))
+        rotations = np.pi * np.arange(3) + random.normal(0.0, 0.5, 3)
         shift = random_translations(random, robot) if seed % 2 else np.zeros(3)
         found = find_equilibria(robot, rotations, shift)
         check_set(robot, rotations, shift, found, 120)
@@ -62,7 +65,7 @@ def test_three_tubes_against_brute_force(part: int) -> None:
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL], ids=["thesis", "CRL"])
-def test_published_robots_against_brute_force(robot: ConcentricRobot) -> None:
+def test_published_robots_against_brute_force(robot: Robot) -> None:
     for rotations in np.array([[np.pi, 0.0, 0.1], [-3.3, 3.0, 0.0]]):
         check_set(robot, rotations, np.zeros(3), find_equilibria(robot, rotations), 120)
 
@@ -124,7 +127,7 @@ def test_one_tube_and_tubes_without_coupling() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_four_tubes(seed: int) -> None:
-    """By multi-start: each is an equilibrium in finite elements, their degree is 1, and the cold start is among them."""
+    """By multi-start: each is one in finite elements too, their degree is 1, and the cold start is among them."""
     random = np.random.default_rng([43, seed])
     robot = strong(random, 4, bend=1.2)
     rotations = random.uniform(-TURN, TURN, 4)
@@ -152,5 +155,5 @@ def test_messages() -> None:
         find_equilibria(THESIS, [0.0, 0.0])
     with pytest.raises(InputError, match="every number must be finite"):
         find_equilibria(THESIS, [0.0, np.nan, 0.0])
-    with pytest.raises(InputError, match="translation of tube 1 is 0.3 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 1 is 0.3 m, which pulls it out of its actuator"):
         find_equilibria(THESIS, [0.0, 0.0, 0.0], [0.3, 0.0, 0.0])

@@ -10,10 +10,11 @@ from tests.stability.reference import Elements, bundle
 from tests.stability.robots import inner_and_middle, unit_pair
 from tubeopt import ConcentricRobot, InputError, follow, snap_free_certificate
 from tubeopt.robots.assembly import Array
+from tubeopt.robots.robot import Robot
 from tubeopt.stability import EnergyMap, energy_map, find_snap, stability_map
 
 
-def held_energy(robot: ConcentricRobot, rotations: Array, tubes: tuple[int, int], tips: Array) -> float:
+def held_energy(robot: Robot, rotations: Array, tubes: tuple[int, int], tips: Array) -> float:
     """Least energy with two tips held, by Newton's method with multipliers in finite elements from straight tubes."""
     elements = Elements(bundle(robot))
     n = robot.n_tubes
@@ -50,7 +51,7 @@ def interpolated(chart: EnergyMap, tips: Array) -> tuple[float, Array]:
 @pytest.mark.parametrize(
     ("robot", "rotations"), [(inner_and_middle(), (150 * DEG, 0.0)), (unit_pair(3.0, 0.2), (2.9, 0.0))]
 )
-def test_two_tubes_are_stationary_at_their_equilibria(robot: ConcentricRobot, rotations: tuple[float, float]) -> None:
+def test_two_tubes_are_stationary_at_their_equilibria(robot: Robot, rotations: tuple[float, float]) -> None:
     chart = energy_map(robot, rotations, samples=51)
     assert len(chart.equilibria) == 3
     scale = float(np.ptp(chart.energy))

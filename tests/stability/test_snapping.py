@@ -10,10 +10,11 @@ from tests.stability.reference import Elements, bundle, integrated, settle_at
 from tests.stability.robots import strong, unit_pair
 from tubeopt import ConcentricRobot, InputError, Tube, find_equilibria, find_snap, follow, forward_kinematics
 from tubeopt.robots.assembly import Array
+from tubeopt.robots.robot import Robot
 from tubeopt.stability import Snap, trace_branch
 
 
-def check_fold(robot: ConcentricRobot, snap: Snap, start: Array, end: Array) -> None:
+def check_fold(robot: Robot, snap: Snap, start: Array, end: Array) -> None:
     """A little before the fold there are two states close to it in finite elements, a little past it there is none."""
     at = start + snap.fraction * (end - start)
     assert np.stack([snap.rotations, snap.translations]) == pytest.approx(at, abs=1e-12)
@@ -85,7 +86,7 @@ def test_agrees_with_the_traced_branch_and_following() -> None:
         k = int(np.argmax(np.abs(end)))
         branch = trace_branch(robot, start, end)
         assert branch.folds[0].rotations[k] / end[k] == pytest.approx(snap.fraction, abs=1e-9)
-        assert follow(robot, [start, end]).snaps[0].fraction == pytest.approx(snap.fraction, abs=1e-9)
+        assert follow(robot, np.stack([start, end])).snaps[0].fraction == pytest.approx(snap.fraction, abs=1e-9)
         # Every point of the traced curve is an equilibrium, and both folds of its S are on it.
         assert len(branch.folds) == 2
         for t, rotations, tips, margin in zip(
@@ -119,7 +120,7 @@ def test_messages() -> None:
         find_snap(THESIS, home, [0.0, 0.0, 0.0])  # type: ignore[arg-type]
     with pytest.raises(InputError, match="rotations of start has 2 numbers; it must be 3"):
         find_snap(THESIS, ([0.0, 0.0], None), home)
-    with pytest.raises(InputError, match="translation of tube 3 is 1 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 3 is 1 m, which pulls it out of its actuator"):
         find_snap(THESIS, home, ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
     with pytest.raises(InputError, match="equilibrium is at other joint values than start"):
         find_snap(THESIS, home, home, equilibrium=forward_kinematics(THESIS, [0.1, 0.0, 0.0]))
