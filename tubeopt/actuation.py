@@ -123,7 +123,7 @@ def mirror_inverse(
     azimuth, wanted = finite("bending_direction", bending_direction), positive("curvature", curvature, zero=True)
     arm = _Arm(robot, translations, tuple(assignment), azimuth)
     target = wanted * np.array([math.cos(azimuth), math.sin(azimuth)])
-    found = arm.solve(target, lambda each: arc_curvature(each) - target, 1.0)
+    found = arm.solve(target, lambda each: arc_curvature(each) - target, arm.most)
     if found.error > 1e-7 * arm.most:
         most = arm.reach(azimuth)
         if wanted < most:
@@ -162,7 +162,15 @@ def mirror_to_tip(
     above = target - [0.0, 0.0, arm.plate]
     length = arm.length
     square = max(float(above @ above), 1e-6 * length**2)
-    found = arm.solve(2 * above[:2] / square, lambda each: each.tip_position - target, 0.5 * length**2)
+    most = arm.most * np.array([math.cos(azimuth), math.sin(azimuth)])
+
+    def solve(start: Array) -> MirrorInput:
+        return arm.solve(start, lambda each: each.tip_position - target, arm.most * length**2 / 2)
+
+    found = solve(2 * above[:2] / square)
+    if found.error > tolerance:
+        # Off the surface there can be several points that are closer than their neighbours.
+        found = min([found, solve(most), solve(most / 3)], key=lambda each: each.error)
     if found.error > tolerance:
         nearest = ", ".join(f"{1e3 * x:.4f}" for x in found.equilibrium.tip_position)
         raise InputError(
@@ -173,10 +181,7 @@ def mirror_to_tip(
 
 
 class _Arm:
-    """A robot under mirror actuation as a function of the curvature vector that the law of three vectors asks for.
-
-    In that vector, Cartesian in the plate's x and y, the straight pose is a point like any other.
-    """
+    """A robot under mirror actuation, and the law of three vectors from the curvature vector that is asked for."""
 
     def __init__(
         self, robot: EccentricRobot, translations: ArrayLike | None, assignment: tuple[int, ...], azimuth: float
@@ -201,33 +206,44 @@ class _Arm:
         share = (3 * min(size / self.most, 1.0) - 1) / 2
         return _near(direction, self.azimuth), math.acos(share)
 
-    def at(self, bend: Array) -> tuple[float, float, Array, Equilibrium]:
-        """Direction, separation, rotations and equilibrium for a curvature vector."""
-        direction, separation = self.inputs(bend)
+    def pose(self, direction: float, separation: float) -> tuple[Array, Equilibrium]:
+        """Rotations and equilibrium for a direction and a separation."""
         rotations = mirror_rotations(direction, separation, self.assignment)
-        return direction, separation, rotations, forward_kinematics(self.robot, rotations, self.translations)
+        return rotations, forward_kinematics(self.robot, rotations, self.translations)
 
     def reach(self, azimuth: float) -> float:
         """Curvature of the arc at separation 0, 1/m."""
         full = self.most * np.array([math.cos(azimuth), math.sin(azimuth)])
-        return float(np.linalg.norm(arc_curvature(self.at(full)[3])))
+        direction, separation = self.inputs(full)
+        return float(np.linalg.norm(arc_curvature(self.pose(direction, separation)[1])))
 
-    def solve(self, start: Array, gap: Callable[[Equilibrium], Array], weight: float) -> MirrorInput:
-        """Least `gap` over all curvature vectors; `weight` is how much of it a unit beyond the greatest one counts."""
+    def solve(self, start: Array, gap: Callable[[Equilibrium], Array], scale: float) -> MirrorInput:
+        """Least `gap` from a curvature vector (2,) on; `scale` is how much gap a whole curvature `most` makes.
 
-        def residual(bend: Array) -> Array:
-            excess = max(float(np.linalg.norm(bend)) - self.most, 0.0)
-            return np.append(gap(self.at(bend)[3]), weight * excess)
-
+        The unknowns are direction and separation where the arm is bent well, and the curvature vector where it is
+        nearly straight: each is smooth where the other is not.
+        """
         size = float(np.linalg.norm(start))
-        guess = start * min(1.0, 0.999 * self.most / size) if size else start
-        scale = self.most * np.ones(2)
-        answer = least_squares(residual, guess, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200)
-        # At separation 0 the residual has a kink, where the iteration may crawl: what is left of the gap tells, not why
-        # it stopped.
-        direction, separation, rotations, equilibrium = self.at(answer.x)
+        start = start * min(1.0, self.most / size) if size else start
+        bent = size > self.most / 2
+
+        def angles(unknown: Array) -> tuple[float, float]:
+            return (float(unknown[0]), float(unknown[1])) if bent else self.inputs(unknown * self.most)
+
+        def residual(unknown: Array) -> Array:
+            return gap(self.pose(*angles(unknown))[1]) / scale
+
+        if bent:
+            direction, separation = self.inputs(start)
+            # The iteration moves inside of its bounds: it begins a little off them, and may end on them.
+            guess, bounds = np.array([direction, max(separation, 1e-3)]), ([-np.inf, 0.0], [np.inf, STRAIGHT])
+        else:
+            guess, bounds = start / self.most, ([-np.inf] * 2, [np.inf] * 2)
+        answer = least_squares(residual, guess, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200)
+        direction, separation = angles(answer.x)
+        rotations, equilibrium = self.pose(direction, separation)
         error = float(np.linalg.norm(gap(equilibrium)))
-        return MirrorInput(direction, separation, rotations, equilibrium, error)
+        return MirrorInput(_near(direction, self.azimuth), separation, rotations, equilibrium, error)
 
 
 def _near(angle: float, other: float) -> float:

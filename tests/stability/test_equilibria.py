@@ -15,9 +15,7 @@ from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
 
 
-def check_set(
-    robot: Robot, rotations: Array, translations: Array, found: list[Equilibrium], size: int
-) -> None:
+def check_set(robot: Robot, rotations: Array, translations: Array, found: list[Equilibrium], size: int) -> None:
     """The same tip angles as by brute force; margin, index and energy as in finite elements; degree 1."""
     expected = all_tips(bundle(robot, translations), rotations, size=size)
     tips = np.array([equilibrium.tip_rotations for equilibrium in found])

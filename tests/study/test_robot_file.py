@@ -257,7 +257,11 @@ PROBLEMS = [
         "kind is 'conzentric'; it must be concentric, eccentric or segmented_eccentric; did you mean 'concentric'?",
     ),
     ("kind: concentric\n", "", "kind is missing; it must be concentric, eccentric or segmented_eccentric"),
-    ("kind: concentric", "kind: [concentric]", "kind is ['concentric']; it must be concentric, eccentric or segmented_eccentric"),
+    (
+        "kind: concentric",
+        "kind: [concentric]",
+        "kind is ['concentric']; it must be concentric, eccentric or segmented_eccentric",
+    ),
     ("kind: concentric", "kind: concentric\nname: 3", "name is 3; it must be text"),
     ("kind: concentric", "kind: concentric\nnmae: x", "nmae is not a known key; did you mean 'name'?"),
     ("kind: concentric", "kind: concentric\n7: x", "[7] is not a known key; keys are text"),
