@@ -9,7 +9,7 @@ same with the translations held, so that the layout stays.
 All include shape, margin, energy and error estimates. First use: building the functions of a robot, in a new process,
 imports excluded. `solve_bvp` gets the Jacobians in closed form or not, starts cold from tubes without torsion and warm
 from the mesh and values of the step before, and its time includes the shape, but no margin and no error estimate.
-The error of the tip is the distance to shooting with DOP853 at 3e-14; solves that ended in another equilibrium, or in
+Times are processor times on one thread. The error of the tip is the distance to shooting with DOP853 at 3e-14; solves that ended in another equilibrium, or in
 none, are counted as astray.
 """
 
@@ -48,9 +48,9 @@ FIRST_USE = """
 import time
 from tubeopt import forward_kinematics, load_robot
 robot = load_robot({path!r})
-began = time.perf_counter()
+began = time.process_time()
 forward_kinematics(robot, (0.0, 0.3, -0.2)[: robot.n_tubes], method={method!r})
-print(time.perf_counter() - began)
+print(time.process_time() - began)
 """
 
 TARGETS = {

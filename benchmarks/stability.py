@@ -8,13 +8,10 @@ grid of tip angles, slow motion in finite elements, an eigenvalue problem in fin
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import count
-
-# The matrices are small: threads of OpenBLAS cost more than they gain, and a map has processes of its own.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from rich.progress import track
@@ -27,7 +24,7 @@ from tests.stability.robots import random_robot, random_translations
 from tubeopt import find_equilibria, find_snap, snap_free_certificate
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
-from tubeopt.stability import certify, stability_map, worst_margin
+from tubeopt.stability import Certificate, certify, stability_map, worst_margin
 
 TARGETS = {"all equilibria": 1.0, "first snap": 0.5, "certificate": 2e-3, "stability map": 30.0}
 """Most seconds of each question."""
@@ -68,8 +65,8 @@ def equilibria(robot: Robot, solves: int, random: np.random.Generator) -> Measur
         rotations = random.uniform(-np.pi, np.pi, 3)
         if k % 2:
             rotations = np.array([np.pi, 0.0, 0.0]) + random.normal(0.0, 0.3, 3)
-        seconds, found = clock(lambda rotations=rotations: find_equilibria(robot, rotations))
-        slow, tips = clock(lambda rotations=rotations: all_tips(tubes, rotations, size=GRID))
+        seconds, found = clock(partial(find_equilibria, robot, rotations))
+        slow, tips = clock(partial(all_tips, tubes, rotations, size=GRID))
         if k:
             times.append(seconds)
             brute.append(slow)
@@ -112,21 +109,29 @@ def certificates(robot: Robot, solves: int, random: np.random.Generator) -> list
     """The certificate, and with gradient, at translations that were not used before."""
     out = []
     low = np.array([-0.05, -0.05, -0.05])
-    for what, call in (("certificate", snap_free_certificate), ("certificate with gradient", certify)):
+    calls: tuple[tuple[str, Callable[[Robot, Array], float | Certificate]], ...] = (
+        ("certificate", snap_free_certificate),
+        ("certificate with gradient", certify),
+    )
+    for what, call in calls:
         times, brute, errors = [], [], []
         for _ in range(10):
             # Each order of breakpoints is built once.
             call(robot, random.uniform(low, 0.0))
         for _ in range(solves):
             shift = random.uniform(low, 0.0)
-            seconds, answer = clock(lambda shift=shift, call=call: call(robot, shift))
-            slow, expected = clock(lambda shift=shift: worst_by_elements(bundle(robot, shift)))
+            seconds, answer = clock(partial(call, robot, shift))
+            slow, expected = clock(partial(_certificate_by_elements, robot, shift))
             times.append(seconds)
             brute.append(slow)
             errors.append(abs((answer if isinstance(answer, float) else answer.margin) - expected))
         words = f"to {max(errors):.0e}"
         out.append(Measurement(robot.name, what, summarise(times), summarise(brute), words))
     return out
+
+
+def _certificate_by_elements(robot: Robot, shift: Array) -> float:
+    return worst_by_elements(bundle(robot, shift))
 
 
 def whole_map(robot: Robot, random: np.random.Generator) -> Measurement:
@@ -136,24 +141,26 @@ def whole_map(robot: Robot, random: np.random.Generator) -> Measurement:
     for _ in range(BRUTE_RAYS):
         i, j = random.integers(0, MAP, 2)
         stop = np.array([[chart.angles[i], chart.angles[j], 0.0], [0.0, 0.0, 0.0]])
-
-        def creep(stop: Array = stop) -> tuple[float, int]:
-            slow = Creep(robot, np.zeros((2, 3)), stop, settle(robot, np.zeros(3), np.zeros(3)))
-            for k in range(1, STEPS // 4 + 1):
-                slow.to(4 * k / STEPS)
-            state = slow.state
-            return float(state.elements.margins(state.rotations, state.theta)[0]), len(slow.snaps)
-
-        slow, (margin, snaps) = clock(creep)
+        slow, (margin, snaps) = clock(partial(_creep_from_home, robot, stop))
         brute.append(slow * MAP**2 / 2)
         same += snaps == chart.snaps[i, j] and abs(min(1.0, margin) - chart.margin[i, j]) < 1e-4
     words = f"same margin and snaps on {same} of {BRUTE_RAYS} ways; brute force for two processes, from these"
     return Measurement(robot.name, "stability map", summarise([seconds]), summarise(brute), words)
 
 
+def _creep_from_home(robot: Robot, stop: Array) -> tuple[float, int]:
+    """Margin at the end, and snaps on the way."""
+    slow = Creep(robot, np.zeros((2, 3)), stop, settle(robot, np.zeros(3), np.zeros(3)))
+    for k in range(1, STEPS // 4 + 1):
+        slow.to(4 * k / STEPS)
+    state = slow.state
+    return float(state.elements.margins(state.rotations, state.theta)[0]), len(slow.snaps)
+
+
 def gap(robots: int) -> dict[str, float]:
     """Certificate and worst margin found of random three-tube robots; gaps are fractions of 1 - certificate."""
-    gaps, violations = [], 0
+    gaps: list[float] = []
+    violations = 0
     for seed in track(count(), total=robots, description="worst margins"):
         if len(gaps) == robots:
             break

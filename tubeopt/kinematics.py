@@ -22,9 +22,9 @@ from .solution import (
     to_equilibrium,
 )
 from .solvers.ipopt import solve_ipopt
-from .solvers.newton import descend, leave_saddle, newton
+from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
-from .transcription.reduced import ReducedProblem, margin, on_centreline, to_unknowns, worst_equation
+from .transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
 from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
@@ -125,7 +125,7 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
     """Solve from a guess by the named method; raises SolveError where it does not converge."""
     if method == "newton":
         z = _unknowns(problem, rotations, guess)
-        result = (newton if problem.assembly.eccentric else descend)(problem, rotations, z)
+        result = (_by_centreline if problem.assembly.eccentric else descend)(problem, rotations, z)
     elif method == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
@@ -133,6 +133,14 @@ def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, met
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Solution(problem, rotations, result, margin(problem, result.state))
+
+
+def _by_centreline(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
+    """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
+    concentric = on_centreline(problem)
+    theta = evaluate(problem, rotations, z).theta
+    start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta))
+    return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta))
 
 
 def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) -> Array:

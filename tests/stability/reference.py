@@ -154,16 +154,16 @@ def _simplex_roots(grid: Array, gap: Array) -> Iterator[Array]:
         low, high = np.floor(y.min(1)).astype(int), np.ceil(y.max(1)).astype(int)
         for first in range(int(low[:, 0].min()), int(high[:, 0].max()) + 1):
             for second in range(int(low[:, 1].min()), int(high[:, 1].max()) + 1):
-                turn = np.array([first, second])
-                near = np.flatnonzero(((low <= turn) & (turn <= high)).all(1))
+                turns = np.array([first, second])
+                near = np.flatnonzero(((low <= turns) & (turns <= high)).all(1))
                 edges = np.stack([y[near, 1] - y[near, 0], y[near, 2] - y[near, 0]], axis=2)
                 sound = np.abs(np.linalg.det(edges)) > 1e-14
                 near, edges = near[sound], edges[sound]
-                part = np.linalg.solve(edges, (turn - y[near, 0])[:, :, None])[:, :, 0]
+                part = np.linalg.solve(edges, (turns - y[near, 0])[:, :, None])[:, :, 0]
                 inside = (part >= -0.05).all(1) & (part.sum(1) <= 1.05)
                 part, near = part[inside, :, None], near[inside]
                 place = x[near, 0] + part[:, 0] * (x[near, 1] - x[near, 0]) + part[:, 1] * (x[near, 2] - x[near, 0])
-                yield place - TURN * turn
+                yield place - TURN * turns
 
 
 def _newton(tubes: Bundle, rotations: Array, tips: Array) -> Array:

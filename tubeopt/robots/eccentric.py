@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from os import PathLike
 
 import numpy as np
@@ -218,11 +219,12 @@ class SegmentedEccentricRobot:
         places = np.tile(PLACES, len(self.segments))
         bundle = assemble(self.tubes, translations, offset=np.full(self.n_tubes, self.distance), offset_angle=places)
         begin, end = bundle.transition[::3], bundle.end[::3]
-        for k in range(len(self.segments) - 1):
-            if begin[k] < end[k + 1] - 1e-9 and end[k] > 0 and end[k + 1] > 0:
+        shown = [k for k in range(len(self.segments)) if end[k] > 0]
+        for inner, outer in pairwise(shown):
+            if begin[inner] < end[outer] - 1e-9:
                 raise InputError(
-                    f"segment {k + 1} begins to curve at {begin[k]:g} m, before segment {k + 2} ends at "
-                    f"{end[k + 1]:g} m; curved parts must not overlap"
+                    f"segment {inner + 1} begins to curve at {begin[inner]:g} m, before segment {outer + 1} ends at "
+                    f"{end[outer]:g} m; curved parts must not overlap"
                 )
         return bundle
 

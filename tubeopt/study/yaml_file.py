@@ -52,7 +52,11 @@ def load_yaml(path: str | PathLike[str]) -> dict[str, Any]:
 def save_yaml(path: str | PathLike[str], data: Mapping[str, Any], header: str) -> None:
     """Write `data` as YAML below the comment `header`, whole or not at all; raises InputError where that cannot be."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
-    write_text(path, comment + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120))
+    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    if len(text.splitlines()) != text.count("\n"):
+        # Some text holds a line break that is not a newline, which YAML would fold into a space: escape it.
+        text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=120)
+    write_text(path, comment + text)
 
 
 def _noun(data: object) -> str:
