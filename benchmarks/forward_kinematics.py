@@ -9,7 +9,8 @@ same with the translations held, so that the layout stays.
 All include shape, margin, energy and error estimates. First use: building the functions of a robot, in a new process,
 imports excluded. `solve_bvp` gets the Jacobians in closed form or not, starts cold from tubes without torsion and warm
 from the mesh and values of the step before, and its time includes the shape, but no margin and no error estimate.
-Times are processor times on one thread. The error of the tip is the distance to shooting with DOP853 at 3e-14; solves that ended in another equilibrium, or in
+Times are processor times on one thread. The error of the tip is the distance to shooting with DOP853 at 3e-14;
+solves that ended in another equilibrium, or in
 none, are counted as astray.
 """
 

@@ -85,8 +85,8 @@ def first_snap(robot: Robot, solves: int, random: np.random.Generator) -> Measur
         stop[0] = [4 * np.pi, *random.uniform(-0.5, 0.5, 2)]
         if k % 2:
             stop[1] = random.uniform(low, 0.0)
-        seconds, snap = clock(lambda start=start, stop=stop: find_snap(robot, (start[0], start[1]), (stop[0], stop[1])))
-        slow, fraction = clock(lambda start=start, stop=stop: _snap_by_creeping(robot, start, stop))
+        seconds, snap = clock(partial(find_snap, robot, (start[0], start[1]), (stop[0], stop[1])))
+        slow, fraction = clock(partial(_snap_by_creeping, robot, start, stop))
         if k:
             times.append(seconds)
             brute.append(slow)

@@ -44,7 +44,8 @@ def summarise(seconds: Iterable[float]) -> Timing:
 def clock(call: Callable[[], Any]) -> tuple[float, Any]:
     """Seconds of processor time that a call takes, and what it returns.
 
-    On one thread of an idle machine that is the time on the clock; where others keep the machine busy it stays so, while
+    On one thread of an idle machine that is the time on the clock; where others keep the machine busy it stays so,
+    while
     the clock goes on through every pause of a call that is longer than the scheduler's patience.
     """
     began = time.process_time()
