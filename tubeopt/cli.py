@@ -41,9 +41,10 @@ app.command("stability-map", epilog="Example: tubeopt stability-map configs/robo
     stability.stability_map
 )
 app.command(epilog="Example: tubeopt run configs/studies/thesis_actuated.yaml --out results")(study.run)
-app.command(epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv")(
-    validation.validate
-)
+app.command(
+    epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv "
+    "--fit curvature"
+)(validation.validate)
 app.add_typer(robot.app, name="robot")
 
 
