@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, Point, follow_to
+from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, JointPath, Point, follow_to
 from .equilibrium import Equilibrium, Status
 from .errors import InputError, SolveError, choice, positive, vector
 from .robots.assembly import Array
@@ -194,7 +194,9 @@ def follow_branch(
         # A small motion: one step from the guess itself, without solving for it once more.
         theta = sample_rotation(guess, problem.arc_length) + turn
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
-        if result.converged and result.contraction <= LARGEST_RATIO:
+        # Newton that goes far from the guess may have jumped past a fold: the steps below would tell.
+        far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > LARGEST_TWIST
+        if result.converged and result.contraction <= LARGEST_RATIO and not far:
             return Solution(problem, rotations, result, margin(problem, result.state))
     own = np.concatenate([guess.rotations, guess.translations])
     path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
