@@ -16,11 +16,13 @@ from .solution import (
     DEFAULT_DISCRETISATION,
     Discretisation,
     Solution,
+    from_compiled,
     polish,
     reduced_problem,
     sample_rotation,
     to_equilibrium,
 )
+from .solvers.compiled.binding import Start, solve_compiled
 from .solvers.ipopt import solve_ipopt
 from .solvers.newton import NewtonResult, descend, leave_saddle, newton
 from .transcription import arm as arms
@@ -74,6 +76,10 @@ def forward_kinematics(
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+    if method == "newton" and discretisation == DEFAULT_DISCRETISATION:
+        quick = _compiled(robot, alpha, shift, guess, began)
+        if quick is not None and _error(quick) <= tolerance:
+            return verify_equilibrium(quick) if verify else quick
     if guess is None:
         solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, method)
     else:
@@ -82,8 +88,7 @@ def forward_kinematics(
             solution = _resolve(solution.problem, alpha, solution.arm, method)
     for level in range(discretisation.refinement, FINEST + 1):
         equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
-        length = max(float(equilibrium.arc_length[-1]), 1e-300)
-        if max(equilibrium.mesh_error, equilibrium.tip_error / length) <= tolerance:
+        if _error(equilibrium) <= tolerance:
             break
         if level == FINEST:
             raise SolveError(
@@ -94,6 +99,37 @@ def forward_kinematics(
         finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
         solution = _refine(robot, solution, shift, finer, method)
     return verify_equilibrium(equilibrium) if verify else equilibrium
+
+
+def _error(equilibrium: Equilibrium) -> float:
+    """Estimated error of theta(s), rad, or of the tip as a fraction of the arm, whichever is larger."""
+    length = max(float(equilibrium.arc_length[-1]), 1e-300)
+    return max(equilibrium.mesh_error, equilibrium.tip_error / length)
+
+
+def _compiled(
+    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, began: float
+) -> Equilibrium | None:
+    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines."""
+    start, translations = None, np.array(shift)
+    if guess is not None:
+        turn = rotations - guess.rotations
+        if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
+            return None
+        start = Start(guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation, turn)
+    answer = solve_compiled(robot, rotations, translations, start)
+    if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
+        return None
+    if answer["largest_change"] > LARGEST_TWIST:
+        return None
+    how = "tubes without torsion" if start is None else "guess"
+    return from_compiled(robot, rotations, shift, answer, (how, began))
+
+
+def _small(turn: Array, shift: Array, length: float) -> bool:
+    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
+    moved = abs(shift).max() / max(length, 1e-300)
+    return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
 
 
 def _cold(problem: ReducedProblem, rotations: Array, method: str) -> tuple[Solution, str]:
@@ -189,8 +225,7 @@ def follow_branch(
     """
     problem = reduced_problem(robot, shift, discretisation)
     turn = rotations - guess.rotations
-    moved = abs(shift - guess.translations).max() / max(problem.assembly.total_length, 1e-300)
-    if abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT:
+    if _small(turn, shift - guess.translations, problem.assembly.total_length):
         # A small motion: one step from the guess itself, without solving for it once more.
         theta = sample_rotation(guess, problem.arc_length) + turn
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)

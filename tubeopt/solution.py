@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from .robots.robot import Robot
 from .solvers.newton import NewtonResult, newton
 from .transcription import arm as arms
 from .transcription.mesh import make_mesh, piece_counts
+from .transcription.piece import STEPS
 from .transcription.reduced import (
     ReducedProblem,
     margin,
@@ -88,6 +90,48 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     return np.asarray(value.T)
 
 
+def from_compiled(
+    robot: Robot, rotations: Array, translations: tuple[float, ...], answer: dict[str, Any], how: tuple[str, float]
+) -> Equilibrium:
+    """The equilibrium that the compiled kernel found; `how` is its start, and when (s) the solve began."""
+    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
+    position, frame = answer["position"][:m].copy(), answer["frame"][:m].copy()
+    start, began = how
+    return Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=np.array(translations),
+        tip_position=position[-1],
+        tip_rotation=frame[-1],
+        arc_length=answer["arc_length"][:m].copy(),
+        position=position,
+        frame=frame,
+        curvature=answer["curvature"][:m].copy(),
+        rotation=answer["rotation"][:m].T.copy(),
+        torsion=answer["torsion"][:m].T.copy(),
+        tip_rotations=answer["tip_rotations"].copy(),
+        section_start=answer["section_start"][: int(answer["sections"])].copy(),
+        point=answer["point"][:points].copy(),
+        point_rotation=answer["point_rotation"][:points].copy(),
+        tube_end=answer["tube_end"].copy(),
+        margin=float(answer["margin"]),
+        index=0,
+        energy=float(answer["energy"]),
+        residual=float(answer["residual"]),
+        mesh_error=float(answer["mesh_error"]),
+        tip_error=float(answer["tip_error"]),
+        status=Status.STABLE,
+        statistics=Statistics(
+            method="newton",
+            iterations=int(answer["iterations"]),
+            elements=int(answer["elements"]),
+            degree=DEFAULT_DISCRETISATION.degree,
+            start=start,
+            seconds=time.perf_counter() - began,
+        ),
+    )
+
+
 def to_equilibrium(
     robot: Robot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
 ) -> Equilibrium:
@@ -101,8 +145,10 @@ def to_equilibrium(
     # The inverse of the linearised equation amplifies a defect by at most one over the margin.
     error = arm.defect / max(min(1.0, abs(solution.margin)), 1e-6)
     # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
-    bend = np.sqrt((arm.curvature**2).sum(1)) * (s[-1] - s)
-    lever = 0.5 * float((bend[1:] + bend[:-1]) @ (s[1:] - s[:-1]))
+    # |u| itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum kb_i does.
+    ahead = mesh.start[-1:] + mesh.length[-1:] - mesh.start - mesh.length / 2
+    pull = np.abs(problem.piece_moment).sum(1) / np.maximum(problem.piece_stiffness.sum(1), 1e-300)
+    lever = float((pull * mesh.length) @ ahead) if len(mesh.length) else 0.0
     method, start, seconds = how
     return Equilibrium(
         robot=robot,

@@ -163,7 +163,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
         position=np.concatenate([_HOME[None, 9:12], poses[:, 9:]]),
         frame=np.concatenate([np.eye(3)[None], poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2)]),
         # Order 6: steps half as long divide the error by 2^6.
-        shape_error=float(np.abs(end[-1, 9:12] - end[-1, 21:]).max()) / ((STEPS / COARSE_STEPS) ** 6 - 1),
+        shape_error=float(np.linalg.norm(end[-1, 9:12] - end[-1, 21:])) / ((STEPS / COARSE_STEPS) ** 6 - 1),
         defect=_defect(problem, defects.reshape(pieces, 2, n)) if problem.size else 0.0,
         energy=_energy(problem, torsion, state, bending[:, 0]),
     )

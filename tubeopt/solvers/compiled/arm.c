@@ -1,0 +1,226 @@
+/* From the solved rotations to the whole arm: what transcription/arm.py and solution.py do. */
+
+typedef struct {
+    double rotation[MOST_PIECES][N], twist[MOST_PIECES][N];
+    double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
+} Profile;
+
+typedef struct {
+    Tableau coarse, fine;
+    const double *twice, *twice_back; /* Lagrange basis integrated twice: of coarse at fine points, and back */
+} Method;
+
+typedef struct {
+    double margin, residual, mesh_error, tip_error, energy, contraction, largest_change;
+    long long pieces, points, sections, iterations, elements;
+    double tip_rotations[N], tube_end[N], section_start[2 * N + 1];
+    double point[MOST_POINTS], point_rotation[MOST_POINTS][N];
+    double arc_length[MOST_SHAPE], rotation[MOST_SHAPE][N], torsion[MOST_SHAPE][N];
+    double curvature[MOST_SHAPE][2], position[MOST_SHAPE][3], frame[MOST_SHAPE][9];
+} Answer;
+
+/* theta_i(s) as one polynomial per piece, from the moments at the collocation points. */
+static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
+    const Layout *l = q->layout;
+    const Tableau *t = q->tableau;
+    double turn[MOST_PIECES][N], at[N] = {0};
+    int x = q->points;
+    for (int p = l->pieces - 1; p >= 0; p--) {
+        double h = l->length[p];
+        if (l->collocated[p]) x -= t->degree;
+        for (int i = 0; i < N; i++) {
+            double gain = 0, later = 0;
+            for (int k = 0; k < t->degree; k++) {
+                double m = l->collocated[p] ? state->moment[x + k][i] / q->tubes->kt[i] : 0;
+                arm->moment[p][k * N + i] = m;
+                gain += t->weights[k] * m;
+                later += t->weights[k] * (1 - t->nodes[k]) * m;
+            }
+            at[i] -= h * gain;
+            arm->twist[p][i] = at[i];
+            turn[p][i] = h * at[i] + h * h * later;
+        }
+    }
+    for (int i = 0; i < N; i++) at[i] = alpha[i] + l->transmission[i] * (l->pieces ? at[i] : 0);
+    for (int p = 0; p < l->pieces; p++)
+        for (int i = 0; i < N; i++) {
+            arm->rotation[p][i] = at[i];
+            at[i] += turn[p][i];
+        }
+}
+
+/* theta at the points of `fine`, from the arm on the tableau of `coarse`; `twice` (fine K, coarse K) is the Lagrange
+   basis integrated twice. */
+static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *twice,
+                        double theta[][N]) {
+    const Layout *l = fine->layout;
+    int degree = coarse->tableau->degree, k = fine->tableau->degree;
+    for (int x = 0; x < fine->points; x++) {
+        int p = fine->piece[x];
+        double h = l->length[p], along = fine->tableau->nodes[x % k] * h;
+        const double *basis = twice + (x % k) * degree;
+        for (int i = 0; i < N; i++) {
+            double bent = 0;
+            for (int j = 0; j < degree; j++) bent += basis[j] * arm->moment[p][j * N + i];
+            theta[x][i] = arm->rotation[p][i] + along * arm->twist[p][i] + h * h * bent;
+        }
+    }
+}
+
+/* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. */
+static int never_softens(const Unknowns *q, const State *state, double *h) {
+    second_variation(q, state, h);
+    for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += COUPLING_FLOOR - 1;
+    return cholesky(h, q->size, STRIDE);
+}
+
+/* Softest direction z of the second variation at `state`; 0 where it is not stable. */
+static int softest(const Unknowns *q, const State *state, double *h, double *z) {
+    for (int k = 0; k < q->size; k++) z[k] = 1 + (7 * k) % 5;
+    second_variation(q, state, h);
+    if (!cholesky(h, q->size, STRIDE)) return 0;
+    least_eigenvalue(h, q->size, STRIDE, z, 1);
+    return 1;
+}
+
+/* A direction z on the points of `coarse` carried over to those of `fine`, as y = Gamma V'' y says. */
+static void carry_over(const Method *method, const Unknowns *coarse, State *rough, const Unknowns *fine, Profile *arm,
+                       double *z) {
+    static const double none[N];
+    double turned[MOST_UNKNOWNS], y[MOST_POINTS][N];
+    times_factor(coarse, z, turned);
+    for (int x = 0; x < coarse->points; x++)
+        for (int i = 0; i < N; i++) {
+            rough->moment[x][i] = 0;
+            for (int j = 0; j < N; j++)
+                if (coarse->place[x][j] >= 0)
+                    rough->moment[x][i] += rough->slope[x][j * N + i] * turned[coarse->first[j] + coarse->place[x][j]];
+        }
+    integrate(coarse, none, rough, arm);
+    interpolate(coarse, arm, fine, method->twice, y);
+    to_unknowns(fine, none, y, z);
+}
+
+/* Least eigenvalue of the second variation at a solved state, at most 1; not positive where it is not stable. Lanczos
+   starts from the softest direction on the coarse points. */
+static double margin_of(const Method *method, const Unknowns *fine, const Unknowns *coarse, const double *alpha,
+                        const State *state, State *rough, Profile *arm, double *h) {
+    double z[MOST_UNKNOWNS], y[MOST_POINTS][N];
+    if (!fine->size || never_softens(fine, state, h)) return 1;
+    integrate(fine, alpha, state, arm);
+    interpolate(fine, arm, coarse, method->twice_back, y);
+    to_unknowns(coarse, alpha, y, rough->z);
+    evaluate(coarse, alpha, rough);
+    memset(z, 0, sizeof z);
+    if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
+    if (!(dot(z, z, fine->size) > 1e-30))
+        for (int k = 0; k < fine->size; k++) z[k] = 1 + (7 * k) % 5;
+    second_variation(fine, state, h);
+    if (!cholesky(h, fine->size, STRIDE)) return -1;
+    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, z, 0));
+}
+
+/* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what
+   it has there; `turn` (n) is added. */
+typedef struct {
+    long long count, points;
+    const double *s, *rotation, *torsion; /* (count), (n, count), (n, count) */
+    const double *point, *point_rotation; /* (points), (points, n) */
+    const double *turn;
+} Guess;
+
+/* theta at the points from a guess; cubic between samples. */
+static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
+    int k = 0, count = (int)g->count, same = g->points == q->points;
+    for (int x = 0; x < q->points && same; x++) same = g->point[x] == q->s[x];
+    for (int x = 0; x < q->points; x++) {
+        while (k + 2 < count && g->s[k + 1] <= q->s[x]) k++;
+        double h = count > 1 ? g->s[k + 1] - g->s[k] : 1, t = fmin(fmax((q->s[x] - g->s[k]) / h, 0), 1), u = 1 - t;
+        for (int i = 0; i < N; i++) {
+            const double *r = g->rotation + i * count + k, *w = g->torsion + i * count + k;
+            if (same)
+                theta[x][i] = g->point_rotation[x * N + i];
+            else if (count < 2)
+                theta[x][i] = r[0];
+            else
+                theta[x][i] = r[0] * (1 + 2 * t) * u * u + r[1] * t * t * (3 - 2 * t) + h * t * u * (w[0] * u - w[1] * t);
+            theta[x][i] += g->turn[i];
+        }
+    }
+}
+
+/* One piece: its STEPS + 1 shape points into the answer, poses carried on. Returns its bending energy per length. */
+static double add_piece(const Unknowns *q, const Profile *arm, int p, double *poses, double *defects, Answer *out) {
+    const Layout *l = q->layout;
+    double theta[(STEPS + 1) * N], slope[(STEPS + 1) * N], u[(STEPS + 1) * 2], fine[STEPS * 12], end[24], bending;
+    const double *in[11] = {poses, arm->rotation[p], arm->twist[p], arm->moment[p], l->stiffness[p], l->moment[p],
+                            q->tubes->kt, &l->length[p]};
+    double *res[7] = {end, theta, slope, u, fine, defects, &bending};
+    piece(in, res, 0, 0, 0);
+    memcpy(poses, end, sizeof end);
+    for (int k = p ? 1 : 0; k <= STEPS; k++) {
+        int at = p * STEPS + k;
+        out->arc_length[at] = l->start[p] + l->length[p] * k / STEPS;
+        memcpy(out->rotation[at], theta + k * N, sizeof out->rotation[at]);
+        memcpy(out->torsion[at], slope + k * N, sizeof out->torsion[at]);
+        memcpy(out->curvature[at], u + k * 2, sizeof out->curvature[at]);
+        if (!k) continue;
+        for (int r = 0; r < 9; r++) out->frame[at][r] = fine[(k - 1) * 12 + 3 * (r % 3) + r / 3];
+        memcpy(out->position[at], fine + (k - 1) * 12 + 9, sizeof out->position[at]);
+    }
+    return bending;
+}
+
+static void tips_and_lever(const Unknowns *q, Answer *out, double error) {
+    const Layout *l = q->layout;
+    int last = l->pieces * STEPS;
+    double lever = 0, tip = out->arc_length[last];
+    for (int p = 0; p < l->pieces; p++) {
+        double pull = 0, stiff = 0, ahead = tip - l->start[p], h = l->length[p];
+        for (int i = 0; i < N; i++) {
+            pull += fabs(l->moment[p][i]);
+            stiff += l->stiffness[p][i];
+        }
+        lever += pull / stiff * h * (ahead - h / 2);
+    }
+    out->tip_error += error * lever;
+    for (int i = 0, k = 0; i < N; i++) {
+        out->tube_end[i] = fmax(l->end[i], 0);
+        for (k = 0; k < last && out->arc_length[k] < out->tube_end[i] - ROUND_OFF_LENGTH; k++) {}
+        out->tip_rotations[i] = out->rotation[k][i];
+    }
+}
+
+/* Everything along the arm, energy, and what mesh and steps get wrong. */
+static void finish(const Unknowns *q, const double *alpha, const State *state, Profile *arm, Answer *out) {
+    const Layout *l = q->layout;
+    double poses[24] = {0}, wrong[N] = {0}, error = 0;
+    integrate(q, alpha, state, arm);
+    for (int k = 0; k < 24; k += 12) poses[k] = poses[k + 4] = poses[k + 8] = 1;
+    memset(out->position[0], 0, sizeof out->position[0]);
+    memcpy(out->frame[0], poses, sizeof out->frame[0]);
+    out->energy = state->energy;
+    out->elements = 0;
+    for (int p = 0; p < l->pieces; p++) {
+        double defects[2 * N], bending = add_piece(q, arm, p, poses, defects, out);
+        if (!l->collocated[p]) {
+            out->energy += l->length[p] * bending;
+            continue;
+        }
+        out->elements++;
+        double reach = l->start[p] + l->length[p];
+        for (int i = 0; i < N; i++) wrong[i] += defects[i] + defects[N + i] * (l->transmission[i] + reach);
+    }
+    error = largest(wrong, N) / fmax(fmin(1, fabs(out->margin)), 1e-6);
+    double gap[3] = {poses[9] - poses[21], poses[10] - poses[22], poses[11] - poses[23]};
+    out->mesh_error = error;
+    out->tip_error = sqrt(dot(gap, gap, 3)) / SHAPE_RATIO;
+    out->residual = residual_of(q, state);
+    out->pieces = l->pieces;
+    out->sections = l->sections;
+    out->points = q->points;
+    memcpy(out->section_start, l->section_start, sizeof l->section_start);
+    memcpy(out->point, q->s, q->points * sizeof(double));
+    memcpy(out->point_rotation, state->theta, q->points * sizeof(state->theta[0]));
+    tips_and_lever(q, out, error);
+}

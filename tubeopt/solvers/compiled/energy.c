@@ -1,0 +1,156 @@
+/* The condensed torsion problem of concentric tubes: what transcription/reduced.py does.
+
+   Unknowns z by tube, then by point: theta = alpha + L z at the collocation points where a tube is curved and coupled.
+   The energy is z'z / 2 + sum of weights times V(theta). */
+
+typedef struct {
+    int degree;
+    const double *nodes, *weights, *matrix; /* (K), (K), (K, K) by rows */
+} Tableau;
+
+typedef struct {
+    const Layout *layout;
+    const Tubes *tubes;
+    const Tableau *tableau;
+    int points, size, first[N], count[N];
+    int piece[MOST_POINTS], place[MOST_POINTS][N], point[MOST_UNKNOWNS];
+    double s[MOST_POINTS], weight[MOST_POINTS];
+    double factor[FACTOR_SIZE], *part[N]; /* L of each tube, (count, count) by rows */
+} Unknowns;
+
+typedef struct {
+    double z[MOST_UNKNOWNS], gradient[MOST_UNKNOWNS];
+    double theta[MOST_POINTS][N], moment[MOST_POINTS][N], slope[MOST_POINTS][N * N];
+    double energy;
+} State;
+
+/* L L' = (transmission + min(s, r)) / kt, collocated: within an element h A diag(1/b) A' takes the place of min. */
+static int factorise(Unknowns *q, int tube) {
+    const Tableau *t = q->tableau;
+    const Layout *l = q->layout;
+    int n = q->count[tube], k = t->degree;
+    double *a = q->part[tube], local[MOST_DEGREE][MOST_DEGREE], scale = 1 / q->tubes->kt[tube];
+    for (int i = 0; i < k; i++)
+        for (int j = 0; j < k; j++) {
+            local[i][j] = 0;
+            for (int m = 0; m < k; m++) local[i][j] += t->matrix[i * k + m] * t->matrix[j * k + m] / t->weights[m];
+        }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            int x = q->point[q->first[tube] + i], y = q->point[q->first[tube] + j], p = q->piece[x];
+            double green = p == q->piece[y] ? l->start[p] + l->length[p] * local[x % k][y % k] : q->s[y];
+            a[i * n + j] = (l->transmission[tube] + green) * scale;
+        }
+    for (int j = 0; j < n; j++) {
+        double pivot = a[j * n + j] - dot(a + j * n, a + j * n, j);
+        if (!(pivot > 0)) return 0;
+        a[j * n + j] = pivot = sqrt(pivot);
+        for (int i = j + 1; i < n; i++) a[i * n + j] = (a[i * n + j] - dot(a + i * n, a + j * n, j)) / pivot;
+    }
+    return 1;
+}
+
+static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const Tableau *t) {
+    q->layout = l;
+    q->tubes = tubes;
+    q->tableau = t;
+    q->points = q->size = 0;
+    for (int p = 0; p < l->pieces; p++)
+        for (int k = 0; k < t->degree && l->collocated[p]; k++) {
+            if (q->points == MOST_POINTS) return 0;
+            q->piece[q->points] = p;
+            q->s[q->points] = l->start[p] + l->length[p] * t->nodes[k];
+            q->weight[q->points++] = l->length[p] * t->weights[k];
+        }
+    size_t used = 0;
+    for (int i = 0; i < N; i++) {
+        q->first[i] = q->size;
+        for (int x = 0; x < q->points; x++) {
+            q->place[x][i] = l->curved[q->piece[x]][i] ? q->size - q->first[i] : -1;
+            if (q->place[x][i] < 0) continue;
+            if (q->size == MOST_UNKNOWNS) return 0;
+            q->point[q->size++] = x;
+        }
+        q->count[i] = q->size - q->first[i];
+        q->part[i] = q->factor + used;
+        used += (size_t)q->count[i] * q->count[i];
+        if (!factorise(q, i)) return 0;
+    }
+    return 1;
+}
+
+/* out <- L x for all tubes */
+static void times_factor(const Unknowns *q, const double *x, double *out) {
+    for (int i = 0; i < N; i++)
+        for (int a = 0; a < q->count[i]; a++)
+            out[q->first[i] + a] = dot(q->part[i] + a * q->count[i], x + q->first[i], a + 1);
+}
+
+/* The largest turn that a step in z makes, rad. */
+static double turn_of(const Unknowns *q, const double *step) {
+    double turned[MOST_UNKNOWNS];
+    times_factor(q, step, turned);
+    return largest(turned, q->size);
+}
+
+static void to_unknowns(const Unknowns *q, const double *alpha, double theta[][N], double *z) {
+    for (int i = 0; i < N; i++) {
+        double *x = z + q->first[i];
+        for (int a = 0; a < q->count[i]; a++) {
+            const double *row = q->part[i] + a * q->count[i];
+            x[a] = (theta[q->point[q->first[i] + a]][i] - alpha[i] - dot(row, x, a)) / row[a];
+        }
+    }
+}
+
+/* theta, moments, their slopes, energy and gradient at state->z. */
+static void evaluate(const Unknowns *q, const double *alpha, State *state) {
+    double turned[MOST_UNKNOWNS];
+    times_factor(q, state->z, turned);
+    for (int x = 0; x < q->points; x++) memcpy(state->theta[x], alpha, N * sizeof(double));
+    for (int i = 0; i < N; i++)
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++) state->theta[q->point[a]][i] += turned[a];
+    state->energy = 0.5 * dot(state->z, state->z, q->size);
+    for (int x = 0; x < q->points; x++) {
+        int p = q->piece[x];
+        double bending;
+        const double *in[3] = {state->theta[x], q->layout->stiffness[p], q->layout->moment[p]};
+        double *out[3] = {state->moment[x], state->slope[x], &bending};
+        balance(in, out, 0, 0, 0);
+        state->energy += q->weight[x] * bending;
+    }
+    memcpy(state->gradient, state->z, q->size * sizeof(double));
+    for (int i = 0; i < N; i++) {
+        double *g = state->gradient + q->first[i];
+        for (int a = 0; a < q->count[i]; a++) {
+            const double *row = q->part[i] + a * q->count[i];
+            int x = q->point[q->first[i] + a];
+            double load = q->weight[x] * state->moment[x][i];
+            for (int r = 0; r <= a; r++) g[r] += row[r] * load;
+        }
+    }
+}
+
+/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE. */
+static void second_variation(const Unknowns *q, const State *state, double *restrict h) {
+    for (int r = 0; r < q->size; r++) {
+        memset(h + (size_t)r * STRIDE, 0, q->size * sizeof(double));
+        h[(size_t)r * STRIDE + r] = 1;
+    }
+    for (int i = 0; i < N; i++)
+        for (int j = i; j < N; j++)
+            for (int a = 0; a < q->count[i]; a++) {
+                int x = q->point[q->first[i] + a], c = q->place[x][j];
+                if (c < 0) continue;
+                const double *left = q->part[i] + a * q->count[i], *restrict right = q->part[j] + c * q->count[j];
+                double value = q->weight[x] * state->slope[x][j * N + i];
+                for (int r = 0; r <= a; r++) {
+                    double *restrict row = h + (size_t)(q->first[i] + r) * STRIDE + q->first[j];
+                    double scale = value * left[r];
+                    for (int k = i == j ? r : 0; k <= c; k++) row[k] += scale * right[k];
+                }
+            }
+}
+
+/* The largest violation of the collocation equations, rad. */
+static double residual_of(const Unknowns *q, const State *state) { return turn_of(q, state->gradient); }

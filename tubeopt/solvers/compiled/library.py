@@ -1,0 +1,211 @@
+"""Building and loading the compiled kernel: C of this folder with the mechanics that CasADi generates.
+
+Where there is no C compiler, or it fails, `library` is None, and the general solver finds the same answers more slowly.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...mechanics.torsion import section_functions
+from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
+from ...transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
+from ...transcription.piece import COARSE_STEPS, STEPS, piece_function
+from ...transcription.tableau import tableau
+from .. import newton
+
+HERE = Path(__file__).parent
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
+"""Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
+
+DEGREE, COARSE_DEGREE = 6, 3
+"""Collocation points per element of the solution, and of the descent towards it."""
+
+MOST_PIECES, MOST_UNKNOWNS = 32, 168
+"""What the kernel has room for; larger arms go to the general solver."""
+
+COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
+"""A descent on the coarse points ends with a step below the first, rad; Newton keeps its factors below the second."""
+
+
+MOST_WARM_ITERATIONS = 12
+"""From a guess: more than what Newton needs close by, since steps with kept factors count too."""
+
+LANCZOS, EIGENVALUE_STEP = 48, 1e-9
+"""Most Lanczos steps for the margin, which ends when two more raise 1 / margin by less than this fraction."""
+
+COUPLING_FLOOR = 1e-10
+"""A margin closer to 1 than this is 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """The loaded kernel of robots with n tubes, with the sizes of its structures."""
+
+    n_tubes: int
+    solve: Any
+    solve_many: Any
+    method: Any
+    answer: np.dtype[np.void]
+    workspace_size: int
+
+
+def cache_directory() -> Path:
+    """Where compiled kernels and tables are kept: TUBEOPT_CACHE, else the user's cache directory."""
+    own = os.environ.get("TUBEOPT_CACHE")
+    if own:
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(base) / "tubeopt"
+
+
+def source(n: int) -> str:
+    """The C text of the kernel for n tubes."""
+    generator = ca.CodeGenerator("mechanics.c")
+    generator.add(section_functions(n, False)["balance"])
+    generator.add(piece_function(n, False, "gauss", DEGREE))
+    constants = {
+        "N": n,
+        "STEPS": STEPS,
+        "SHAPE_RATIO": f"{(STEPS / COARSE_STEPS) ** 6 - 1!r}",
+        "MOST_DEGREE": DEGREE,
+        "MOST_PIECES": MOST_PIECES,
+        "MOST_UNKNOWNS": MOST_UNKNOWNS,
+        "MOST_ITERATIONS": newton.MOST_ITERATIONS,
+        "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
+        "BEND_PER_PIECE": BEND_PER_PIECE,
+        "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
+        "ROUND_OFF": newton.ROUND_OFF,
+        "LAST_STEP": newton.LAST_STEP,
+        "MOST_WARM_ITERATIONS": MOST_WARM_ITERATIONS,
+        "LONGEST_STEP": newton.LONGEST_STEP,
+        "COARSE_STEP": COARSE_STEP,
+        "CHORD_STEP": CHORD_STEP,
+        "LANCZOS": LANCZOS,
+        "EIGENVALUE_STEP": EIGENVALUE_STEP,
+        "COUPLING_FLOOR": COUPLING_FLOOR,
+    }
+    defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+    parts = {name: (HERE / f"{name}.c").read_text() for name in ("layout", "linear", "energy", "minimise", "arm")}
+    kernel = (HERE / "kernel.c").read_text()
+    for name, text in parts.items():
+        kernel = kernel.replace(f'#include "{name}.c"\n', text)
+    return f"{defines}{generator.dump()}\n{kernel}"
+
+
+def _compiler() -> list[str] | None:
+    """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0."""
+    if os.environ.get("TUBEOPT_COMPILE") == "0":
+        return None
+    wanted = os.environ.get("CC")
+    if wanted:
+        return shlex.split(wanted)
+    found = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+    return [found] if found else None
+
+
+def _build(text: str) -> Path | None:
+    """The shared library of a C text, compiled unless it is in the cache; None where that cannot be."""
+    compiler = _compiler()
+    if compiler is None:
+        return None
+    machine = f"{platform.machine()} {platform.system()} {_processor()}"
+    name = hashlib.sha256("\0".join((text, *compiler, *FLAGS, machine)).encode()).hexdigest()[:32]
+    for folder in (cache_directory(), Path(tempfile.gettempdir()) / f"tubeopt-{os.getuid()}"):
+        path = folder / "kernels" / f"{name}.so"
+        if path.exists():
+            return path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=path.parent) as work:
+                (Path(work) / "kernel.c").write_text(text)
+                command = [*compiler, *FLAGS, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
+                subprocess.run(command, cwd=work, check=True, capture_output=True, timeout=120)
+                os.replace(Path(work) / "kernel.so", path)
+            return path
+        except (OSError, subprocess.SubprocessError):
+            continue
+    return None
+
+
+def _processor() -> str:
+    """Model of the processor, for which the kernel is tuned."""
+    info = Path("/proc/cpuinfo")
+    if not info.exists():
+        return platform.processor()
+    return next((line for line in info.read_text().splitlines() if line.startswith("flags")), "")
+
+
+def _answer(n: int) -> np.dtype[np.void]:
+    """The C struct Answer."""
+    points, shape = MOST_PIECES * DEGREE, MOST_PIECES * STEPS + 1
+    reals = ("margin", "residual", "mesh_error", "tip_error", "energy", "contraction", "largest_change")
+    whole = ("pieces", "points", "sections", "iterations", "elements")
+    fields: list[Any] = [(name, "f8") for name in reals] + [(name, "i8") for name in whole]
+    fields += [("tip_rotations", "f8", n), ("tube_end", "f8", n), ("section_start", "f8", 2 * n + 1)]
+    fields += [("point", "f8", points), ("point_rotation", "f8", (points, n))]
+    fields += [("arc_length", "f8", shape), ("rotation", "f8", (shape, n)), ("torsion", "f8", (shape, n))]
+    fields += [("curvature", "f8", (shape, 2)), ("position", "f8", (shape, 3)), ("frame", "f8", (shape, 3, 3))]
+    return np.dtype(fields)
+
+
+class _Tableau(ctypes.Structure):
+    _fields_ = (("degree", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("nodes", "weights", "matrix")))
+
+
+class _Method(ctypes.Structure):
+    _fields_ = (
+        ("coarse", _Tableau),
+        ("fine", _Tableau),
+        ("twice", ctypes.c_void_p),
+        ("twice_back", ctypes.c_void_p),
+    )
+
+
+def _method() -> Any:
+    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
+    twice = np.ascontiguousarray(coarse.lagrange(fine.nodes, integrals=2))
+    back = np.ascontiguousarray(fine.lagrange(coarse.nodes, integrals=2))
+    arrays = [np.ascontiguousarray(a) for t in (coarse, fine) for a in (t.nodes, t.weights, t.matrix)]
+    method = _Method(
+        _Tableau(COARSE_DEGREE, *(a.ctypes.data for a in arrays[:3])),
+        _Tableau(DEGREE, *(a.ctypes.data for a in arrays[3:])),
+        twice.ctypes.data,
+        back.ctypes.data,
+    )
+    method.keep = (arrays, twice, back)  # the structure points into them
+    return method
+
+
+@lru_cache(maxsize=16)
+def library(n: int) -> Library | None:
+    """The compiled kernel for n tubes, None where it cannot be had."""
+    path = _build(source(n))
+    if path is None:
+        return None
+    loaded = ctypes.CDLL(str(path))
+    for size in ("workspace_size", "answer_size"):
+        getattr(loaded, size).restype = ctypes.c_size_t
+    pointer, whole = ctypes.c_void_p, ctypes.c_longlong
+    loaded.solve.argtypes = [pointer] * 7
+    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]
+    loaded.solve_many.restype = None
+    answer, method = _answer(n), _method()
+    if loaded.answer_size() != answer.itemsize:
+        raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
+    return Library(n, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())
