@@ -1,8 +1,10 @@
 """tubeopt: design, command and fabrication of concentric and eccentric tube robots."""
 
+from .batch import EquilibriumBatch, forward_kinematics_batch
 from .derivatives import Jacobian
 from .equilibrium import Equilibrium, Statistics, Status, Verification
 from .errors import InputError, SolveError
+from .fabrication import Mold, MoldSpec, plan_mold, predict_tube
 from .kinematics import forward_kinematics
 from .materials import NITINOL, Material
 from .robots.concentric import ConcentricRobot
@@ -47,11 +49,14 @@ __all__ = [
     "EccentricRobot",
     "EnergyMap",
     "Equilibrium",
+    "EquilibriumBatch",
     "Finding",
     "InputError",
     "Jacobian",
     "JointLimits",
     "Material",
+    "Mold",
+    "MoldSpec",
     "Path",
     "SegmentedEccentricRobot",
     "Snap",
@@ -70,9 +75,12 @@ __all__ = [
     "find_snap",
     "follow",
     "forward_kinematics",
+    "forward_kinematics_batch",
     "judge",
     "load_equilibrium",
     "load_robot",
+    "plan_mold",
+    "predict_tube",
     "save_robot",
     "snap_free_certificate",
     "stability_map",

@@ -9,8 +9,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...robots.assembly import Array
+from ...robots.assembly import Array, Mask
 from ...robots.robot import Robot
 from .library import Library, library
 
@@ -51,7 +52,7 @@ _rooms = threading.local()
 
 
 def _room(kernel: Library) -> _Room:
-    rooms: dict[int, _Room] = _rooms.__dict__
+    rooms: dict[Any, _Room] = _rooms.__dict__
     if id(kernel) not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
@@ -79,7 +80,7 @@ def kernel_of(robot: Robot) -> Library | None:
     return library(robot.n_tubes)
 
 
-def _at(array: Array) -> int:
+def _at(array: NDArray[Any]) -> int:
     return int(array.ctypes.data)
 
 
@@ -106,7 +107,7 @@ def solve_compiled(
     return room.fields if status == SOLVED else None
 
 
-def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Array] | None:
+def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Mask] | None:
     """Cold solves of joint values (N, n): a row per configuration with tip position (3), tip frame by rows (9), tip
     rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined.
 
