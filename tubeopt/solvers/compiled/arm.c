@@ -3,6 +3,7 @@
 typedef struct {
     double rotation[MOST_PIECES][N], twist[MOST_PIECES][N];
     double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
+    double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
 } Profile;
 
 typedef struct {
@@ -29,16 +30,17 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
         double h = l->length[p];
         if (l->collocated[p]) x -= t->degree;
         for (int i = 0; i < N; i++) {
-            double gain = 0, later = 0;
+            double gain = 0, later = 0, stretched = 0;
             for (int k = 0; k < t->degree; k++) {
                 double m = l->collocated[p] ? state->moment[x + k][i] / q->tubes->kt[i] : 0;
                 arm->moment[p][k * N + i] = m;
                 gain += t->weights[k] * m;
                 later += t->weights[k] * (1 - t->nodes[k]) * m;
+                stretched += t->weights[k] * (arm->extra[p][k * N + i] = l->collocated[p] ? state->extra[x + k][i] : 0);
             }
             at[i] -= h * gain;
             arm->twist[p][i] = at[i];
-            turn[p][i] = h * at[i] + h * h * later;
+            turn[p][i] = h * at[i] + h * h * later + h * stretched;
         }
     }
     for (int i = 0; i < N; i++) at[i] = alpha[i] + l->transmission[i] * (l->pieces ? at[i] : 0);
@@ -154,7 +156,7 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
     const Layout *l = q->layout;
     double theta[(STEPS + 1) * N], slope[(STEPS + 1) * N], u[(STEPS + 1) * 2], fine[STEPS * 12], end[24], bending;
     const double *in[11] = {poses, arm->rotation[p], arm->twist[p], arm->moment[p], l->stiffness[p], l->moment[p],
-                            q->tubes->kt, &l->length[p]};
+                            q->tubes->kt, &l->length[p], arm->extra[p], q->tubes->offset, q->tubes->angle};
     double *res[7] = {end, theta, slope, u, fine, defects, &bending};
     piece(in, res, 0, 0, 0);
     memcpy(poses, end, sizeof end);
@@ -191,15 +193,13 @@ static void tips_and_lever(const Unknowns *q, Answer *out, double error) {
     }
 }
 
-/* Everything along the arm, energy, and what mesh and steps get wrong. */
-static void finish(const Unknowns *q, const double *alpha, const State *state, Profile *arm, Answer *out) {
+/* Everything along the arm, and what mesh and steps get wrong; out->energy is that of the elements already. */
+static void finish(const Unknowns *q, const State *state, const Profile *arm, Answer *out) {
     const Layout *l = q->layout;
     double poses[24] = {0}, wrong[N] = {0}, error = 0;
-    integrate(q, alpha, state, arm);
     for (int k = 0; k < 24; k += 12) poses[k] = poses[k + 4] = poses[k + 8] = 1;
     memset(out->position[0], 0, sizeof out->position[0]);
     memcpy(out->frame[0], poses, sizeof out->frame[0]);
-    out->energy = state->energy;
     out->elements = 0;
     for (int p = 0; p < l->pieces; p++) {
         double defects[2 * N], bending = add_piece(q, arm, p, poses, defects, out);
@@ -215,7 +215,6 @@ static void finish(const Unknowns *q, const double *alpha, const State *state, P
     double gap[3] = {poses[9] - poses[21], poses[10] - poses[22], poses[11] - poses[23]};
     out->mesh_error = error;
     out->tip_error = sqrt(dot(gap, gap, 3)) / SHAPE_RATIO;
-    out->residual = residual_of(q, state);
     out->pieces = l->pieces;
     out->sections = l->sections;
     out->points = q->points;

@@ -17,6 +17,9 @@ from .library import Library, library
 
 SOLVED = 0
 
+MOST_TUBES = 6
+"""Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+
 
 class _Guess(ctypes.Structure):
     _fields_ = (
@@ -75,9 +78,9 @@ def _tubes(robot: Robot) -> Array:
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Library | None:
     """The compiled kernel for a robot, None where there is none for it."""
-    if robot.assembly(robot.home_translations).eccentric:
+    if robot.n_tubes > MOST_TUBES:
         return None
-    return library(robot.n_tubes)
+    return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
 
 def _at(array: NDArray[Any]) -> int:

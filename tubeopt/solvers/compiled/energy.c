@@ -16,11 +16,15 @@ typedef struct {
     int piece[MOST_POINTS], place[MOST_POINTS][N], point[MOST_UNKNOWNS];
     double s[MOST_POINTS], weight[MOST_POINTS];
     double factor[FACTOR_SIZE], *part[N]; /* L of each tube, (count, count) by rows */
+#if ECCENTRIC
+    double compliance[FACTOR_SIZE]; /* L L' of each tube, as `factor` */
+#endif
 } Unknowns;
 
 typedef struct {
     double z[MOST_UNKNOWNS], gradient[MOST_UNKNOWNS];
     double theta[MOST_POINTS][N], moment[MOST_POINTS][N], slope[MOST_POINTS][N * N];
+    double extra[MOST_POINTS][N]; /* (g - 1) w, 0 for concentric tubes */
     double energy;
 } State;
 
@@ -40,6 +44,10 @@ static int factorise(Unknowns *q, int tube) {
             int x = q->point[q->first[tube] + i], y = q->point[q->first[tube] + j], p = q->piece[x];
             double green = p == q->piece[y] ? l->start[p] + l->length[p] * local[x % k][y % k] : q->s[y];
             a[i * n + j] = (l->transmission[tube] + green) * scale;
+#if ECCENTRIC
+            double *whole = q->compliance + (a - q->factor);
+            whole[i * n + j] = whole[j * n + i] = a[i * n + j];
+#endif
         }
     for (int j = 0; j < n; j++) {
         double pivot = a[j * n + j] - dot(a + j * n, a + j * n, j);
@@ -50,7 +58,8 @@ static int factorise(Unknowns *q, int tube) {
     return 1;
 }
 
-static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const Tableau *t) {
+/* The unknowns are rotations of tubes that are curved; with `all`, of those that are present. */
+static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const Tableau *t, int all) {
     q->layout = l;
     q->tubes = tubes;
     q->tableau = t;
@@ -66,7 +75,8 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
     for (int i = 0; i < N; i++) {
         q->first[i] = q->size;
         for (int x = 0; x < q->points; x++) {
-            q->place[x][i] = l->curved[q->piece[x]][i] ? q->size - q->first[i] : -1;
+            int p = q->piece[x], mine = all ? l->present[p][i] : l->curved[p][i];
+            q->place[x][i] = mine ? q->size - q->first[i] : -1;
             if (q->place[x][i] < 0) continue;
             if (q->size == MOST_UNKNOWNS) return 0;
             q->point[q->size++] = x;
@@ -103,13 +113,18 @@ static void to_unknowns(const Unknowns *q, const double *alpha, double theta[][N
     }
 }
 
-/* theta, moments, their slopes, energy and gradient at state->z. */
-static void evaluate(const Unknowns *q, const double *alpha, State *state) {
+/* theta at all points from state->z. */
+static void turn_points(const Unknowns *q, const double *alpha, State *state) {
     double turned[MOST_UNKNOWNS];
     times_factor(q, state->z, turned);
     for (int x = 0; x < q->points; x++) memcpy(state->theta[x], alpha, N * sizeof(double));
     for (int i = 0; i < N; i++)
         for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++) state->theta[q->point[a]][i] += turned[a];
+}
+
+/* theta, moments, their slopes, energy and gradient at state->z. */
+static void evaluate(const Unknowns *q, const double *alpha, State *state) {
+    turn_points(q, alpha, state);
     state->energy = 0.5 * dot(state->z, state->z, q->size);
     for (int x = 0; x < q->points; x++) {
         int p = q->piece[x];

@@ -1,6 +1,6 @@
-/* Forward kinematics of concentric tubes in one call: sections, energy descent, Newton, margin, shape.
+/* Forward kinematics in one call: sections, energy descent, Newton, margin, shape.
 
-   Included after it: the functions `balance` and `piece` that CasADi generates from the mechanics. What is not plain
+   Before it stand the functions `balance`, `stretched` and `piece` that CasADi generates from the mechanics. What is not plain
    sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is declined, and left to the
    general solver. */
 #include <math.h>
@@ -17,12 +17,22 @@
 #include "energy.c"
 #include "minimise.c"
 #include "arm.c"
+#if ECCENTRIC
+#include "stretch.c"
+#endif
 
 typedef struct {
     Layout layout;
     Unknowns coarse, fine;
+#if ECCENTRIC
+    Unknowns all;
+    Stretch stretch;
+#endif
     State state, trial;
-    Profile arm;
+#if ECCENTRIC
+    State centred;
+#endif
+    Profile arm, spare;
     double matrix[MOST_UNKNOWNS * STRIDE];
 } Workspace;
 
@@ -30,25 +40,39 @@ size_t workspace_size(void) { return sizeof(Workspace); }
 size_t answer_size(void) { return sizeof(Answer); }
 size_t tubes_size(void) { return sizeof(Tubes); }
 
-/* Descent on the coarse points from tubes without torsion, then Newton on the fine ones. */
+#if ECCENTRIC
+#define UNKNOWNS(w) (&(w)->all)
+#else
+#define UNKNOWNS(w) (&(w)->fine)
+#endif
+
+/* Newton on the fine points from rotations `theta` there. */
+static int newton_from(double theta[][N], const double *alpha, Workspace *w, int most, int *iterations, double *ratio) {
+    to_unknowns(UNKNOWNS(w), alpha, theta, w->state.z);
+#if ECCENTRIC
+    return newton_stretched(&w->all, alpha, &w->state, &w->stretch, w->matrix, most, iterations, ratio);
+#else
+    return newton(&w->fine, alpha, &w->state, w->matrix, most, iterations, ratio);
+#endif
+}
+
+/* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
 static int from_untwisted(const Method *method, const double *alpha, Workspace *w, int *iterations, double *ratio) {
     State *state = &w->state;
+    double theta[MOST_POINTS][N];
     memset(state->z, 0, sizeof state->z);
     if (descend(&w->coarse, alpha, state, &w->trial, w->matrix, COARSE_STEP, iterations)) return DECLINED;
     integrate(&w->coarse, alpha, state, &w->arm);
-    double theta[MOST_POINTS][N];
-    interpolate(&w->coarse, &w->arm, &w->fine, method->twice, theta);
-    to_unknowns(&w->fine, alpha, theta, state->z);
-    return newton(&w->fine, alpha, state, w->matrix, MOST_ITERATIONS, iterations, ratio);
+    interpolate(&w->coarse, &w->arm, UNKNOWNS(w), method->twice, theta);
+    return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
 }
 
 /* Newton from a guess, with the largest change of an unknown rotation from it. */
 static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int *iterations, Answer *out) {
     double theta[MOST_POINTS][N];
-    const Unknowns *q = &w->fine;
+    const Unknowns *q = UNKNOWNS(w);
     sample(q, guess, theta);
-    to_unknowns(q, alpha, theta, w->state.z);
-    if (newton(q, alpha, &w->state, w->matrix, MOST_WARM_ITERATIONS, iterations, &out->contraction)) return DECLINED;
+    if (newton_from(theta, alpha, w, MOST_WARM_ITERATIONS, iterations, &out->contraction)) return DECLINED;
     for (int i = 0; i < N; i++)
         for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++) {
             int x = q->point[a];
@@ -57,22 +81,45 @@ static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int
     return SOLVED;
 }
 
+/* Profile, residual, energy and margin of the solved state. */
+static void judge(const Method *method, const double *alpha, Workspace *w, Answer *out) {
+    State *state = &w->state;
+    integrate(UNKNOWNS(w), alpha, state, &w->arm);
+#if ECCENTRIC
+    out->residual = largest(w->stretch.residual, w->all.size);
+    out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
+    /* The margin is that of the same rotations on the centreline. */
+    State *centred = &w->centred;
+    to_unknowns(&w->fine, alpha, state->theta, centred->z);
+    memset(centred->extra, 0, sizeof centred->extra);
+    evaluate(&w->fine, alpha, centred);
+    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, centred, &w->trial, &w->spare, w->matrix);
+#else
+    out->residual = residual_of(&w->fine, state);
+    out->energy = state->energy;
+    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix);
+#endif
+}
+
 /* The stable equilibrium at base rotations `alpha` and translations `shift`, from a guess or, where that is NULL, from
    tubes without torsion. */
 int solve(const Tubes *tubes, const Method *method, const double *alpha, const double *shift, const Guess *guess,
           Workspace *w, Answer *out) {
     int iterations = 0, failed;
     if (!lay_out(tubes, shift, &w->layout)) return DECLINED;
-    if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine)) return DECLINED;
-    if (!pose_unknowns(&w->coarse, &w->layout, tubes, &method->coarse)) return DECLINED;
+    if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine, 0)) return DECLINED;
+    if (!pose_unknowns(&w->coarse, &w->layout, tubes, &method->coarse, 0)) return DECLINED;
+#if ECCENTRIC
+    if (!pose_unknowns(&w->all, &w->layout, tubes, &method->fine, 1)) return DECLINED;
+#endif
     out->contraction = out->largest_change = 0;
     failed = guess ? from_guess(guess, alpha, w, &iterations, out)
                    : from_untwisted(method, alpha, w, &iterations, &out->contraction);
     if (failed) return DECLINED;
-    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, &w->state, &w->trial, &w->arm, w->matrix);
+    judge(method, alpha, w, out);
     if (!(out->margin > 0)) return DECLINED;
     out->iterations = iterations;
-    finish(&w->fine, alpha, &w->state, &w->arm, out);
+    finish(UNKNOWNS(w), &w->state, &w->arm, out);
     return SOLVED;
 }
 

@@ -74,12 +74,17 @@ def cache_directory() -> Path:
     return Path(base) / "tubeopt"
 
 
-def source(n: int) -> str:
-    """The C text of the kernel for n tubes."""
+def source(n: int, eccentric: bool) -> str:
+    """The C text of the kernel for n tubes, concentric or off the centreline."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
-    generator.add(piece_function(n, False, "gauss", DEGREE))
+    generator.add(piece_function(n, eccentric, "gauss", DEGREE))
+    if eccentric:
+        balance = section_functions(n, True)["balance"]
+        inputs = balance.sx_in()
+        generator.add(ca.Function("stretched", inputs, balance.call(inputs), {"cse": True}))
     constants = {
+        "ECCENTRIC": int(eccentric),
         "N": n,
         "STEPS": STEPS,
         "SHAPE_RATIO": f"{(STEPS / COARSE_STEPS) ** 6 - 1!r}",
@@ -101,7 +106,7 @@ def source(n: int) -> str:
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    parts = {name: (HERE / f"{name}.c").read_text() for name in ("layout", "linear", "energy", "minimise", "arm")}
+    parts = {name: (HERE / f"{name}.c").read_text() for name in ("layout", "linear", "energy", "minimise", "arm", "stretch")}
     kernel = (HERE / "kernel.c").read_text()
     for name, text in parts.items():
         kernel = kernel.replace(f'#include "{name}.c"\n', text)
@@ -193,9 +198,9 @@ def _method() -> Any:
 
 
 @lru_cache(maxsize=16)
-def library(n: int) -> Library | None:
-    """The compiled kernel for n tubes, None where it cannot be had."""
-    path = _build(source(n))
+def library(n: int, eccentric: bool) -> Library | None:
+    """The compiled kernel for n tubes, concentric or off the centreline; None where it cannot be had."""
+    path = _build(source(n, eccentric))
     if path is None:
         return None
     loaded = ctypes.CDLL(str(path))

@@ -44,31 +44,41 @@ static double largest(const double *x, int n) {
     return out;
 }
 
-/* Solve A x = b by elimination with partial pivoting, both overwritten; 0 where A is singular. */
-static int eliminate(double *restrict a, int n, int stride, double *restrict b) {
+/* P A = L R by elimination with partial pivoting, in place; 0 where A is singular. */
+static int lu(double *restrict a, int n, int stride, int *pivots) {
     for (int k = 0; k < n; k++) {
         int pivot = k;
         for (int i = k + 1; i < n; i++)
             if (fabs(a[(size_t)i * stride + k]) > fabs(a[(size_t)pivot * stride + k])) pivot = i;
         double *row = a + (size_t)k * stride, *other = a + (size_t)pivot * stride;
         if (!(fabs(other[k]) > 1e-300)) return 0;
-        if (pivot != k) {
-            for (int j = k; j < n; j++) { double keep = row[j]; row[j] = other[j]; other[j] = keep; }
-            double keep = b[k]; b[k] = b[pivot]; b[pivot] = keep;
+        pivots[k] = pivot;
+        for (int j = 0; j < n && pivot != k; j++) {
+            double keep = row[j];
+            row[j] = other[j];
+            other[j] = keep;
         }
         for (int i = k + 1; i < n; i++) {
             double *restrict below = a + (size_t)i * stride;
-            double factor = below[k] / row[k];
+            double factor = below[k] /= row[k];
             if (factor == 0) continue;
             for (int j = k + 1; j < n; j++) below[j] -= factor * row[j];
-            b[i] -= factor * b[k];
         }
     }
+    return 1;
+}
+
+static void lu_solve(const double *restrict a, int n, int stride, const int *pivots, double *restrict x) {
+    for (int k = 0; k < n; k++) {
+        double keep = x[pivots[k]];
+        x[pivots[k]] = x[k];
+        x[k] = keep;
+    }
+    for (int k = 1; k < n; k++) x[k] -= dot(a + (size_t)k * stride, x, k);
     for (int k = n - 1; k >= 0; k--) {
         const double *row = a + (size_t)k * stride;
-        b[k] = (b[k] - dot(row + k + 1, b + k + 1, n - k - 1)) / row[k];
+        x[k] = (x[k] - dot(row + k + 1, x + k + 1, n - k - 1)) / row[k];
     }
-    return 1;
 }
 
 /* Largest eigenvalue of the symmetric tridiagonal matrix (d, e) of n rows, not below `least`, by bisection on

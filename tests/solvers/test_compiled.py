@@ -1,0 +1,170 @@
+"""The compiled kernel beside the general solver: the same equilibria, and what it leaves to it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, THESIS
+from tests.stability.robots import random_robot
+from tubeopt import (
+    EccentricRobot,
+    Equilibrium,
+    InputError,
+    SegmentedEccentricRobot,
+    Tube,
+    forward_kinematics,
+    kinematics,
+)
+from tubeopt.robots.assembly import Array
+from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled import library as building
+from tubeopt.solvers.compiled.binding import kernel_of
+
+compiler = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
+
+ETR = EccentricRobot(Tube(1.92e-3, 1.57e-3, 0.02, 0.094, 26.0), transmission_length=0.05)
+SEGMENTED = SegmentedEccentricRobot(
+    (Tube(1.0e-3, 0.8e-3, 0.1, 0.06, 20.0), Tube(1.6e-3, 1.3e-3, 0.01, 0.08, 15.0)),
+)
+
+
+@contextmanager
+def general_solver() -> Iterator[None]:
+    """Forward kinematics without the kernel."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kinematics, "solve_compiled", lambda *_: None)
+        yield
+
+
+def general(robot: Robot, *joints: Array, guess: Equilibrium | None = None) -> Equilibrium:
+    with general_solver():
+        return forward_kinematics(robot, *joints, guess=guess)
+
+
+def check_same(one: Equilibrium, other: Equilibrium) -> None:
+    length = max(one.arc_length[-1], 1e-3)
+    assert one.tip_position == pytest.approx(other.tip_position, abs=1e-11 * length)
+    assert one.tip_rotation == pytest.approx(other.tip_rotation, abs=1e-10)
+    assert one.tip_rotations == pytest.approx(other.tip_rotations, abs=1e-10)
+    assert one.arc_length == pytest.approx(other.arc_length, abs=1e-12)
+    assert one.section_start == pytest.approx(other.section_start, abs=1e-12)
+    assert one.tube_end == pytest.approx(other.tube_end, abs=1e-12)
+    for name in ("rotation", "torsion", "curvature", "position", "frame"):
+        value = getattr(other, name)
+        assert getattr(one, name) == pytest.approx(value, abs=1e-9 * max(1.0, np.abs(value).max(initial=0.0))), name
+    assert one.margin == pytest.approx(other.margin, abs=1e-7)
+    assert one.energy == pytest.approx(other.energy, rel=1e-9, abs=1e-15)
+    assert one.residual < 1e-10
+    assert one.mesh_error == pytest.approx(other.mesh_error, rel=0.1, abs=1e-11)
+    assert one.tip_error == pytest.approx(other.tip_error, rel=0.3, abs=1e-12)
+    assert one.statistics.elements == other.statistics.elements
+
+
+def joints_of(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:
+    shift = np.empty(robot.n_tubes)
+    for tubes in robot.moving_together:
+        tube = robot.tubes[tubes[0]]
+        shift[list(tubes)] = random.uniform(-0.9 * tube.curved_length, tube.straight_length)
+    return random.uniform(-np.pi, np.pi, robot.n_tubes), shift
+
+
+@compiler
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_random_concentric_robots(n: int) -> None:
+    random = np.random.default_rng([1, n])
+    for _ in range(25):
+        robot = random_robot(random, n)
+        alpha, shift = joints_of(robot, random)
+        one = forward_kinematics(robot, alpha, shift)
+        check_same(one, general(robot, alpha, shift))
+        turn, push = random.uniform(-0.05, 0.05, n), random.uniform(-1e-3, 0.0, n)
+        there = forward_kinematics(robot, alpha + turn, shift + push, guess=one)
+        check_same(there, general(robot, alpha + turn, shift + push, guess=one))
+
+
+@compiler
+@pytest.mark.parametrize("robot", [THESIS, CRL, ETR], ids=["thesis", "crl", "etr"])
+def test_published_robots(robot: Robot) -> None:
+    random = np.random.default_rng(2)
+    for _ in range(30):
+        alpha, shift = joints_of(robot, random)
+        check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
+
+
+@compiler
+def test_segmented_robot_at_home_and_moved() -> None:
+    random = np.random.default_rng(3)
+    for push in (0.0, -0.004, 0.003):
+        shift = SEGMENTED.home_translations + np.repeat([push, 0.0], 3)
+        if push < 0:
+            shift = SEGMENTED.home_translations + np.repeat([0.0, push], 3)
+        alpha = random.uniform(-1.5, 1.5, 6)
+        check_same(forward_kinematics(SEGMENTED, alpha, shift), general(SEGMENTED, alpha, shift))
+
+
+@compiler
+def test_a_withdrawn_robot_is_a_point() -> None:
+    shift = np.array([-tube.curved_length for tube in THESIS.tubes])
+    one = forward_kinematics(THESIS, (0.3, -0.2, 0.1), shift)
+    assert one.arc_length.tolist() == [0.0]
+    assert one.tip_rotations == pytest.approx([0.3, -0.2, 0.1])
+
+
+@compiler
+def test_results_are_the_callers_own() -> None:
+    one = forward_kinematics(THESIS, (0.0, 1.0, 2.0))
+    tip, theta = one.tip_position.copy(), one.rotation.copy()
+    forward_kinematics(THESIS, (1.0, 0.0, -2.0))
+    assert np.array_equal(one.tip_position, tip)
+    assert np.array_equal(one.rotation, theta)
+    assert np.array_equal(pickle.loads(pickle.dumps(one)).rotation, theta)
+
+
+def test_tubes_of_one_segment_must_move_together() -> None:
+    with pytest.raises(InputError, match="share a sheath"):
+        forward_kinematics(ETR, (0.0, 0.1, 0.2), (0.0, -0.01, 0.0))
+
+
+def test_many_breakpoints_closer_than_round_off() -> None:
+    tubes = tuple(
+        Tube((1 + k) * 4e-4, (1 + k) * 4e-4 - 2e-4, 0.02 + k * 0.7e-12, 0.05 - 2 * k * 0.7e-12, 10.0 + k)
+        for k in range(4)
+    )
+    robot = type(THESIS)(tubes)
+    check_same(forward_kinematics(robot, (0.0, 0.5, 1.0, 1.5)), general(robot, (0.0, 0.5, 1.0, 1.5)))
+
+
+def test_without_a_compiler_the_general_solver_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
+    for hide in (("TUBEOPT_COMPILE", "0"), ("CC", "/no/such/compiler"), ("CC", "false")):
+        with monkeypatch.context() as patch:
+            patch.setenv(*hide)
+            assert building._build("int nothing;") is None
+
+
+@compiler
+def test_the_kernel_is_built_once_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
+    path = building._build("int answer(void) { return 42; }")
+    assert path is not None
+    assert path.parent == tmp_path / "kernels"
+    written = path.stat().st_mtime_ns
+    assert building._build("int answer(void) { return 42; }") == path
+    assert path.stat().st_mtime_ns == written
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@compiler
+def test_long_arms_go_to_the_general_solver() -> None:
+    long = tuple(replace(tube, curved_length=40 * tube.curved_length) for tube in THESIS.tubes)
+    robot = replace(THESIS, tubes=long)
+    one = forward_kinematics(robot, (0.0, 0.02, 0.04))
+    assert one.residual < 1e-9
+    assert one.statistics.elements > 16
