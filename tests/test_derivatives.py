@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ from tubeopt.derivatives import Jacobian
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.robots.robot import Robot
-from tubeopt.solution import polish, to_equilibrium
+from tubeopt.solution import to_equilibrium
 
 TURN, SHIFT = 1e-4, 1e-5
 """Steps of the differences, rad and m."""
@@ -47,7 +46,7 @@ FINE = Discretisation(degree=8, refinement=1)
 @pytest.fixture
 def _fine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Derivatives on the mesh of the differences."""
-    monkeypatch.setattr(derivatives, "polish", partial(polish, discretisation=FINE))
+    monkeypatch.setattr(derivatives, "discretisation_of", lambda _: FINE)
 
 
 fine = pytest.mark.usefixtures("_fine")
@@ -227,7 +226,7 @@ def test_the_default_mesh_is_good_for_derivatives_too(robot: ConcentricRobot, mo
         solved = forward_kinematics(robot, rotations, translations)
         coarse = solved.jacobian()
         with monkeypatch.context() as patch:
-            patch.setattr(derivatives, "polish", partial(polish, discretisation=FINE))
+            patch.setattr(derivatives, "discretisation_of", lambda _: FINE)
             exact = solved.jacobian()
         assert coarse.position == pytest.approx(exact.position, abs=1e-6)
         assert coarse.tip_rotations == pytest.approx(exact.tip_rotations, abs=1e-6)

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .equilibrium import Equilibrium
 from .errors import InputError
-from .robots.assembly import ROUND_OFF, Array, Assembly, where
-from .solution import Solution, polish
+from .robots.assembly import ROUND_OFF, Array, Assembly, merge, where
+from .solution import Solution, discretisation_of, polish
 from .transcription import arm as arms
 from .transcription.buffered import section_function
 from .transcription.piece import ENDS
@@ -132,12 +133,13 @@ def jacobian(equilibrium: Equilibrium, *, side: int = 1) -> Jacobian:
     """
     if side not in (1, -1):
         raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-    solution = polish(equilibrium)
+    return jacobian_at(polish(equilibrium, discretisation_of(equilibrium)), equilibrium.robot.moving_together, side=side)
+
+
+def jacobian_at(solution: Solution, carriages: tuple[tuple[int, ...], ...], *, side: int = 1) -> Jacobian:
+    """`jacobian` of a solved problem whose `carriages` move tubes together."""
     problem = solution.problem
-    carriages = equilibrium.robot.moving_together
-    jumps = _jumps(solution, carriages, side)
-    moments = [side * jump.change("moment") / problem.assembly.torsional_stiffness for jump in jumps]
-    linear = _Linearised(solution, carriages, jumps, side, np.reshape(moments, (len(jumps), problem.assembly.n_tubes)))
+    linear = _linearise(solution, carriages, side)
     response = _response(linear)
     position, rotation = _pose(linear, response)
     ends = np.clip(problem.assembly.end, 0.0, problem.assembly.total_length)
@@ -145,6 +147,13 @@ def jacobian(equilibrium: Equilibrium, *, side: int = 1) -> Jacobian:
     own = np.diagonal(tips, axis1=0, axis2=1).T
     margin = _margin(linear, response)
     return Jacobian(*(linear.per_tube(part) for part in (position, rotation, own, margin)))
+
+
+def _linearise(solution: Solution, carriages: tuple[tuple[int, ...], ...], side: int) -> _Linearised:
+    jumps = _jumps(solution, carriages, side)
+    kt = solution.problem.assembly.torsional_stiffness
+    moments = [side * jump.change("moment") / kt for jump in jumps]
+    return _Linearised(solution, carriages, jumps, side, np.reshape(moments, (len(jumps), len(kt))))
 
 
 def _place(assembly: Assembly) -> tuple[Array, ...]:
@@ -195,11 +204,10 @@ def _jumps(solution: Solution, carriages: tuple[tuple[int, ...], ...], side: int
     kb, curvature, nudge = assembly.bending_stiffness, assembly.curvature, side * ROUND_OFF
     out = []
     for c, tubes in enumerate(carriages):
-        first = tubes[0]
-        breakpoints = [float(assembly.end[first])]
-        if assembly.end[first] - assembly.transition[first] > ROUND_OFF:
-            breakpoints.append(float(assembly.transition[first]))
-        for s in breakpoints:
+        mine = list(tubes)
+        ends, transitions = assembly.end[mine], assembly.transition[mine]
+        # Tubes that move together share most breakpoints: each is counted once.
+        for s in merge(np.concatenate([ends, transitions[ends - transitions > ROUND_OFF]])).tolist():
             if s < -ROUND_OFF or (s <= ROUND_OFF and side < 0):
                 continue
             moved = np.where(np.isin(np.arange(assembly.n_tubes), tubes), 2 * nudge, 0.0)
@@ -210,6 +218,23 @@ def _jumps(solution: Solution, carriages: tuple[tuple[int, ...], ...], side: int
             twist = arms.twist_at(problem, solution.arm, s)
             out.append(_Jump(c, max(s, 0.0), theta, twist, gained, lost, _place(assembly)))
     return tuple(out)
+
+
+def bend_changes(linear: _Linearised, response: arms.Profile) -> tuple[NDArray[np.intp], Array]:
+    """Change of the curvature (P x 5, 2, n + G) at fixed arc lengths, at the points of each piece, its two ends
+    included; and the index (P, 5) of these points along the arm, since pieces share the point between them."""
+    solution, problem = linear.solution, linear.solution.problem
+    assembly, n, pieces, count = problem.assembly, problem.assembly.n_tubes, len(problem.mesh.length), len(ENDS)
+    x = tuple(ENDS.tolist())
+    index = np.arange(pieces)[:, None] * (count - 1) + np.arange(count)
+    theta = arms.rotations_at(problem, solution.arm, x).reshape(-1, n)
+    kb, m = (np.repeat(table, count, axis=0) for table in (problem.piece_stiffness, problem.piece_moment))
+    function = section_function("curvature_slope", pieces * count, n, assembly.eccentric)
+    slope = function(theta, kb, m, *_place(assembly))[0].reshape(-1, n, 2)
+    change = arms.rotations_at(problem, response, x).reshape(len(theta), -1)
+    # A breakpoint between two pieces lies behind the first point of one and ahead of the last of the other.
+    inside = arms.arc_lengths(problem.mesh)[index] + 10 * ROUND_OFF * np.sign(0.5 - ENDS)
+    return index, slope.swapaxes(1, 2) @ linear.theta(inside.ravel(), change)
 
 
 @lru_cache(maxsize=4)
@@ -228,18 +253,8 @@ def _pose(linear: _Linearised, response: arms.Profile) -> tuple[Array, Array]:
     s = shape.arc_length
     lever = shape.position[-1] - shape.position
     if len(mesh.length):
-        x = tuple(ENDS.tolist())
-        pieces, count = len(mesh.length), len(x)
-        # The points of each piece, its two ends included: pieces share the point between them.
-        index = np.arange(pieces)[:, None] * (count - 1) + np.arange(count)
-        theta = arms.rotations_at(problem, solution.arm, x).reshape(-1, n)
-        kb, m = (np.repeat(table, count, axis=0) for table in (problem.piece_stiffness, problem.piece_moment))
-        function = section_function("curvature_slope", pieces * count, n, assembly.eccentric)
-        slope = function(theta, kb, m, *_place(assembly))[0].reshape(-1, n, 2)
-        change = arms.rotations_at(problem, response, x).reshape(len(theta), -1)
-        # A breakpoint between two pieces lies behind the first point of one and ahead of the last of the other.
-        inside = s[index] + 10 * ROUND_OFF * np.sign(0.5 - ENDS)
-        bend = slope.swapaxes(1, 2) @ linear.theta(inside.ravel(), change)
+        index, bend = bend_changes(linear, response)
+        count = len(ENDS)
         weights = (mesh.length[:, None] * _newton_cotes(count)).ravel()
         spatial = shape.frame[index].reshape(-1, 3, 3)[:, :, :2] @ bend * weights[:, None, None]
         turn += spatial.sum(0)

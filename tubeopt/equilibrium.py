@@ -30,7 +30,8 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Statistics:
-    """How a solve went: method, iterations, elements of the mesh, and how the answer was reached."""
+    """How a solve went: method, iterations, elements of the mesh and their degree, how the answer was reached, and on
+    which points: family of collocation, and how often the pieces of the default mesh were halved."""
 
     method: str
     iterations: int
@@ -38,6 +39,8 @@ class Statistics:
     degree: int
     start: str
     seconds: float
+    family: str = "gauss"
+    refinement: int = 0
 
 
 @dataclass(frozen=True)

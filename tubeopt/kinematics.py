@@ -87,16 +87,19 @@ def forward_kinematics(
         solution, start = follow_branch(robot, guess, alpha, shift, discretisation), "guess"
         if method != "newton":
             solution = _resolve(solution.problem, alpha, solution.arm, method)
+    before = np.inf
     for level in range(discretisation.refinement, FINEST + 1):
         equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
-        if _error(equilibrium) <= tolerance:
+        error = _error(equilibrium)
+        if error <= tolerance:
             break
-        if level == FINEST:
+        if level == FINEST or error > before / 2:
+            why = "" if level == FINEST else "; finer pieces no longer help"
             raise SolveError(
-                f"{Status.MESH_TOO_COARSE}: the estimated error is {equilibrium.mesh_error:.1e} rad, "
-                f"wanted was {tolerance:.1e} rad",
+                f"{Status.MESH_TOO_COARSE}: the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad{why}",
                 equilibrium,
             )
+        before = error
         finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
         solution = _refine(robot, solution, shift, finer, method)
     return verify_equilibrium(equilibrium) if verify else equilibrium

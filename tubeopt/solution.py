@@ -63,6 +63,12 @@ def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisatio
     return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
 
 
+def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
+    """The discretisation on which an equilibrium was solved."""
+    how = equilibrium.statistics
+    return Discretisation(how.family, how.degree, how.refinement)
+
+
 def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
     """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
     shift = tuple(equilibrium.translations.tolist())
@@ -181,5 +187,14 @@ def to_equilibrium(
             degree=mesh.tableau.degree,
             start=start,
             seconds=seconds + time.perf_counter() - began,
+            family=mesh.tableau.family,
+            refinement=_refinement(problem),
         ),
     )
+
+
+def _refinement(problem: ReducedProblem) -> int:
+    """How often the pieces of the default mesh were halved."""
+    collocated = problem.mesh.collocated
+    usual = piece_counts(problem.assembly)[problem.assembly.coupled].sum()
+    return round(float(np.log2(collocated.sum() / usual))) if usual else 0

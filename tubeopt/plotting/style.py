@@ -129,7 +129,8 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
 
 def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:
     """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each."""
-    name = title or equilibrium.robot.name or f"Concentric robot, {equilibrium.robot.n_tubes} tubes"
+    kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
+    name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
     rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
     joints = [f"rotations ({rotations})"]
     if np.any(equilibrium.translations):

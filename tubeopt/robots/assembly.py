@@ -106,7 +106,7 @@ def assemble(
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
     curvature = np.array([tube.curvature for tube in tubes])
-    cuts = _merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
+    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
     present, curved = where(transition, end, curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
     zero = np.zeros(n)
     return Assembly(
@@ -131,10 +131,13 @@ def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> 
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
-def _merge(points: Array) -> Array:
-    """Sorted points without those closer than ROUND_OFF to the one before."""
-    points = np.sort(points)
-    return np.asarray(points[np.concatenate([[True], np.diff(points) > ROUND_OFF])])
+def merge(points: Array) -> Array:
+    """Sorted points without those closer than ROUND_OFF to the last one that was kept."""
+    kept: list[float] = []
+    for point in np.sort(points).tolist():
+        if not kept or point - kept[-1] > ROUND_OFF:
+            kept.append(point)
+    return np.array(kept)
 
 
 def without_offsets(assembly: Assembly) -> Assembly:

@@ -147,7 +147,7 @@ def add_equilibrium(builder: Builder, structure: Structure, given: BlockInput) -
             names = _labels("rotation equation", structure, piece, True)
             builder.constrain(names, ca.vec(inner[0] - ca.repmat(theta, 1, degree) - h * slope @ t.matrix.T))
             names = _labels("torsion equation", structure, piece, True)
-            builder.constrain(names, ca.vec(inner[1] - ca.repmat(twist, 1, degree) - h * gain @ t.matrix.T))
+            builder.constrain(names, ca.vec(inner[1] - ca.repmat(twist, 1, degree) - h * gain @ t.adjoint.T))
             end = theta + h * slope @ t.weights, twist + h * gain @ t.weights
         last = piece == structure.n_pieces - 1
         if not last:

@@ -37,6 +37,15 @@ class Tableau:
         """Number of collocation points K."""
         return len(self.nodes)
 
+    @property
+    def adjoint(self) -> Array:
+        """(K, K) matrix b_j - a_ji b_j / b_i that makes a pair with `matrix` symplectic: itself for Gauss points.
+
+        With it for theta'' the collocated equations are those of a least energy (Hairer, Lubich, Wanner, Geometric
+        Numerical Integration, II.1.4 and VI.4).
+        """
+        return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
+
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
         x = 2 * np.asarray(at, dtype=float) - 1
