@@ -136,7 +136,7 @@ def solve_bvp(
             start = guess if guess is not None and len(guess.y) == problem.size else bvp.untwisted(problem)
             try:
                 return bvp.solve(problem, start, tolerance, jacobians=jacobians)
-            except RuntimeError:
+            except (RuntimeError, MemoryError):  # no solution, or a mesh too large for its matrices
                 return None
 
         seconds, solution = clock(run)

@@ -133,7 +133,8 @@ def jacobian(equilibrium: Equilibrium, *, side: int = 1) -> Jacobian:
     """
     if side not in (1, -1):
         raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-    return jacobian_at(polish(equilibrium, discretisation_of(equilibrium)), equilibrium.robot.moving_together, side=side)
+    solution = polish(equilibrium, discretisation_of(equilibrium))
+    return jacobian_at(solution, equilibrium.robot.moving_together, side=side)
 
 
 def jacobian_at(solution: Solution, carriages: tuple[tuple[int, ...], ...], *, side: int = 1) -> Jacobian:

@@ -227,6 +227,41 @@ def _refine(robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Dis
     return solution if method == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
+def one_step(
+    robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...], *, tolerance: float = 1e-8
+) -> Equilibrium | None:
+    """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
+    ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
+    began = time.perf_counter()
+    quick = _compiled(robot, rotations, translations, guess, began)
+    if quick is None:
+        solution = _near(robot, guess, rotations, translations, DEFAULT_DISCRETISATION)
+        if solution is None:
+            return None
+        quick = to_equilibrium(robot, solution, translations, ("newton", "guess", time.perf_counter() - began))
+    if _error(quick) <= tolerance:
+        return quick
+    return forward_kinematics(robot, rotations, translations, guess=quick, tolerance=tolerance)
+
+
+def _near(
+    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
+) -> Solution | None:
+    """The solution after a small motion, from the guess itself, without solving for it once more; None where Newton's
+    method is not at ease, or the motion is not small."""
+    problem = reduced_problem(robot, shift, discretisation)
+    turn = rotations - guess.rotations
+    if not _small(turn, shift - guess.translations, problem.assembly.total_length):
+        return None
+    theta = sample_rotation(guess, problem.arc_length) + turn
+    result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
+    # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
+    far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > LARGEST_TWIST
+    if not result.converged or result.contraction > LARGEST_RATIO or far:
+        return None
+    return Solution(problem, rotations, result, margin(problem, result.state))
+
+
 def follow_branch(
     robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
 ) -> Solution:
@@ -235,16 +270,9 @@ def follow_branch(
     Raises:
         SolveError: the branch ends on the way.
     """
-    problem = reduced_problem(robot, shift, discretisation)
-    turn = rotations - guess.rotations
-    if _small(turn, shift - guess.translations, problem.assembly.total_length):
-        # A small motion: one step from the guess itself, without solving for it once more.
-        theta = sample_rotation(guess, problem.arc_length) + turn
-        result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
-        # Newton that goes far from the guess may have jumped past a fold: the steps below would tell.
-        far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > LARGEST_TWIST
-        if result.converged and result.contraction <= LARGEST_RATIO and not far:
-            return Solution(problem, rotations, result, margin(problem, result.state))
+    near = _near(robot, guess, rotations, shift, discretisation)
+    if near is not None:
+        return near
     own = np.concatenate([guess.rotations, guess.translations])
     path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
     points, reached = follow_to(path, Point(0.0, polish(guess, discretisation)), 1.0, stable=False)
