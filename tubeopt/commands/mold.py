@@ -1,0 +1,159 @@
+"""`tubeopt mold`: molds for the tubes of a robot, spring-back from trials, materials side by side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from ..errors import InputError, positive
+from ..fabrication.mold import plan_mold
+from ..fabrication.mold_heat import HeatSpec
+from ..fabrication.mold_materials import mold_material
+from ..fabrication.mold_ranking import rank_mold_materials
+from ..fabrication.mold_spec import MoldSpec
+from ..fabrication.springback import calibrate_springback
+from ..materials import ZERO_CELSIUS
+from ..study.mold_file import load_mold_spec, load_springback, load_trials
+from ..study.robot_file import load_robot
+from ..tubes import Tube
+from .mold_report import CalibrationReport, MaterialsReport, MoldReport
+from .options import JsonOption, OutOption, PlotOption, RobotArgument
+from .report import can_be_saved, present
+
+
+class _PlanByDefault(TyperGroup):
+    """`tubeopt mold ROBOT.yaml` is short for `tubeopt mold plan ROBOT.yaml`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put `plan` in front of arguments that name no command."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = ["plan", *args]
+        rest: list[str] = super().parse_args(ctx, args)
+        return rest
+
+
+app = typer.Typer(cls=_PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
+
+TubesOption = Annotated[
+    str | None,
+    typer.Option("--tubes", metavar="N,..", help="Which tubes, from 1; by default every different curved one."),
+]
+
+
+@app.command(epilog="Example: tubeopt mold plan configs/robots/thesis_etr.yaml --out results")
+def plan(
+    robot: RobotArgument,
+    mold: Annotated[
+        str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
+    ] = None,
+    tubes: TubesOption = None,
+    material: Annotated[
+        str | None, typer.Option(help="steel, mdf, glass_mica or calcium_silicate; by default that of the mold file.")
+    ] = None,
+    springback: Annotated[
+        str | None, typer.Option(metavar="FILE.yaml", help="Spring-back from `tubeopt mold calibrate`.")
+    ] = None,
+    cold_length_mm: Annotated[
+        float | None, typer.Option(help="From a clamp to where the tube is hot; by default estimated.")
+    ] = None,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet."""
+    made_of = load_robot(robot)
+    spec = MoldSpec() if mold is None else load_mold_spec(mold)
+    if material is not None:
+        spec = replace(spec, material=mold_material(material))
+    if springback is not None:
+        spec = replace(spec, springback=load_springback(springback))
+    if cold_length_mm is not None:
+        spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / 1e3)
+    numbers, left_out = chosen_tubes(made_of.tubes, tubes)
+    can_be_saved(out)
+    planned = plan_mold([made_of.tubes[k] for k in numbers], spec)
+    report = MoldReport(planned, made_of.name, tuple(k + 1 for k in numbers), tuple(left_out))
+    present(report, out=out, as_json=as_json, plot=plot)
+
+
+def chosen_tubes(tubes: tuple[Tube, ...], text: str | None) -> tuple[list[int], list[str]]:
+    """Indices of the tubes that a mold is for, and why others are left out.
+
+    Without `text` ("1,3"): every curved tube that is not equal to an earlier one.
+
+    Raises:
+        InputError: no such tube, or none that needs a mold.
+    """
+    if text is not None:
+        numbers = []
+        for part in text.split(","):
+            number = int(part) if part.strip().isdigit() else 0
+            if not 1 <= number <= len(tubes):
+                raise InputError(f"--tubes is {text!r}; it must be numbers from 1 to {len(tubes)}, with commas between")
+            numbers.append(number - 1)
+        return numbers, []
+    numbers, left_out = [], []
+    for k, tube in enumerate(tubes):
+        if tube.curved_length == 0 or tube.curvature == 0:
+            left_out.append(f"tube {k + 1} is straight and needs no mold")
+        elif tube in [tubes[j] for j in numbers]:
+            first = next(j for j in numbers if tubes[j] == tube)
+            left_out.append(f"tube {k + 1} is equal to tube {first + 1} and is set in its groove")
+        else:
+            numbers.append(k)
+    if not numbers:
+        raise InputError("no tube of this robot is curved; none needs a mold")
+    return numbers, left_out
+
+
+@app.command(epilog="Example: tubeopt mold calibrate configs/molds/example_trials.csv --out results")
+def calibrate(
+    trials: Annotated[
+        str,
+        typer.Argument(metavar="TRIALS.csv", help="Columns mold_radius_mm and obtained_radius_mm.", show_default=False),
+    ],
+    model: Annotated[
+        str, typer.Option(help="constant: one lost fraction; linear: it grows with curvature; auto: as trials tell.")
+    ] = "auto",
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Spring-back from trials: how much of the mold's curvature tubes lose."""
+    can_be_saved(out)
+    read = load_trials(trials)
+    answer = calibrate_springback(read.mold_radius, read.obtained_radius, model=model)
+    present(CalibrationReport(answer), out=out, as_json=as_json, plot=plot)
+
+
+@app.command(epilog="Example: tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1")
+def materials(
+    robot: Annotated[
+        str | None, typer.Argument(metavar="[ROBOT.yaml]", help="Robot whose tube it is.", show_default=False)
+    ] = None,
+    tube: Annotated[int, typer.Option("--tube", metavar="N", help="Which tube of the robot, from 1.")] = 1,
+    outer_diameter_mm: Annotated[float, typer.Option(help="Without a robot: the tube; by default the thesis'.")] = 1.92,
+    inner_diameter_mm: Annotated[float, typer.Option(help="Without a robot: its inner diameter.")] = 1.57,
+    curved_length_mm: Annotated[float, typer.Option(help="Without a robot: the length to be heated.")] = 94.0,
+    set_degc: Annotated[float, typer.Option("--set-degC", help="Temperature of the tube.")] = 525.0,
+    hold_s: Annotated[float, typer.Option(help="For how long it is held.")] = 60.0,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Mold materials for a tube, best first: heat drawn, limit temperature, current that leaks, and why."""
+    if robot is not None:
+        tubes = load_robot(robot).tubes
+        if not 1 <= tube <= len(tubes):
+            raise InputError(f"--tube is {tube}; it must lie in 1 to {len(tubes)}")
+        wanted = tubes[tube - 1]
+    else:
+        sizes = (outer_diameter_mm, inner_diameter_mm, curved_length_mm)
+        outer, inner, length = (value / 1e3 for value in sizes)
+        wanted = Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)
+    heat = replace(HeatSpec(), set_temperature=set_degc + ZERO_CELSIUS, hold_time=positive("--hold-s", hold_s))
+    can_be_saved(out)
+    present(MaterialsReport(rank_mold_materials(wanted, heat), wanted, heat), out=out, as_json=as_json, plot=plot)
