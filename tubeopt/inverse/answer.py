@@ -1,0 +1,126 @@
+"""Answers of inverse kinematics: plain data, and how the question is asked in detail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, choice, positive
+from ..robots.assembly import Array
+from ..robots.robot import Robot
+from .goal import OBJECTIVES
+
+METHODS = ("auto", "gauss_newton", "nlp")
+"""How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""
+
+
+class InverseStatus(Enum):
+    """What became of a target; every value reads as a sentence."""
+
+    REACHED = "the target is reached by a stable equilibrium"
+    CLOSEST = "the target is out of reach; this is the closest pose that was found"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class InverseStatistics:
+    """How an answer was found: method, start, starts tried, iterations, solved equilibria, seconds."""
+
+    method: str
+    start: str
+    tries: int
+    iterations: int
+    solves: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class InverseSolution:
+    """Joint values that bring the tip to a target, and the equilibrium that the robot takes there.
+
+    Attributes:
+        target_position (3,) m, target_direction (3,) or None: what was asked for.
+        rotations (n,) rad, translations (n,) m, not wrapped.
+        equilibrium: stable; `forward_kinematics(robot, rotations, translations, guess=equilibrium)` agrees.
+        position_error: distance of the tip from the target, m.   direction_error: angle, rad; NaN without a direction.
+        margin: of the equilibrium.   clearance: least distance of the arm from any obstacle, m; infinite without.
+        cold_start_agrees: whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody
+            asked, as in a servo step.
+        straight_from_seed: whether the straight way of joint values from the seed leads to it without a snap; None
+            without a seed.
+        active: in words, what holds the joint values: ends of ranges, tubes that touch, margin, obstacles.
+        status, statistics: how the search ended, and its cost.
+    """
+
+    robot: Robot
+    target_position: Array
+    target_direction: Array | None
+    rotations: Array
+    translations: Array
+    equilibrium: Equilibrium
+    position_error: float
+    direction_error: float
+    clearance: float
+    cold_start_agrees: bool | None
+    straight_from_seed: bool | None
+    active: tuple[str, ...]
+    status: InverseStatus
+    statistics: InverseStatistics
+
+    @property
+    def margin(self) -> float:
+        """Stability margin of the equilibrium."""
+        return self.equilibrium.margin
+
+    @property
+    def reached(self) -> bool:
+        """Whether the tip is on target."""
+        return self.status is InverseStatus.REACHED
+
+
+@dataclass(frozen=True)
+class InverseOptions:
+    """Details of the question and of the search.
+
+    Args:
+        objective: what is best among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least
+            int |u|^2 ds), or None: "nearest" where a seed or a reference is given, else any answer.
+        direction_weight: None holds the tip to the direction; a number makes (half the square of) the difference of the
+            unit vectors a cost of that weight beside the objective.
+        clearance: least distance of the surface of the arm from obstacles, m.
+        carriage_gap: least distance of neighbouring carriages, m.
+        section_length: least length by which a tube ends beyond the one around it, m.
+        method: "auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone.
+        starts: most starting configurations.
+        distinct: answers of `all_solutions` differ somewhere along the arm by this share of its length.
+
+    Raises:
+        InputError: a value that is not allowed.
+    """
+
+    objective: str | None = None
+    direction_weight: float | None = None
+    clearance: float = 0.0
+    carriage_gap: float = 0.0
+    section_length: float = 0.0
+    method: str = "auto"
+    starts: int = 48
+    distinct: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.objective is not None:
+            choice("objective", self.objective, OBJECTIVES)
+        choice("method", self.method, METHODS)
+        for name in ("clearance", "carriage_gap", "section_length"):
+            positive(name, getattr(self, name), zero=True)
+        positive("distinct", self.distinct)
+        if self.direction_weight is not None:
+            positive("direction_weight", self.direction_weight)
+        if isinstance(self.starts, bool) or self.starts != int(self.starts) or self.starts < 1:
+            raise InputError(f"starts is {self.starts!r}; it must be a whole number of at least 1")
+
+
+DEFAULT_OPTIONS = InverseOptions()

@@ -1,0 +1,272 @@
+"""The fast path: Gauss-Newton on the implicit derivatives of the equilibrium, with active bounds.
+
+Every iterate is a solved, stable equilibrium that keeps joints, order, margin and clearance. A step is a small
+least-squares problem with the linearised constraints as inequalities; it is shortened until the real arm agrees with
+its prediction. `reach` brings the tip to the target, `improve` then moves in the null space of the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import Array
+from ..solvers.least_squares import LeastSquares, constrained_least_squares
+from .goal import Goal
+from .order import Order, beyond, breakpoint_order
+from .posture import Posture
+
+FIRST_STEP = 0.6
+"""Largest step at first, in units of the joints' scales."""
+
+SHORTEST_STEP = 1e-5
+"""A step shortened to this says that the search has ended."""
+
+PATIENCE = 5
+"""Steps in a row that may bring next to nothing before a search is given up."""
+
+CLOSE_ENOUGH = 1e-10
+"""Distance (m) and angle (rad) at which a target counts as met while searching."""
+
+STALLED = 1e-7
+"""Relative decrease of the residual that a step must promise."""
+
+TARGET_WEIGHT = 1e4
+"""Weight of the target over cost in a step of `improve`."""
+
+ALMOST = 1e-4
+"""Length of a section, as a share of the robot's, that may hold a step up as if it were closed."""
+
+SLACK = 1e-9
+"""Clearance (m) that may be missing by round-off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Where a search ended: the best posture, whether it is on target, iterations, and solved equilibria."""
+
+    posture: Posture
+    reached: bool
+    iterations: int
+    solves: int
+
+
+def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
+    """Levenberg-Marquardt with inequalities from a stable posture towards the target, and out of any obstacle."""
+    here, step, solves, side = start, FIRST_STEP, 0, 1
+    missing = _missing(goal, here)
+    sizes = [float(np.linalg.norm(missing))]
+    for iteration in range(iterations):
+        if _done(goal, here, CLOSE_ENOUGH):
+            return Search(here, True, iteration, solves)
+        slope = np.vstack([goal.slope(here, side=side), goal.collisions(here)[1]])
+        rows, bounds = goal.inequalities(here)
+        there, promised = None, 0.0
+        while there is None:
+            chosen = _towards(goal, slope, missing, rows, bounds, step)
+            promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
+            if chosen is None or promised <= STALLED * sizes[-1] or step < SHORTEST_STEP:
+                break
+            there = _tried(goal, here, chosen.x, sizes[-1] - 0.1 * promised)
+            solves += 1
+            if there is None:
+                step = 0.35 * min(step, _length(goal, chosen.x))
+        if there is None and side > 0 and not _done(goal, here, 1e-8):
+            # Breakpoints may coincide: what holds forwards may not hold backwards.
+            side, step = -1, 0.5 * FIRST_STEP
+            continue
+        if there is None or _stagnant(sizes):
+            return Search(here, _done(goal, here, 1e-8), iteration, solves)
+        here, side, missing = there, 1, _missing(goal, there)
+        sizes.append(float(np.linalg.norm(missing)))
+        if sizes[-2] - sizes[-1] >= 0.7 * promised:
+            step = min(2 * step, 2 * FIRST_STEP)
+    return Search(here, _done(goal, here, 1e-8), iterations, solves)
+
+
+def _missing(goal: Goal, at: Posture) -> Array:
+    """What is left to the target, and the clearances that are missing."""
+    return np.concatenate([goal.residual(at), goal.collisions(at)[0]])
+
+
+def _done(goal: Goal, at: Posture, close: float) -> bool:
+    return goal.reached(at, close, close) and goal.allowed(at, SLACK)
+
+
+def _tried(goal: Goal, here: Posture, step: Array, most: float) -> Posture | None:
+    """The posture after a step, if it keeps what must be kept, and leaves no more missing than `most`."""
+    there = here.to(goal.space.clip(here.q + step))
+    if there is None or there.margin < min(goal.floor, here.margin):
+        return None
+    if goal.violation(there) > goal.violation(here) + SLACK:
+        return None
+    return there if np.linalg.norm(_missing(goal, there)) <= most else None
+
+
+def _stagnant(sizes: list[float]) -> bool:
+    """Whether the last steps together brought next to nothing."""
+    return len(sizes) > PATIENCE and sizes[-1] > 0.97 * sizes[-1 - PATIENCE]
+
+
+def _length(goal: Goal, step: Array) -> float:
+    return float(np.abs(step / goal.space.scale).max())
+
+
+def boxed(goal: Goal, rows: Array, bounds: Array, step: float) -> tuple[Array, Array]:
+    """The inequalities with a step of at most `step` in every joint."""
+    unit = np.diag(1 / goal.space.scale)
+    most = np.full(2 * len(unit), -step)
+    return np.vstack([rows, unit, -unit]), np.concatenate([bounds, most])
+
+
+def _towards(goal: Goal, slope: Array, residual: Array, rows: Array, bounds: Array, step: float) -> LeastSquares | None:
+    """The step that brings the tip nearest to the target: the shortest one, where several do."""
+    # Damping by the square of the residual keeps quadratic convergence (Yamashita and Fukushima 2001).
+    damping = np.sqrt(min(1e-2 * float(residual @ residual), 1e-3) + 1e-14)
+    matrix = np.vstack([slope, np.diag(damping / goal.space.scale)])
+    right = np.concatenate([-residual, np.zeros(len(goal.space.scale))])
+    return constrained_least_squares(matrix, right, *boxed(goal, rows, bounds, step))
+
+
+def improve(goal: Goal, start: Posture, *, iterations: int = 60) -> Search:
+    """Lower the cost from a posture on target, without leaving it: a feasible path, each step corrected back.
+
+    Between changes of the order of breakpoints everything is smooth. Steps end where the order changes, slide along,
+    and cross where it is lower beyond.
+    """
+    if goal.objective is None and goal.direction_weight is None:
+        return Search(start, True, 0, 0)
+    path = _Path(goal, goal.cost(start))
+    here, step = start, 0.5 * FIRST_STEP
+    for iteration in range(iterations):
+        cost = path.cost
+        there, step = path.step(here, step)
+        if there is None:
+            there = path.across(here)
+            step = 0.1 * FIRST_STEP
+        if there is None:
+            return Search(here, True, iteration, path.solves)
+        here = there
+        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3):
+            return Search(here, True, iteration + 1, path.solves)
+        step = min(1.8 * step, FIRST_STEP)
+    return Search(here, True, iterations, path.solves)
+
+
+class _Path:
+    """Postures on target with ever lower cost; counts the equilibria solved."""
+
+    def __init__(self, goal: Goal, cost: float) -> None:
+        self.goal, self.cost, self.solves = goal, cost, 0
+
+    def step(self, here: Posture, step: float) -> tuple[Posture | None, float]:
+        """The posture after a step that lowers the cost, None without one, and the length that a step may have."""
+        goal = self.goal
+        slope, residual = goal.slope(here), goal.residual(here)
+        order = breakpoint_order(goal, here)
+        kept, gap = order.steps(here.q)
+        rows, bounds = goal.inequalities(here)
+        limits = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        while step > 1e-4:
+            chosen = _downhill(goal, here, (slope, residual), limits, step)
+            if chosen is None or _length(goal, chosen.x) < 1e-7:
+                return None, step
+            trial = here.to(goal.space.clip(here.q + chosen.x))
+            self.solves += 1
+            if trial is not None:
+                back = correct(goal, trial, slope, order=order)
+                self.solves += back.solves
+                if back.posture is not None and goal.cost(back.posture) < self.cost - 1e-9 * max(abs(self.cost), 1e-3):
+                    self.cost = goal.cost(back.posture)
+                    return back.posture, step
+            step = 0.35 * min(step, _length(goal, chosen.x))
+        return None, step
+
+    def across(self, here: Posture) -> Posture | None:
+        """The posture after a step beyond a change of order that holds the cost up; None where it rises beyond."""
+        order = breakpoint_order(self.goal, here)
+        shift = here.q[self.goal.space.robot.n_tubes :]
+        gap = (order.rows @ shift - order.bound)[: order.changeable]
+        for k in np.flatnonzero(gap <= ALMOST * self.goal.space.length):
+            other = beyond(self.goal, here, [(order.rows[k], float(order.bound[k]))])
+            back = None if other is None else correct(self.goal, other, self.goal.slope(other)).posture
+            if back is None:
+                continue
+            there, _ = self.step(back, 0.1 * FIRST_STEP)
+            if there is not None:
+                return there
+        return None
+
+
+def _downhill(
+    goal: Goal, here: Posture, target: tuple[Array, Array], limits: tuple[Array, Array], step: float
+) -> LeastSquares | None:
+    slope, residual = target
+    cost, right = goal.cost_rows(here, 1e-3)
+    size = max(float(np.linalg.norm(right)), 1e-12)
+    matrix = np.vstack([TARGET_WEIGHT * slope, cost])
+    rightmost = np.concatenate([-TARGET_WEIGHT * residual, right])
+    if size > 1e6:
+        rightmost[len(residual) :] *= 1e6 / size
+    return constrained_least_squares(matrix, rightmost, *boxed(goal, *limits, step))
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The posture on target, None where that leads nowhere or out of what is allowed; the slope as it was updated on
+    the way, and the equilibria solved."""
+
+    posture: Posture | None
+    slope: Array
+    solves: int
+
+
+def correct(
+    goal: Goal,
+    at: Posture,
+    slope: Array,
+    *,
+    close: float = CLOSE_ENOUGH,
+    most: int = 8,
+    order: Order | None = None,
+) -> Correction:
+    """Back onto the target with the derivatives of a posture near by: Broyden's method within the joints' limits, and
+    without a change of the order of breakpoints where one is given."""
+    residual, solves = goal.residual(at), 0
+    while not goal.reached(at, close, close):
+        if solves == most:
+            return Correction(None, slope, solves)
+        rows, bounds = goal.space.inequalities(at.q)
+        if order is not None:
+            kept, gap = order.steps(at.q)
+            rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+        chosen = _towards(goal, slope, residual, rows, np.minimum(bounds, 0.0), FIRST_STEP)
+        there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
+        solves += 1
+        if there is None:
+            return Correction(None, slope, solves)
+        new = goal.residual(there)
+        if np.linalg.norm(new) > 0.5 * np.linalg.norm(residual) and not goal.reached(there, 1e-9, 1e-9):
+            return Correction(None, slope, solves)
+        slope = broyden(goal, slope, there.q - at.q, new - residual)
+        at, residual = there, new
+    return Correction(at if goal.allowed(at, SLACK) else None, slope, solves)
+
+
+def broyden(goal: Goal, slope: Array, moved: Array, change: Array) -> Array:
+    """The slope closest to `slope` that explains a change of the residual by a motion of the joints."""
+    weighted = moved / goal.space.scale**2
+    size = float(moved @ weighted)
+    return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
+
+
+def held_by(goal: Goal, at: Posture) -> list[str]:
+    """In words, what keeps the tip from the target at a posture where the search has ended."""
+    words = goal.space.active(at.q)
+    if at.margin - goal.floor < 1e-3:
+        words.append(f"margin at its bound ({goal.min_margin:g})")
+    for k, obstacle in enumerate(goal.obstacles):
+        if float(at.clearance(obstacle).min()) - goal.gap < 1e-5:
+            words.append(f"arm at obstacle {k + 1} ({type(obstacle).__name__.lower()})")
+    return words

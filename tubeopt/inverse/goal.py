@@ -1,0 +1,174 @@
+"""The question: where the tip shall be and point to, what must hold meanwhile, and what is best among the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from .joints import JointSpace
+from .posture import Posture
+
+OBJECTIVES = ("nearest", "margin", "curvature")
+"""What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
+
+MARGIN_ROOM = 1e-6
+"""The margin is kept this much above what was asked for, so that solving again on a finer mesh still finds it there."""
+
+CLEARANCE_ROOM = 1e-5
+"""Clearance (m) kept above what was asked for: more than the arm comes closer between the points of the measurement."""
+
+NEAR = 0.1
+"""Points of the arm closer to an obstacle than this share of its length are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A target in a joint space.
+
+    position (3,) m; direction (3,) unit vector or None; direction_weight: None holds the tip to the direction, a number
+    makes |t - direction|^2 a cost of that weight.
+    min_margin, clearance (m), obstacles: what must hold.
+    objective, reference (m,), weights (m,): what is best.
+    """
+
+    space: JointSpace
+    position: Array
+    direction: Array | None
+    direction_weight: float | None
+    min_margin: float
+    obstacles: Sequence[Obstacle]
+    clearance: float
+    objective: str | None
+    reference: Array
+    weights: Array
+
+    @property
+    def pointed(self) -> bool:
+        """Whether the direction is a constraint."""
+        return self.direction is not None and self.direction_weight is None
+
+    @property
+    def overdetermined(self) -> bool:
+        """Whether the target has more equations than the robot has joints."""
+        return len(self.space.lower) < (5 if self.pointed else 3)
+
+    @property
+    def floor(self) -> float:
+        """The margin that is kept."""
+        return self.min_margin + MARGIN_ROOM
+
+    @property
+    def gap(self) -> float:
+        """The clearance that is kept, m."""
+        return self.clearance + CLEARANCE_ROOM
+
+    def residual(self, at: Posture) -> Array:
+        """(3,) or (6,) what is left to the target: position over length, and direction."""
+        gap = (at.tip - self.position) / self.space.length
+        if self.direction is None or not self.pointed:
+            return np.asarray(gap)
+        return np.concatenate([gap, at.direction - self.direction])
+
+    def slope(self, at: Posture, *, side: int = 1) -> Array:
+        """(3, m) or (6, m) derivative of the residual."""
+        position = (at.jacobian if side > 0 else at.backward)[0] / self.space.length
+        if not self.pointed:
+            return np.asarray(position)
+        return np.vstack([position, self.turning(at, side=side)])
+
+    def turning(self, at: Posture, *, side: int = 1) -> Array:
+        """(3, m) derivative of the tip's direction."""
+        turn = (at.jacobian if side > 0 else at.backward)[1]
+        return np.asarray(np.cross(turn, at.direction[:, None], axis=0))
+
+    def position_error(self, at: Posture) -> float:
+        """Distance of the tip from the target, m."""
+        return float(np.linalg.norm(at.tip - self.position))
+
+    def direction_error(self, at: Posture) -> float:
+        """Angle between the tip and the wanted direction, rad; NaN without one."""
+        return angle(at.direction, self.direction) if self.direction is not None else float("nan")
+
+    def reached(self, at: Posture, position: float, direction: float) -> bool:
+        """Whether position (m) and, where it is a constraint, direction (rad) are met."""
+        return self.position_error(at) <= position and not (self.pointed and self.direction_error(at) > direction)
+
+    def allowed(self, at: Posture, slack: float = 0.0) -> bool:
+        """Whether margin and clearance are kept, to within `slack` (m) of clearance."""
+        return at.margin >= self.floor and self.violation(at) <= slack
+
+    def violation(self, at: Posture) -> float:
+        """By how much the arm is too close to the obstacle that it violates most, m; 0 where it is clear."""
+        return max(0.0, self.gap - self.least_clearance(at))
+
+    def collisions(self, at: Posture) -> tuple[Array, Array]:
+        """(v,) clearances that are missing, over length, and their slopes (v, m): what a search has to make 0."""
+        values, rows = [np.zeros(0)], [np.zeros((0, len(at.q)))]
+        for obstacle in self.obstacles:
+            distance, changes = at.clearance_rows(obstacle, self.gap)
+            values.append((self.gap - distance) / self.space.length)
+            rows.append(-changes / self.space.length)
+        return np.concatenate(values), np.vstack(rows)
+
+    def least_clearance(self, at: Posture) -> float:
+        """Least distance of the arm from any obstacle, m; infinite without obstacles."""
+        return min((float(at.clearance(each).min()) for each in self.obstacles), default=float("inf"))
+
+    def inequalities(self, at: Posture) -> tuple[Array, Array]:
+        """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""
+        rows, bounds = self.space.inequalities(at.q)
+        slope = at.margin_slope()
+        rows = np.vstack([rows, slope])
+        bounds = np.append(np.minimum(bounds, 0.0), min(self.floor - at.margin, 0.0) if slope.any() else -np.inf)
+        for obstacle in self.obstacles:
+            values, changes = at.clearance_rows(obstacle, self.gap + NEAR * self.space.length)
+            clear = values >= self.gap
+            rows = np.vstack([rows, changes[clear]])
+            bounds = np.concatenate([bounds, (self.gap - values)[clear]])
+        return rows, bounds
+
+    def cost(self, at: Posture) -> float:
+        """What is made small among all answers; 0 where nothing was asked for."""
+        value = 0.0
+        if self.objective == "nearest":
+            value = 0.5 * float(np.sum((self.weights * (at.q - self.reference)) ** 2))
+        elif self.objective == "margin":
+            value = -at.margin
+        elif self.objective == "curvature":
+            value = 0.5 * at.bend * self.space.length
+        if self.direction is not None and self.direction_weight is not None:
+            value += 0.5 * self.direction_weight * float(np.sum((at.direction - self.direction) ** 2))
+        return value
+
+    def cost_rows(self, at: Posture, damping: float) -> tuple[Array, Array]:
+        """Rows (r, m) and right-hand sides of least squares in the step whose minimum makes the cost small.
+
+        Exact for "nearest", Gauss-Newton for a weighted direction; for the others, of which only the gradient is known,
+        the step of steepest descent in the metric of the joints' scales, `damping` its inverse length.
+        """
+        steep = np.zeros(len(at.q))
+        rows, right = [np.diag(np.maximum(damping, 1e-6) / self.space.scale)], [steep]
+        if self.objective == "nearest":
+            rows.append(np.diag(self.weights))
+            right.append(self.weights * (self.reference - at.q))
+        else:
+            gradient = np.zeros(len(at.q))
+            if self.objective == "margin":
+                gradient = -at.margin_slope()
+            elif self.objective == "curvature":
+                gradient = 0.5 * self.space.length * at.along.bend @ self.space.spread
+            right[0] = -gradient * self.space.scale / np.maximum(damping, 1e-6)
+        if self.direction is not None and self.direction_weight is not None:
+            root = np.sqrt(self.direction_weight)
+            rows.append(root * self.turning(at))
+            right.append(root * (self.direction - at.direction))
+        return np.vstack(rows), np.concatenate(right)
+
+
+def angle(a: Array, b: Array) -> float:
+    """Angle between two unit vectors, rad: accurate however small."""
+    return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))

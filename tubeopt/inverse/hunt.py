@@ -1,0 +1,287 @@
+"""The search: from a seed and from the table, by the fast path and the nonlinear program; what to say in the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from ..errors import SolveError
+from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .descent import SLACK, Search, correct, held_by, improve, reach
+from .goal import Goal
+from .joints import JointSpace
+from .posture import Posture, posture_of, same_place, start_at
+from .program import programmable, solve_program
+from .table import StartTable, nearest_starts, spread_starts, start_table
+
+POSITION_TOLERANCE = 1e-8
+"""Distance (m) at which an answer counts as on target."""
+
+DIRECTION_TOLERANCE = 1e-7
+"""Angle (rad) at which it counts as pointing there."""
+
+UNANIMOUS, SAME_MISS = 10, 2e-5
+"""So many starts that end as far from the target, to this share of the robot's length, say that there is no better."""
+
+ENOUGH, FAR_OFF = 24, 0.02
+"""So many starts, all ending farther from the target than this share of the robot's length, say: out of reach."""
+
+COMPARED = 3
+"""Answers among which the best is taken, where there is an objective and no seed."""
+
+COLD_DISAGREES = 4
+"""Answers that a cold forward kinematics does not find, after which one of them is taken."""
+
+NEAREST_FIRST = 12
+"""Starts that are taken as they come, the most promising first; those after them are spread over all postures."""
+
+PROGRAM_STARTS = 4
+"""Starts from which the nonlinear program tries what the fast path did not solve."""
+
+
+@lru_cache(maxsize=32)
+def _table(space: JointSpace) -> StartTable:
+    return start_table(space)
+
+
+@dataclass
+class Hunt:
+    """One search: the question, and the best that was found so far."""
+
+    goal: Goal
+    first: Posture | None
+    near: bool
+    options: InverseOptions
+    began: float
+    tries: int = 0
+    iterations: int = 0
+    solves: int = 0
+    closest: Search | None = None
+    agreeing: int = 0
+    everywhere: bool = False
+
+    def one(self) -> InverseSolution | None:
+        """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
+        where any answer will do, several where one is to be the best."""
+        wanted = 1 if self.goal.objective is None else COMPARED
+        good: list[InverseSolution] = []
+        doubtful: list[InverseSolution] = []
+        for answer, from_seed in self._answers(self.options.starts):
+            if from_seed:
+                return answer
+            (good if answer.cold_start_agrees else doubtful).append(answer)
+            if len(good) == wanted or len(doubtful) == COLD_DISAGREES:
+                break
+        return min(good or doubtful, key=self._cost, default=None)
+
+    def _cost(self, answer: InverseSolution) -> float:
+        return self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
+
+    def all(self) -> list[InverseSolution]:
+        """Distinct answers, best first."""
+        self.everywhere = True
+        found = [answer for answer, _ in self._answers(self.options.starts)]
+        if self.near:
+            found.sort(key=lambda answer: self._distance(answer))
+        else:
+            found.sort(key=lambda answer: (-round(answer.margin, 3), answer.equilibrium.energy))
+        kept: list[InverseSolution] = []
+        for answer in found:
+            if all(_difference(answer, other) > self.options.distinct for other in kept):
+                kept.append(answer)
+        return kept
+
+    def _distance(self, answer: InverseSolution) -> float:
+        q = self.goal.space.join(answer.rotations, answer.translations)
+        return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
+
+    def _answers(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
+        """Answers from the seed, from the table, and from the nonlinear program for what these do not solve."""
+        found = False
+        if self.first is not None:
+            for answer in self._from(self.first, "seed"):
+                found = True
+                yield answer, True
+        elif self.near and (start := self._at_reference()) is not None:
+            for answer in self._from(start, "reference"):
+                found = True
+                yield answer, False
+        stalled: list[Posture] = []
+        for start in self._starts():
+            if self.tries >= most or (not found and self._hopeless()):
+                break
+            answers = list(self._from(start, "table"))
+            if not answers:
+                stalled.append(start)
+            for answer in answers:
+                found = True
+                yield answer, False
+        if found or self.options.method != "auto" or not programmable(self.goal):
+            return
+        for start in sorted(stalled, key=self.goal.position_error)[:PROGRAM_STARTS]:
+            for answer in self._finished(self._by_program(start), "table", "nlp"):
+                yield answer, False
+
+    def _at_reference(self) -> Posture | None:
+        """The reference itself, brought inside of the limits."""
+        q = self.goal.space.nearest(self.goal.reference)
+        return start_at(self.goal.space, q)
+
+    def _starts(self) -> Iterator[Posture]:
+        """Allowed postures of the table, the most promising first."""
+        goal = self.goal
+        reference = goal.reference if self.near else None
+        target = (goal.position, goal.direction)
+        table = _table(goal.space)
+        near = nearest_starts(goal.space, table, target, min_margin=goal.floor, reference=reference)
+        for q in spread_starts(
+            goal.space, near, 4 * self.options.starts, first=0 if self.everywhere else NEAREST_FIRST
+        ):
+            start = start_at(goal.space, q)
+            if start is not None and start.margin >= goal.floor:
+                yield start
+
+    def _from(self, start: Posture, name: str) -> Iterator[InverseSolution]:
+        """The answer that a search from one start gives, if it does."""
+        start = self._brought_inside(start)
+        if start.margin < self.goal.floor or not self.goal.space.admissible(start.q):
+            return
+        self.tries += 1
+        if self.options.method == "nlp":
+            yield from self._finished(self._by_program(start), name, "nlp")
+            return
+        search = reach(self.goal, start)
+        self._count(search)
+        if not search.reached or (self.goal.objective is None and self.goal.direction_weight is None):
+            yield from self._finished(search, name, "gauss_newton")
+            return
+        program = self.options.method == "auto" and programmable(self.goal)
+        better = self._by_program(search.posture) if program else None
+        if better is not None and self._better(better, search.posture, name):
+            last = improve(self.goal, better.posture)
+            yield from self._finished(replace(last, iterations=last.iterations + better.iterations), name, "nlp")
+            return
+        search = improve(self.goal, search.posture)
+        self._count(search)
+        yield from self._finished(search, name, "gauss_newton")
+
+    def _better(self, search: Search, than: Posture, name: str) -> bool:
+        """Whether a solution of the program is worth having: cheaper, and for a seed reached without a snap."""
+        at = search.posture
+        if not search.reached or self.goal.cost(at) > self.goal.cost(than) + 1e-12:
+            return False
+        return name != "seed" or same_place(than.to(at.q), at)
+
+    def _brought_inside(self, start: Posture) -> Posture:
+        """The start moved into the ranges of the joints, where it lies outside."""
+        space = self.goal.space
+        if space.admissible(start.q):
+            return start
+        inside = start.to(space.nearest(start.q))
+        return inside if inside is not None else start
+
+    def _by_program(self, start: Posture) -> Search:
+        found = solve_program(self.goal, start)
+        if found.reached:
+            return found
+        # The program's equations are those of the equilibrium; where it ends near the target the fast path finishes.
+        near = self.goal.position_error(found.posture) <= 1e-4 and self.goal.allowed(found.posture)
+        finished = reach(self.goal, found.posture) if near else found
+        return replace(finished, iterations=found.iterations + finished.iterations)
+
+    def _hopeless(self) -> bool:
+        """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
+        if self.agreeing >= UNANIMOUS:
+            return True
+        far = self.closest is not None and self._miss(self.closest) > FAR_OFF * self.goal.space.length
+        return far and self.tries >= ENOUGH
+
+    def _count(self, search: Search) -> None:
+        self.iterations += search.iterations
+        self.solves += search.solves
+        if search.reached:
+            return
+        if self.closest is None or self._miss(search) < self._miss(self.closest) - SAME_MISS * self.goal.space.length:
+            self.agreeing = 0
+        elif self._miss(search) < self._miss(self.closest) + SAME_MISS * self.goal.space.length:
+            self.agreeing += 1
+        if self.closest is None or self._miss(search) < self._miss(self.closest):
+            self.closest = search
+
+    def _miss(self, search: Search) -> float:
+        return float(np.linalg.norm(self.goal.residual(search.posture))) * self.goal.space.length
+
+    def _finished(self, search: Search, name: str, method: str) -> Iterator[InverseSolution]:
+        """The search's posture as an answer; nothing if it is none."""
+        if method == "nlp":
+            self._count(search)
+        if not search.reached:
+            return
+        answer = self._answer(search.posture, name, method)
+        if answer is not None:
+            yield answer
+
+    def _answer(self, at: Posture, name: str, method: str) -> InverseSolution | None:
+        goal = self.goal
+        if not goal.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE):
+            at = correct(goal, at, goal.slope(at)).posture or at
+        met = goal.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE) and goal.allowed(at, SLACK)
+        return self._packed(at, InverseStatus.REACHED, (name, method)) if met else None
+
+    def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
+        goal, equilibrium = self.goal, at.equilibrium
+        straight = None if self.first is None else same_place(self.first.to(at.q), at)
+        name, method = how
+        return InverseSolution(
+            robot=goal.space.robot,
+            target_position=goal.position,
+            target_direction=goal.direction,
+            rotations=equilibrium.rotations,
+            translations=equilibrium.translations,
+            equilibrium=equilibrium,
+            position_error=goal.position_error(at),
+            direction_error=goal.direction_error(at),
+            clearance=goal.least_clearance(at),
+            cold_start_agrees=same_place(start_at(goal.space, at.q), at),
+            straight_from_seed=straight,
+            active=tuple(held_by(goal, at)),
+            status=status,
+            statistics=InverseStatistics(
+                method, name, max(self.tries, 1), self.iterations, self.solves, time.perf_counter() - self.began
+            ),
+        )
+
+    def failure(self, on_failure: str) -> InverseSolution:
+        """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
+        goal = self.goal
+        if self.closest is None:
+            blocked = " and clear of the obstacles" if goal.obstacles else ""
+            raise SolveError(
+                f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}{blocked}"
+            )
+        at = self.closest.posture
+        closest = self._packed(at, InverseStatus.CLOSEST, ("table", "gauss_newton"))
+        if on_failure == "closest":
+            return closest
+        missed = []
+        if closest.position_error > POSITION_TOLERANCE or not goal.pointed:
+            missed.append(f"{closest.position_error:.3g} m short")
+        if goal.pointed and closest.direction_error > DIRECTION_TOLERANCE:
+            missed.append(f"{np.degrees(closest.direction_error):.3g} deg off the direction")
+        why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
+        raise SolveError(f"no answer was found in {self.tries} starts: {' and '.join(missed)}: {why}", closest)
+
+
+def _difference(one: InverseSolution, other: InverseSolution) -> float:
+    """Largest distance of two arms at equal shares of their lengths, over the longer of them."""
+    x = np.linspace(0.0, 1.0, 33)
+    curves = []
+    for each in (one.equilibrium, other.equilibrium):
+        s = each.arc_length / max(float(each.arc_length[-1]), 1e-300)
+        curves.append(np.column_stack([np.interp(x, s, each.position[:, k]) for k in range(3)]))
+    longest = max(float(each.equilibrium.arc_length[-1]) for each in (one, other))
+    return float(np.linalg.norm(curves[0] - curves[1], axis=1).max()) / max(longest, 1e-300)

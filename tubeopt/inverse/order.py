@@ -1,0 +1,117 @@
+"""The order of breakpoints along the arm: between its changes everything is smooth in the joint values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import Array, Assembly
+from .goal import Goal
+from .posture import Posture
+
+CLOSED = 1e-7
+"""Length (m) of a section that counts as closed."""
+
+PAST = 1e-5
+"""Share of the robot's length by which breakpoints are moved past each other, or apart where they coincide."""
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """The order of breakpoints at translations d (G,) of the carriages, as numbers.
+
+    length, length_slope: (P,), (P, G) of the pieces, length + slope d.
+    rows, bound: (c, G), (c,) rows d >= bound keeps the order: in the first `changeable` rows of breakpoints, which may
+    be another one, then of the tubes, which may not.
+    """
+
+    length: Array
+    length_slope: Array
+    rows: Array
+    bound: Array
+    changeable: int
+
+    def steps(self, q: Array) -> tuple[Array, Array]:
+        """Rows (changeable, m) and bounds of a step from joint values q (m,) that keeps the order of breakpoints."""
+        groups = self.rows.shape[1]
+        rows = np.zeros((self.changeable, len(q)))
+        rows[:, len(q) - groups :] = self.rows[: self.changeable]
+        return rows, np.minimum(self.bound[: self.changeable] - rows @ q, 0.0)
+
+
+def breakpoint_order(goal: Goal, at: Posture) -> Order:
+    """The order of breakpoints of a posture."""
+    space, problem = goal.space, at.solution.problem
+    n, groups = space.robot.n_tubes, len(space.carriages)
+    assembly, shift = problem.assembly, at.q[n:]
+    marks = [(0.0, np.zeros(groups))]
+    rows, bound = [], []
+    for k, tubes in enumerate(space.carriages):
+        unit = np.eye(groups)[k]
+        for s in _breakpoints(assembly, tubes):
+            if s > 0:
+                marks.append((s, unit))
+            else:
+                rows.append(-unit)
+                bound.append(float(s - shift[k]))
+    marks.sort(key=lambda mark: mark[0])
+    place = np.array([mark[0] for mark in marks])
+    slope = np.array([mark[1] for mark in marks])
+    cuts = np.append(assembly.start, assembly.total_length)
+    owner = slope[np.abs(place[:, None] - cuts).argmin(0)]
+    section = np.diff(owner, axis=0)
+    counts = np.bincount(problem.mesh.section, minlength=assembly.n_sections)
+    length_slope = (section / counts[:, None])[problem.mesh.section]
+    for first, second, row in zip(place[:-1], place[1:], np.diff(slope, axis=0), strict=True):
+        if row.any():
+            rows.append(row)
+            bound.append(float(row @ shift - (second - first)))
+    length = problem.mesh.length - length_slope @ shift
+    rows, bound, changeable = [*rows, *space.rows[:, n:]], [*bound, *space.least], len(bound)
+    return Order(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
+
+
+def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
+    """Transitions and ends of the tubes of one carriage, each place once."""
+    mine = list(tubes)
+    ends, transitions = assembly.end[mine], assembly.transition[mine]
+    bent = ends - transitions > 1e-12
+    return sorted({round(float(s), 12) for s in [*ends, *transitions[bent]]})
+
+
+def apart(goal: Goal, at: Posture) -> Posture:
+    """The posture with breakpoints that coincide moved apart a little, where the limits allow."""
+    space = goal.space
+    n = space.robot.n_tubes
+    step = PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
+    place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.solution.problem.assembly, g)], 0.0))
+    if (np.diff(place) > CLOSED).all():
+        return at
+    for sign in (1.0, -1.0):
+        q = at.q.copy()
+        q[n:] += sign * step
+        if space.admissible(q):
+            moved = at.to(q)
+            if moved is not None:
+                return moved
+    return at
+
+
+def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> Posture | None:
+    """The posture with breakpoints moved past each other, where the limits allow: by the first for which that can be of
+    pairs (row, bound) of an `Order`."""
+    space = goal.space
+    n = space.robot.n_tubes
+    for row, bound in crossed:
+        q = at.q.copy()
+        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * PAST * space.length
+        q[n:] -= past * row / float(row @ row)
+        q = space.clip(q)
+        if not space.admissible(q):
+            continue
+        moved = at.to(q)
+        if moved is not None and moved.margin >= goal.floor:
+            return moved
+    return None

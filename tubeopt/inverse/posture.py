@@ -1,0 +1,191 @@
+"""A solved configuration on the way to a target: where the tip is, how stable it is, and how both change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..arm_derivatives import ArmJacobian, arm_jacobian, total_bend
+from ..continuation import LARGEST_SHIFT, LARGEST_TURN
+from ..derivatives import Jacobian, jacobian_at
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError
+from ..kinematics import forward_kinematics, one_step
+from ..obstacles import Obstacle
+from ..robots.assembly import Array, Mask
+from ..solution import DEFAULT_DISCRETISATION, Solution, polish
+from ..transcription import arm as arms
+from .joints import JointSpace
+
+FINE = 400
+"""Points along the arm at which its distance from obstacles is measured."""
+
+SAME_TIP = 1e-7
+"""Distance (m) of two tips at the same joint values that are one equilibrium."""
+
+MOST_CONTACTS = 6
+"""Places where the arm comes closest to one obstacle that a step looks at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posture:
+    """An equilibrium at independent joint values q (m,)."""
+
+    space: JointSpace
+    q: Array
+    equilibrium: Equilibrium
+
+    @property
+    def margin(self) -> float:
+        """Stability margin."""
+        return self.equilibrium.margin
+
+    @property
+    def tip(self) -> Array:
+        """(3,) m."""
+        return self.equilibrium.tip_position
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit vector along which the tip points."""
+        return np.asarray(self.equilibrium.tip_rotation[:, 2])
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The solved problem behind the equilibrium, on the default mesh: what derivatives are taken of."""
+        return polish(self.equilibrium, DEFAULT_DISCRETISATION)
+
+    @cached_property
+    def jacobian(self) -> tuple[Array, Array, Array]:
+        """(3, m) of the tip, (3, m) of its turn vector, (m,) of the margin, with respect to q.
+
+        Where breakpoints coincide, as where one tube ends in its order at the end of another, derivatives differ to
+        either side: each joint has those of the side to which it is free to move.
+        """
+        forward = _reduced(jacobian_at(self.solution, self.space.carriages), self.space)
+        blocked = self.space.only_backward(self.q)
+        return self._mixed(blocked, forward) if blocked.any() else forward
+
+    @cached_property
+    def backward(self) -> tuple[Array, Array, Array]:
+        """As `jacobian`, with the derivatives of translations that shrink."""
+        return _reduced(jacobian_at(self.solution, self.space.carriages, side=-1), self.space)
+
+    def _mixed(self, backward: Mask, forward: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        a, b, c = (np.where(backward, low, high) for low, high in zip(self.backward, forward, strict=True))
+        return a, b, c
+
+    @cached_property
+    def along(self) -> ArmJacobian:
+        """Derivatives of the whole arm."""
+        return arm_jacobian(self.solution, self.space.carriages)
+
+    @cached_property
+    def bend(self) -> float:
+        """int |u|^2 ds, 1/m."""
+        return total_bend(self.solution)
+
+    def margin_slope(self) -> Array:
+        """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
+        return np.nan_to_num(self.jacobian[2])
+
+    @cached_property
+    def fine(self) -> tuple[Array, Array, Array]:
+        """Arc length (p,), centreline (p, 3) and radius of the arm (p,) at points close enough for obstacles."""
+        arm = self.equilibrium
+        s = np.linspace(0.0, arm.arc_length[-1], FINE)
+        points = _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s)
+        return s, points, arm_radius(arm, s)
+
+    def clearance(self, obstacle: Obstacle) -> Array:
+        """(p,) distance of the surface of the arm from an obstacle at the points of `fine`, m."""
+        _, points, radius = self.fine
+        return np.asarray(obstacle.signed_distance(points) - radius)
+
+    def clearance_rows(self, obstacle: Obstacle, within: float) -> tuple[Array, Array]:
+        """Clearances (r,) where the arm comes closest, if closer than `within`, and their change (r, m) with q."""
+        s, points, _ = self.fine
+        distance = self.clearance(obstacle)
+        # The derivatives are on the default mesh, the equilibrium may be on a finer one.
+        along = arms.arc_lengths(self.solution.problem.mesh)
+        padded = np.concatenate([[np.inf], distance, [np.inf]])
+        least = (distance <= padded[:-2]) & (distance <= padded[2:]) & (distance <= within)
+        chosen = np.flatnonzero(least)
+        chosen = chosen[np.argsort(distance[chosen])[:MOST_CONTACTS]]
+        rows = [
+            obstacle.gradient(points[k]) @ _between(along, self.along.position, s[k]) @ self.space.spread
+            for k in chosen
+        ]
+        return distance[chosen], np.reshape(rows, (-1, len(self.q)))
+
+    def to(self, q: Array) -> Posture | None:
+        """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
+        so close to it that steps of ordinary length do not tell."""
+        here, turn, move = self.equilibrium, *np.split(np.abs(q - self.q), [self.space.robot.n_tubes])
+        longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), 0.1 * self.space.length)
+        steps = max(1, int(np.ceil(max(turn.max() / LARGEST_TURN, move.max(initial=0.0) / longest) - 1e-9)))
+        try:
+            for k in range(1, steps + 1):
+                rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)
+                there = one_step(self.space.robot, here, rotations, shift)
+                if there is None or not there.stable:
+                    return None
+                here = there
+        except (SolveError, InputError):
+            return None
+        return Posture(self.space, q, here)
+
+
+def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
+    """(p, 3) cubic interpolation of a curve given with its tangents at arc lengths s (m,)."""
+    if len(s) < 2:
+        return np.repeat(value, len(at), axis=0)
+    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    h = (s[k + 1] - s[k])[:, None]
+    x = (at - s[k])[:, None] / h
+    ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[k + 1] * x**2 * (3 - 2 * x)
+    return np.asarray(ends + h * (slope[k] * x * (1 - x) ** 2 - slope[k + 1] * x**2 * (1 - x)))
+
+
+def _between(s: Array, table: Array, at: float) -> Array:
+    """Linear interpolation in a table (m, ...) at arc length `at`."""
+    if len(s) < 2:
+        return np.asarray(table[0])
+    k = int(np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2))
+    x = (at - s[k]) / (s[k + 1] - s[k])
+    return np.asarray((1 - x) * table[k] + x * table[k + 1])
+
+
+def arm_radius(equilibrium: Equilibrium, arc_length: Array) -> Array:
+    """(p,) radius of the arm at arc lengths: of the outermost tube there, for eccentric tubes of what holds them."""
+    robot = equilibrium.robot
+    outer = (
+        np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + robot.assembly(equilibrium.translations).offset
+    )
+    shown = arc_length[:, None] <= equilibrium.tube_end + 1e-12
+    return np.asarray(np.where(shown, outer, 0.0).max(1))
+
+
+def start_at(space: JointSpace, q: Array) -> Posture | None:
+    """The stable equilibrium that a cold forward kinematics finds at q, or None."""
+    rotations, shift = space.split(q)
+    try:
+        return Posture(space, q, forward_kinematics(space.robot, rotations, shift))
+    except (SolveError, InputError):
+        return None
+
+
+def same_place(one: Posture | None, other: Posture) -> bool:
+    """Whether two postures at the same joint values are one equilibrium."""
+    return one is not None and bool(np.linalg.norm(one.tip - other.tip) <= SAME_TIP)
+
+
+def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
+    """The posture of an equilibrium."""
+    return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
+
+
+def _reduced(jacobian: Jacobian, space: JointSpace) -> tuple[Array, Array, Array]:
+    return jacobian.position @ space.spread, jacobian.rotation @ space.spread, jacobian.margin @ space.spread

@@ -1,0 +1,258 @@
+"""Servoing: one target after another, each solved from the last, on its branch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, SolveError, vector
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from ..solvers.least_squares import constrained_least_squares
+from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, reach
+from .goal import Goal, angle
+from .joints import Configuration
+from .order import Order, beyond, breakpoint_order
+from .posture import Posture, same_place
+from .program import programmable, solve_program
+from .question import pose_question, seed_posture, unit_vector
+from .solving import inverse_kinematics
+
+ON_TARGET = 2e-9
+"""Distance (m) and angle (rad) at which a step ends."""
+
+LONGEST_MOVE = 0.02
+"""Farther targets, as a share of the robot's length, are approached in so long parts on a straight line."""
+
+PUSH = 0.5
+"""Length of the motion towards larger margin, over that of the motion towards the target."""
+
+CAREFUL = 0.15
+"""Margin above its bound below which the derivatives are computed anew for every step."""
+
+MOST_CHORDS = 4
+"""Equilibria that a step may cost before its derivatives count as stale."""
+
+MOST_STEPS = 8
+"""Steps after which they do in any case."""
+
+CLOSE_TO_A_CHANGE = 1e-3
+"""Length (m) of a section that a step may close."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives of the residual and of the margin near a posture, and how many steps ago they were computed."""
+
+    target: Array
+    margin: Array
+    age: int
+
+
+class IkSession:
+    """Inverse kinematics of one robot for one target after another.
+
+    Keeps the last equilibrium and its derivatives: a small step is a few Newton solves. Each step follows the branch of
+    the last one, keeps joint limits, order, margin and clearance, and moves within what the target leaves free towards
+    larger margin. Where it stalls, the nonlinear program takes over, from there.
+
+    Args:
+        robot, min_margin, limits, weights, obstacles, options: as for `inverse_kinematics`.
+        seed: where the robot is; without it, the first target is solved from the table of starts.
+
+    Raises:
+        InputError, SolveError: as `inverse_kinematics` does.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        seed: Configuration | None = None,
+        min_margin: float = 0.05,
+        limits: JointLimits | None = None,
+        weights: tuple[ArrayLike, ArrayLike] | None = None,
+        obstacles: Sequence[Obstacle] = (),
+        options: InverseOptions = DEFAULT_OPTIONS,
+    ) -> None:
+        self._question = {
+            "min_margin": min_margin,
+            "limits": limits,
+            "weights": weights,
+            "obstacles": tuple(obstacles),
+            "options": options,
+        }
+        self._robot = robot
+        self._goal = pose_question(
+            robot, np.zeros(3), None, (seed, None), min_margin, limits, weights, obstacles, options
+        )
+        self._solution: InverseSolution | None = None
+        self._here: Posture | None = None
+        self._near: _Slopes | None = None
+        self._pointed = False
+        if seed is not None:
+            self._here = self._allowed(seed_posture(self._goal.space, seed))
+
+    @property
+    def solution(self) -> InverseSolution | None:
+        """The last answer, None before the first."""
+        return self._solution
+
+    def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
+        """The answer for the next target, near the last one.
+
+        Raises:
+            InputError: a target that is not three finite numbers, a direction without length.
+            SolveError: the branch does not lead there; the message says by how far the target is missed and what holds
+                the robot. The session stays where it was.
+        """
+        began = time.perf_counter()
+        target = vector("position", position, 3, "x, y, z in m")
+        pointing = None if direction is None else unit_vector("direction", direction)
+        if self._here is None:
+            return self._first(target, pointing)
+        goal = replace(self._goal, position=target, direction=pointing)
+        if goal.pointed != self._pointed:
+            self._near, self._pointed = None, goal.pointed
+        here, near, solves = self._here, self._near, 0
+        for part in self._parts(goal, here):
+            here, near, count = self._step(part, here, near)
+            solves += count
+        return self._keep(goal, here, near, (solves, began))
+
+    def _allowed(self, seed: Posture) -> Posture:
+        """The seed; raises InputError where it is not allowed itself."""
+        if not self._goal.space.admissible(seed.q):
+            raise InputError("seed lies outside the limits of the joints or the order of the tubes")
+        if seed.margin < self._goal.floor:
+            raise InputError(
+                f"seed has margin {seed.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"
+            )
+        return seed
+
+    def _first(self, target: Array, direction: Array | None) -> InverseSolution:
+        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)  # type: ignore[call-overload]
+        assert isinstance(answer, InverseSolution)
+        self._here = seed_posture(self._goal.space, answer)
+        self._solution = answer
+        return answer
+
+    def _parts(self, goal: Goal, here: Posture) -> list[Goal]:
+        """The target, and before it others on the straight line from here where it is far."""
+        way = goal.position - here.tip
+        count = max(1, int(np.ceil(float(np.linalg.norm(way)) / (LONGEST_MOVE * goal.space.length))))
+        turned = goal.direction_error(here) if goal.pointed else 0.0
+        count = max(count, int(np.ceil(turned / (10 * LONGEST_MOVE))))
+        parts = [replace(goal, position=here.tip + way * k / count) for k in range(1, count)]
+        if goal.pointed:
+            parts = [replace(p, direction=_blend(here.direction, goal, k / count)) for k, p in enumerate(parts, 1)]
+        return [*parts, goal]
+
+    def _step(self, goal: Goal, here: Posture, near: _Slopes | None) -> tuple[Posture, _Slopes | None, int]:
+        """The posture on target, derivatives for the next step, and the equilibria solved."""
+        if here.margin < goal.floor + CAREFUL or goal.obstacles or (near is not None and near.age >= MOST_STEPS):
+            near = None
+        solves = 0
+        for start, slopes, order in _attempts(goal, here, near):
+            moved, after, count = _servo(goal, start, slopes, order)
+            solves += count
+            if moved is not None:
+                return moved, after if count <= MOST_CHORDS else None, solves
+        search = reach(goal, here)
+        if search.reached:
+            return search.posture, None, solves + search.solves
+        if not programmable(goal):
+            raise SolveError(_stalled(goal, search.posture))
+        other = solve_program(replace(goal, objective="nearest", reference=here.q), here)
+        if not other.reached or not same_place(here.to(other.posture.q), other.posture):
+            raise SolveError(_stalled(goal, search.posture))
+        return other.posture, None, solves + search.solves + other.solves
+
+    def _keep(self, goal: Goal, at: Posture, near: _Slopes | None, cost: tuple[int, float]) -> InverseSolution:
+        equilibrium = at.equilibrium
+        solves, began = cost
+        answer = InverseSolution(
+            robot=self._robot,
+            target_position=goal.position,
+            target_direction=goal.direction,
+            rotations=equilibrium.rotations,
+            translations=equilibrium.translations,
+            equilibrium=equilibrium,
+            position_error=goal.position_error(at),
+            direction_error=goal.direction_error(at),
+            clearance=goal.least_clearance(at),
+            cold_start_agrees=None,
+            straight_from_seed=True,
+            active=tuple(held_by(goal, at)),
+            status=InverseStatus.REACHED,
+            statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
+        )
+        self._here, self._near, self._solution = at, near, answer
+        return answer
+
+
+def _blend(start: Array, goal: Goal, share: float) -> Array:
+    """The direction between two, `share` of the angle on."""
+    assert goal.direction is not None
+    turned = angle(start, goal.direction)
+    if turned < 1e-9:
+        return goal.direction
+    between = np.sin((1 - share) * turned) * start + np.sin(share * turned) * goal.direction
+    return np.asarray(between / np.linalg.norm(between))
+
+
+def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None]]:
+    """Where to step from, and with which derivatives: those of earlier steps; new ones; then, since derivatives change
+    with the order of breakpoints, without a change of order, and from beyond each change that is close."""
+    if near is not None:
+        yield here, near, None
+    fresh = _Slopes(goal.slope(here), here.margin_slope(), 0)
+    yield here, fresh, None
+    order = breakpoint_order(goal, here)
+    yield here, fresh, order
+    shift = here.q[goal.space.robot.n_tubes :]
+    gap = (order.rows @ shift - order.bound)[: order.changeable]
+    for k in np.flatnonzero(gap <= CLOSE_TO_A_CHANGE):
+        other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
+        if other is not None:
+            yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other)
+
+
+def _servo(goal: Goal, here: Posture, near: _Slopes, order: Order | None) -> tuple[Posture | None, _Slopes, int]:
+    """One step towards the target and, in what it leaves free, towards larger margin; then corrections."""
+    residual = goal.residual(here)
+    if goal.reached(here, ON_TARGET, ON_TARGET):
+        return here, near, 0
+    rows, bounds = goal.space.inequalities(here.q)
+    if here.margin < goal.floor + CAREFUL or goal.obstacles:
+        rows, bounds = goal.inequalities(here)
+    if order is not None:
+        kept, gap = order.steps(here.q)
+        rows, bounds = np.vstack([rows, kept]), np.concatenate([bounds, gap])
+    limits = boxed(goal, rows, np.minimum(bounds, 0.0), FIRST_STEP)
+    scale = goal.space.scale
+    matrix = np.vstack([TARGET_WEIGHT * near.target, np.diag(1 / scale)])
+    # The shortest way, which tells how far to go beside it.
+    size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
+    push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
+    steep = float(np.linalg.norm(push))
+    aside = push * (PUSH * size * min(1.0, 1.0 / steep)) if steep > 0 else push
+    chosen = constrained_least_squares(matrix, np.append(-TARGET_WEIGHT * residual, aside), *limits)
+    there = None if chosen is None else here.to(goal.space.clip(here.q + chosen.x))
+    if there is None:
+        return None, near, 1
+    target = broyden(goal, near.target, there.q - here.q, goal.residual(there) - residual)
+    back = correct(goal, there, target, close=ON_TARGET, most=4 if order is None else 8, order=order)
+    return back.posture, _Slopes(back.slope, near.margin, near.age + 1), 1 + back.solves
+
+
+def _stalled(goal: Goal, at: Posture) -> str:
+    why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
+    return f"the target cannot be reached from here: {goal.position_error(at):.3g} m short: {why}"

@@ -1,0 +1,115 @@
+"""Inverse kinematics: joint values whose equilibrium, stable by a margin, has its tip at a target."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Literal, overload
+
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, choice
+from ..obstacles import Obstacle
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
+from .hunt import Hunt
+from .joints import Configuration
+from .question import pose_question, seed_posture
+
+
+@overload
+def inverse_kinematics(
+    robot: Robot,
+    position: ArrayLike,
+    *,
+    direction: ArrayLike | None = ...,
+    seed: Configuration | None = ...,
+    reference: Configuration | None = ...,
+    min_margin: float = ...,
+    limits: JointLimits | None = ...,
+    weights: tuple[ArrayLike, ArrayLike] | None = ...,
+    obstacles: Sequence[Obstacle] = ...,
+    on_failure: str = ...,
+    all_solutions: Literal[False] = ...,
+    options: InverseOptions = ...,
+) -> InverseSolution: ...
+
+
+@overload
+def inverse_kinematics(
+    robot: Robot,
+    position: ArrayLike,
+    *,
+    direction: ArrayLike | None = ...,
+    seed: Configuration | None = ...,
+    reference: Configuration | None = ...,
+    min_margin: float = ...,
+    limits: JointLimits | None = ...,
+    weights: tuple[ArrayLike, ArrayLike] | None = ...,
+    obstacles: Sequence[Obstacle] = ...,
+    on_failure: str = ...,
+    all_solutions: Literal[True],
+    options: InverseOptions = ...,
+) -> list[InverseSolution]: ...
+
+
+def inverse_kinematics(
+    robot: Robot,
+    position: ArrayLike,
+    *,
+    direction: ArrayLike | None = None,
+    seed: Configuration | None = None,
+    reference: Configuration | None = None,
+    min_margin: float = 0.05,
+    limits: JointLimits | None = None,
+    weights: tuple[ArrayLike, ArrayLike] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    on_failure: str = "raise",
+    all_solutions: bool = False,
+    options: InverseOptions = DEFAULT_OPTIONS,
+) -> InverseSolution | list[InverseSolution]:
+    """Joint values that bring the tip to a target, in a stable equilibrium with at least `min_margin`.
+
+    Every step of the search is a solved equilibrium with its margin, so that no answer lies behind a snap.
+
+    Args:
+        position: (3,) of the tip, m.
+        direction: (3,) along which the tip shall point, of any length; None leaves it free.
+        seed: where the robot is: a pair (rotations, translations), an Equilibrium or an InverseSolution. The search
+            starts there and follows its branch; where that leads nowhere, it starts elsewhere.
+        reference: configuration to stay close to; by default the seed.
+        min_margin: least stability margin, in [0, 1).
+        limits: range of every joint; by default `robot.limits`. The order of the tubes is kept as well.
+        weights: of the joints' distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad and 2
+            per length of the longest tube.
+        obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
+        on_failure: "raise", or "closest" to get the closest pose where the target is out of reach.
+        all_solutions: return all distinct answers that are found, best first: nearest to the reference where there is
+            one, else the largest margin.
+        options: objective, direction as a cost, clearance, method, and the like.
+
+    Raises:
+        InputError: numbers that are missing, not finite or not allowed; limits that leave nothing.
+        SolveError: no answer was found; the message says by how far the target is missed and what holds the robot,
+            `.solution` is the closest pose.
+    """
+    began = time.perf_counter()
+    choice("on_failure", on_failure, ("raise", "closest"))
+    goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
+    if options.objective == "nearest" and seed is None and reference is None:
+        raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
+    if options.direction_weight is not None and direction is None:
+        raise InputError("direction_weight is given without a direction; give the direction to point along")
+    if options.method == "nlp" and goal.overdetermined:
+        raise InputError(
+            f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
+            "robot can choose; use auto or gauss_newton"
+        )
+    first = seed_posture(goal.space, seed) if seed is not None else None
+    search = Hunt(goal, first, reference is not None or seed is not None, options, began)
+    if all_solutions:
+        found = search.all()
+        return found if found else [search.failure(on_failure)]
+    answer = search.one()
+    return answer if answer is not None else search.failure(on_failure)

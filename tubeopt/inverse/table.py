@@ -1,0 +1,232 @@
+"""Starts for the search: a table of stable configurations per robot, built once and kept on disk.
+
+The whole robot can be turned about the axis of its plate, and every tube by whole turns, without another change of its
+shape: so configurations are compared with a target by height and distance from the axis, and turned to its azimuth.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from ..batch import forward_kinematics_batch
+from ..errors import InputError
+from ..robots.assembly import Array
+from ..study.files import atomic_write
+from .joints import JointSpace
+
+VERSION = 2
+"""Of what the table holds: a change of it makes old files unread."""
+
+SIZE, SIZE_OF_MANY = 2048, 512
+"""Configurations per table; the second for more than `MANY` joints, among which a start leads to most targets."""
+
+MANY = 8
+
+WIDEST = np.pi / 2
+"""Largest separation of the tubes of an eccentric segment in the table; 120 deg is straight."""
+
+LEAST_MARGIN = 0.01
+"""Margin from which on a configuration is worth keeping."""
+
+DIRECTION_WEIGHT = 0.35
+"""Weight of the difference of directions against that of positions over the robot's length."""
+
+NEARNESS_WEIGHT = 0.02
+"""Weight of the distance from a reference in joint space, in units of the joints' scales."""
+
+
+POOL = 400
+"""Most promising configurations among which starts are spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class StartTable:
+    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,)."""
+
+    q: Array
+    tip: Array
+    direction: Array
+    margin: Array
+
+
+def build_table(space: JointSpace, size: int) -> StartTable:
+    """Solve `size` configurations spread over what the limits allow; keep those with a stable equilibrium."""
+    q = _by_mirror(space, space.sample(size))
+    joint = q @ space.spread.T + space.offset
+    n = space.robot.n_tubes
+    found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
+    kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
+    if not kept.any():
+        raise InputError("limits leave no joint values at which a stable equilibrium was found")
+    return StartTable(q[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept])
+
+
+def _by_mirror(space: JointSpace, q: Array) -> Array:
+    """Samples (N, m) with the three tubes of every eccentric segment turned as a hand would: the first to a direction,
+    the others to either side of it. Three independent rotations mostly wind a long transmission up until it snaps."""
+    if not space.robot.assembly(_any_shift(space)).eccentric:
+        return q
+    out = q.copy()
+    for tubes in space.robot.moving_together:
+        middle, apart = q[:, tubes[0]], WIDEST * (q[:, tubes[1]] - space.lower[tubes[1]])
+        span = space.upper[tubes[1]] - space.lower[tubes[1]]
+        apart = apart / span if span > 0 else np.zeros(len(q))
+        out[:, list(tubes)] = np.column_stack([middle, middle + apart, middle - apart])
+    n = space.robot.n_tubes
+    out[:, :n] = np.clip(space.wrap(out, space.middle())[:, :n], space.lower[:n], space.upper[:n])
+    return out
+
+
+def start_table(space: JointSpace, size: int | None = None) -> StartTable:
+    """The table of a joint space: from the cache on disk where it is there, else built and put there."""
+    size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
+    path = cache_directory() / f"inverse-{_key(space, size)}.npz"
+    stored = _read(path, len(space.lower))
+    if stored is not None:
+        return stored
+    table = build_table(space, size)
+    try:
+        with atomic_write(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, q=table.q, tip=table.tip, direction=table.direction, margin=table.margin)
+    except InputError:
+        pass  # Without a place to keep it, the table is built anew in the next process: slower, not wrong.
+    return table
+
+
+def cache_directory() -> Path:
+    """Where tables are kept: $TUBEOPT_CACHE, or `tubeopt` in the user's directory of caches."""
+    own = os.environ.get("TUBEOPT_CACHE")
+    if own:
+        return Path(own)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "tubeopt" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "tubeopt"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tubeopt"
+
+
+def _key(space: JointSpace, size: int) -> str:
+    """Hash of all that the table depends on."""
+    tubes = repr((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
+    assembly = space.robot.assembly(space.joint(space.inside())[space.robot.n_tubes :])
+    digest = hashlib.sha256(tubes.encode())
+    for array in (
+        space.lower,
+        space.upper,
+        space.rows,
+        space.least,
+        space.joint(space.lower),
+        assembly.offset,
+        assembly.offset_angle,
+    ):
+        digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _read(path: Path, joints: int) -> StartTable | None:
+    """The table in a file; None where there is none, or it is not whole."""
+    try:
+        # The content, not the path: of a damaged file numpy would leave the handle open.
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            table = StartTable(file["q"], file["tip"], file["direction"], file["margin"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None
+    count = len(table.margin)
+    shapes = [(count, joints), (count, 3), (count, 3), (count,)]
+    whole = [each.shape for each in (table.q, table.tip, table.direction, table.margin)] == shapes
+    return table if whole and count else None
+
+
+def nearest_starts(
+    space: JointSpace,
+    table: StartTable,
+    target: tuple[Array, Array | None],
+    *,
+    min_margin: float,
+    reference: Array | None,
+) -> Array:
+    """(k, m) configurations of a table, turned towards a target (position, direction or None), most promising first.
+
+    Those with less than `min_margin` are left out, and those that cannot be turned there come with the turn that the
+    limits allow.
+    """
+    position, direction = target
+    mirrored = direction is not None and not space.robot.assembly(_any_shift(space)).eccentric
+    known = _mirrored(space, table) if mirrored else table
+    chosen = known.margin >= min_margin
+    q, tip, pointing = known.q[chosen], known.tip[chosen], known.direction[chosen]
+    if not len(q):
+        return q
+    near = space.middle() if reference is None else reference
+    turn = np.arctan2(position[1], position[0]) - np.arctan2(tip[:, 1], tip[:, 0])
+    n = space.robot.n_tubes
+    turned = q.copy()
+    turned[:, :n] += turn[:, None]
+    turned = space.wrap(turned, near)
+    outside = ~((turned >= space.lower) & (turned <= space.upper)).all(1)
+    # Where whole turns do not help, turn as far as the narrowest range allows.
+    least, most = (space.lower[:n] - q[:, :n]).max(1), (space.upper[:n] - q[:, :n]).min(1)
+    part = np.clip((turn + np.pi) % (2 * np.pi) - np.pi, least, np.maximum(most, least))
+    turned[outside] = q[outside]
+    turned[outside, :n] += part[outside, None]
+    turn = np.where(outside, part, turn)
+    cost = np.linalg.norm(_turned(tip, turn) - position, axis=1) / space.length
+    if direction is not None:
+        cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
+    if reference is not None:
+        cost = cost + NEARNESS_WEIGHT * np.linalg.norm((turned - reference) / space.scale, axis=1)
+    return space.clip(turned[np.argsort(cost)])
+
+
+def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Array:
+    """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
+    chosen before, among the most promising ones."""
+    if len(q) <= first:
+        return q
+    pool = q[: max(POOL, first + 1)]
+    n = space.robot.n_tubes
+    relative = pool[:, :n] - pool[:, n - 1 : n]
+    # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
+    features = np.hstack([np.cos(relative), np.sin(relative), pool[:, n:] / space.scale[n:]])
+    chosen = list(range(max(first, 1)))
+    gap = np.min([np.linalg.norm(features - features[k], axis=1) for k in chosen], axis=0)
+    while len(chosen) < min(count, len(pool)):
+        farthest = int(np.argmax(gap))
+        if gap[farthest] <= 0:
+            break
+        chosen.append(farthest)
+        gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
+    return np.asarray(pool[chosen])
+
+
+def _any_shift(space: JointSpace) -> Array:
+    return space.joint(space.inside())[space.robot.n_tubes :]
+
+
+def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
+    """The table with the mirror image of every configuration: all rotations negative, seen in the plane x = 0."""
+    flipped, mirror = table.q.copy(), np.array([-1.0, 1.0, 1.0])
+    flipped[:, : space.robot.n_tubes] *= -1
+    flipped = space.wrap(flipped, space.middle())
+    inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
+    return StartTable(
+        np.concatenate([table.q, flipped[inside]]),
+        np.concatenate([table.tip, table.tip[inside] * mirror]),
+        np.concatenate([table.direction, table.direction[inside] * mirror]),
+        np.concatenate([table.margin, table.margin[inside]]),
+    )
+
+
+def _turned(vectors: Array, angle: Array) -> Array:
+    """Vectors (N, 3) turned about z by angles (N,)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y, z])
