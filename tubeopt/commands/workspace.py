@@ -1,0 +1,214 @@
+"""`tubeopt workspace`: where a robot reaches, from how many sides, and what snapping takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from ..errors import InputError
+from ..study.files import atomic_write
+from ..study.robot_file import load_robot
+from ..workspaces import (
+    METHODS,
+    SnappingLoss,
+    Volume,
+    Voxels,
+    Workspace,
+    alpha_volume,
+    meridian_volume,
+    snapping_loss,
+    voxels,
+)
+from ..workspaces import workspace as compute
+from ..workspaces.volume import volume_of
+from .options import JsonOption, OutOption, PlotOption, RobotArgument
+from .report import can_be_saved, present, two_columns
+from .sweep import counting
+from .words import MM
+
+CUBIC_CM = 1e6
+
+
+def workspace(
+    robot: RobotArgument,
+    samples: Annotated[int, typer.Option(metavar="N", help="Joint values.")] = 10_000,
+    method: Annotated[str, typer.Option(help=f"How they are chosen: {', '.join(METHODS)}.")] = METHODS[0],
+    seed: Annotated[int, typer.Option(metavar="K", help="Of random and Sobol points.")] = 0,
+    voxel_mm: Annotated[
+        float | None, typer.Option(metavar="MM", help="Edge of the voxels; by default for about ten samples in each.")
+    ] = None,
+    min_margin: Annotated[
+        float, typer.Option(metavar="MU", help="Only configurations at least as stable count.")
+    ] = 0.0,
+    loss: Annotated[
+        int, typer.Option(metavar="N", help="Find what is lost to snapping from so many equilibria of all kinds.")
+    ] = 0,
+    workers: Annotated[int, typer.Option(metavar="N", help="Threads; 0 is one per core.")] = 1,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Where the tip reaches within the robot's limits: volume, directions, margin, and the part lost to snapping.
+
+    With --out the samples are saved as they come, so that memory does not grow with them, and a run that was stopped
+    goes on.
+    """
+    for flag, value, least in (("samples", samples, 1), ("seed", seed, 0), ("loss", loss, 0), ("workers", workers, 0)):
+        if value < least:
+            raise InputError(f"--{flag} is {value}; it must be at least {least}")
+    size = None if voxel_mm is None else voxel_mm / MM
+    question = load_robot(robot)
+    can_be_saved(out)
+    with counting("solving") as progress:
+        found = compute(
+            question,
+            samples,
+            method=method,
+            seed=seed,
+            out=out,
+            workers=workers,
+            progress=lambda done, total: progress(done, total, 0),
+        )
+    cubes = voxels(found, size, min_margin=min_margin)
+    lost = None
+    if loss:
+        with counting("unstable equilibria") as progress:
+            lost = snapping_loss(
+                question,
+                loss,
+                size=cubes.size,
+                seed=seed,
+                reached=found,
+                progress=lambda done, total: progress(done, total, 0),
+            )
+    volumes = volume_of(cubes), _where_there_is_one(meridian_volume, found, min_margin)
+    answer = WorkspaceReport(found, cubes, *volumes, _where_there_is_one(alpha_volume, found, min_margin), lost)
+    present(answer, out=out, as_json=as_json, plot=plot)
+
+
+def _where_there_is_one(method: Callable[..., Volume], found: Workspace, min_margin: float) -> Volume | None:
+    """A volume by a method that some workspaces do not have: flat ones no alpha shape, and not all are round."""
+    try:
+        return method(found, min_margin=min_margin)
+    except InputError:
+        return None
+
+
+@dataclass(frozen=True)
+class WorkspaceReport:
+    """What is said and saved about a workspace."""
+
+    found: Workspace
+    cubes: Voxels
+    volume: Volume
+    meridian: Volume | None
+    alpha: Volume | None
+    lost: SnappingLoss | None
+
+    def record(self) -> dict[str, Any]:
+        """The answer as JSON: extent, volumes, dexterity, margins, loss."""
+        volume, low, high = self.volume, *self._extent()
+        margins = self._margins()
+        return {
+            "robot": self.found.robot.name,
+            "method": self.found.method,
+            "seed": self.found.seed,
+            "samples": len(self.found),
+            "without_equilibrium": len(self.found.failures),
+            "counted": self.cubes.samples,
+            "least_margin": float(margins.min()),
+            "lower_mm": (low * MM).tolist(),
+            "upper_mm": (high * MM).tolist(),
+            "voxel_mm": self.cubes.size * MM,
+            "voxels": len(self.cubes),
+            "volume_cm3": volume.value * CUBIC_CM,
+            "volume_first_half_cm3": volume.half * CUBIC_CM,
+            "volume_unseen_cm3": volume.unseen * CUBIC_CM,
+            "volume_surface_cm3": volume.surface * CUBIC_CM,
+            "meridian_volume_cm3": None if self.meridian is None else self.meridian.value * CUBIC_CM,
+            "meridian_first_half_cm3": None if self.meridian is None else self.meridian.half * CUBIC_CM,
+            "alpha_volume_cm3": None if self.alpha is None else self.alpha.value * CUBIC_CM,
+            "alpha_radius_mm": None if self.alpha is None else self.alpha.scale * MM,
+            "mean_dexterity": float(self.cubes.dexterity.mean()),
+            "largest_dexterity": float(self.cubes.dexterity.max()),
+            "snapping": None if self.lost is None else _loss_record(self.lost),
+        }
+
+    def _extent(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.cubes.index.min(0) * self.cubes.size, (self.cubes.index.max(0) + 1) * self.cubes.size
+
+    def _margins(self) -> np.ndarray:
+        least = [np.nanmin(part[:, -1], initial=np.inf) for _, part in self.found.chunks()]
+        return np.array(least)
+
+    def table(self) -> Table:
+        """The answer as a table."""
+        r = self.record()
+        spans = [
+            f"{a} {low:.4g} to {high:.4g}" for a, low, high in zip("xyz", r["lower_mm"], r["upper_mm"], strict=True)
+        ]
+        rows = [
+            ("samples", f"{r['samples']} ({r['method']}), {r['without_equilibrium']} without a stable equilibrium"),
+            ("least margin", f"{r['least_margin']:.4f}"),
+            ("tips within", ", ".join(spans) + " mm"),
+            ("volume", f"{r['volume_cm3']:.4g} cm3 in {r['voxels']} voxels of {r['voxel_mm']:g} mm"),
+            ("", f"{r['volume_first_half_cm3']:.4g} cm3 from the first half of the samples"),
+            ("", f"{r['volume_unseen_cm3']:.3g} cm3 estimated as not seen yet"),
+        ]
+        if r["meridian_volume_cm3"] is not None:
+            half = f"{r['meridian_first_half_cm3']:.4g} from the first half of the samples"
+            rows.append(("", f"{r['meridian_volume_cm3']:.4g} cm3 as a body of revolution, {half}"))
+        if r["alpha_volume_cm3"] is not None:
+            rows.append(("", f"{r['alpha_volume_cm3']:.4g} cm3 as alpha shape of radius {r['alpha_radius_mm']:.3g} mm"))
+        dexterity = f"{100 * r['mean_dexterity']:.1f} % of all directions per voxel, at most"
+        rows.append(("dexterity", f"{dexterity} {100 * r['largest_dexterity']:.1f} %"))
+        if r["snapping"] is not None:
+            lost = r["snapping"]
+            rows += [
+                ("unstable", f"{lost['unstable']} of {lost['equilibria']} equilibria"),
+                ("lost to snapping", f"{lost['lost_volume_cm3']:.4g} cm3, {100 * lost['lost_fraction']:.2f} %"),
+            ]
+        return two_columns(f"{r['robot'] or 'robot'}: workspace", rows)
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write voxels.npz, in SI, beside the samples, which are there already."""
+        path = directory / "voxels.npz"
+        c = self.cubes
+        lost: dict[str, Any] = {} if self.lost is None else {"held": self.lost.held, "lost": self.lost.lost}
+        with atomic_write(path) as temporary:
+            np.savez(
+                temporary,
+                size=np.array(c.size),
+                index=c.index,
+                count=c.count,
+                dexterity=c.dexterity,
+                margin=c.margin,
+                **lost,
+            )
+        return [directory / "samples.npy", directory / "workspace.json", path]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write workspace.png."""
+        from ..plotting.workspace import plot_workspace  # Matplotlib takes longer to load than a solve
+
+        path = directory / "workspace.png"
+        with atomic_write(path) as temporary:
+            plot_workspace(self.found, temporary, loss=self.lost, size=self.cubes.size)
+        return [path]
+
+
+def _loss_record(lost: SnappingLoss) -> dict[str, Any]:
+    return {
+        "equilibria": lost.equilibria,
+        "unstable": lost.unstable,
+        "held_volume_cm3": lost.held_volume * CUBIC_CM,
+        "lost_volume_cm3": lost.lost_volume * CUBIC_CM,
+        "lost_first_half_cm3": lost.early_loss * CUBIC_CM,
+        "lost_fraction": lost.fraction,
+    }

@@ -1,0 +1,135 @@
+"""The journal of a sweep: a line of JSON for every point, appended as soon as the point is done.
+
+A run that is killed at any moment leaves whole lines and at most one torn one, which is cut off when the journal is
+opened again. Points that have a line are not computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from pydantic_core import to_json
+
+from ..errors import InputError
+
+SYNC_INTERVAL = 0.1
+"""Longest time (s) that a point is on the way to the disk; what a loss of power takes is computed again."""
+
+
+class Journal:
+    """The journal of one sweep, open for appending; one run at a time.
+
+    done: place of the line of every point that has one, by the point's index.   failed: those of them that failed.
+
+    Raises:
+        InputError: the file is the journal of another sweep, is damaged, in use by another run, or cannot be written.
+    """
+
+    def __init__(self, path: Path, fingerprint: str, points: int) -> None:
+        self.path = path
+        self.done: dict[int, int] = {}
+        self.failed: set[int] = set()
+        self._head = {"fingerprint": fingerprint, "points": points}
+        self._synced = 0.0
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = path.open("a+b")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        try:
+            _lock(self._file, path)
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sync()
+        self._file.close()
+
+    def append(self, index: int, entry: Mapping[str, Any]) -> None:
+        """Write the line of a point; `entry` holds a "record", or a "failure"."""
+        place = self._file.seek(0, os.SEEK_END)
+        self._write({"index": index, **entry})
+        self._note(index, place, "failure" in entry)
+        if time.monotonic() - self._synced > SYNC_INTERVAL:
+            self._sync()
+
+    def entries(self) -> Iterator[dict[str, Any]]:
+        """The last line of every point, by index."""
+        for index in sorted(self.done):
+            self._file.seek(self.done[index])
+            yield json.loads(self._file.readline())
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        try:
+            self._file.write(to_json(line, inf_nan_mode="strings") + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
+
+    def _sync(self) -> None:
+        os.fsync(self._file.fileno())
+        self._synced = time.monotonic()
+
+    def _note(self, index: int, place: int, failed: bool) -> None:
+        self.done[index] = place
+        (self.failed.add if failed else self.failed.discard)(index)
+
+    def _read(self) -> None:
+        """Take in what is there, cut off a torn end, and write the head of a new journal."""
+        self._file.seek(0)
+        place = 0
+        for number, line in enumerate(self._file):
+            if not line.endswith(b"\n"):
+                break
+            data = _parse(line, self.path, number)
+            if number == 0:
+                self._check(data)
+            else:
+                self._note(int(data["index"]), place, "failure" in data)
+            place += len(line)
+        self._file.truncate(place)
+        if place == 0:
+            self._write(self._head)
+            self._sync()
+
+    def _check(self, head: Mapping[str, Any]) -> None:
+        if head != self._head:
+            raise InputError(
+                f"{self.path}: this is the journal of another sweep, or the files of this one have changed since; "
+                "give another directory, or delete the journal"
+            )
+
+
+def _parse(line: bytes, path: Path, number: int) -> dict[str, Any]:
+    try:
+        data = json.loads(line)
+        if number and not isinstance(data["index"], int):
+            raise TypeError
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: line {number + 1} is damaged; this is no journal of a sweep") from None
+    return dict(data)
+
+
+def _lock(file: BinaryIO, path: Path) -> None:
+    """Hold the journal for this run, where the system knows locks."""
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise InputError(f"{path}: another run is writing here; wait for it, or give another directory") from None

@@ -1,0 +1,109 @@
+"""The points of a sweep: what varies, over a grid or a sample of its values."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from ..errors import InputError, choice
+
+METHODS = ("grid", "random", "sobol", "latin_hypercube")
+
+MOST_POINTS = 10**7
+
+Value = float | str | bool
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that take the same values.   values: of a list; None is the range from `low` to `high`.
+
+    count: values of the range on a grid.
+    """
+
+    keys: tuple[str, ...]
+    values: tuple[Value, ...] | None = None
+    low: float = 0.0
+    high: float = 0.0
+    count: int = 0
+
+    def on_grid(self) -> tuple[Value, ...]:
+        """The values on a grid; those of a range to 15 digits, ends included."""
+        if self.values is not None:
+            return self.values
+        return tuple(float(f"{x:.15g}") for x in np.linspace(self.low, self.high, self.count))
+
+    def at(self, unit: float) -> Value:
+        """The value at a number from 0 to 1."""
+        if self.values is not None:
+            return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+        return float(f"{self.low + unit * (self.high - self.low):.15g}")
+
+
+@dataclass(frozen=True)
+class Points(Sequence[dict[str, Value]]):
+    """All points of a sweep, in a fixed order; each gives every key its value.
+
+    method: one of `METHODS`.   total: points of a sample; a grid has its own number.   seed: of a sample.
+
+    Raises:
+        InputError: unknown method, no axis, a sample without count, more than ten million points.
+    """
+
+    axes: tuple[Axis, ...]
+    method: str = "grid"
+    total: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        choice("sample.method", self.method, METHODS)
+        if not self.axes:
+            raise InputError("vary is empty; it must name at least one key")
+        if self.method == "grid":
+            object.__setattr__(self, "total", math.prod(len(axis.on_grid()) for axis in self.axes))
+        if not 1 <= self.total <= MOST_POINTS:
+            raise InputError(f"the sweep has {self.total} points; there must be 1 to {MOST_POINTS}")
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All keys that vary."""
+        return tuple(key for axis in self.axes for key in axis.keys)
+
+    def __len__(self) -> int:
+        return self.total
+
+    def __iter__(self) -> Iterator[dict[str, Value]]:
+        return (self.point(k) for k in range(self.total))
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        """The point at an index from 0, or a list of points."""
+        if isinstance(index, slice):
+            return [self.point(k) for k in range(self.total)[index]]
+        return self.point(range(self.total)[index])
+
+    def point(self, index: int) -> dict[str, Value]:
+        """The value of every key at a point, from 0. On a grid the last axis runs fastest."""
+        if self.method == "grid":
+            grid = [axis.on_grid() for axis in self.axes]
+            places = np.unravel_index(index, [len(values) for values in grid])
+            chosen = [values[int(k)] for values, k in zip(grid, places, strict=True)]
+        else:
+            units = _sample(self.method, len(self.axes), self.total, self.seed)[index]
+            chosen = [axis.at(float(unit)) for axis, unit in zip(self.axes, units, strict=True)]
+        return {key: value for axis, value in zip(self.axes, chosen, strict=True) for key in axis.keys}
+
+
+@functools.lru_cache(maxsize=4)
+def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
+    """(count, dimension) numbers from 0 to 1."""
+    if method == "random":
+        return np.random.default_rng(seed).random((count, dimension))
+    if method == "latin_hypercube":
+        return np.asarray(qmc.LatinHypercube(dimension, rng=seed).random(count))
+    # A power of two, as Sobol points come; of more than are wanted the first.
+    return np.asarray(qmc.Sobol(dimension, rng=seed).random_base2(max(0, (count - 1).bit_length())))[:count]

@@ -1,0 +1,26 @@
+"""Where a robot can reach: tips of many joint values, the volume they fill, from how many sides, and what snaps."""
+
+from __future__ import annotations
+
+from .loss import SnappingLoss, snapping_loss
+from .run import load_workspace, workspace
+from .samples import METHODS
+from .table import Workspace
+from .volume import Volume, alpha_volume, meridian_volume, voxel_volume
+from .voxels import PATCHES, Voxels, voxels
+
+__all__ = [
+    "METHODS",
+    "PATCHES",
+    "SnappingLoss",
+    "Volume",
+    "Voxels",
+    "Workspace",
+    "alpha_volume",
+    "load_workspace",
+    "meridian_volume",
+    "snapping_loss",
+    "voxel_volume",
+    "voxels",
+    "workspace",
+]

@@ -1,0 +1,171 @@
+"""What a workspace loses to snapping: places where the robot is in equilibrium, but never in a stable one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, positive
+from ..robots.assembly import Array, Mask
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from .samples import JointSamples
+from .shooting import from_tips
+from .table import Workspace, held
+from .voxels import Keys, Store, Voxels, default_size
+
+SURE = 5
+"""Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
+
+TURN = 2 * np.pi
+
+Progress = Callable[[int, int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class SnappingLoss:
+    """Voxels of edge `size` (m) by what reaches them.
+
+    equilibria, unstable: how many were computed, and how many of them are unstable.
+    held: (V, 3) index of the voxels with a stable equilibrium.   lost: (W, 3) of those with at least `SURE` equilibria,
+        all of them unstable.
+    held_volume, lost_volume: m^3.   early_loss: lost_volume from the first half of the equilibria.
+    """
+
+    robot: Robot
+    size: float
+    equilibria: int
+    unstable: int
+    held: Keys
+    lost: Keys
+    early_loss: float
+
+    @property
+    def held_volume(self) -> float:
+        """Volume of the voxels that are held, m^3."""
+        return len(self.held) * self.size**3
+
+    @property
+    def lost_volume(self) -> float:
+        """Volume of the voxels that are lost, m^3."""
+        return len(self.lost) * self.size**3
+
+    @property
+    def fraction(self) -> float:
+        """Share of all these voxels that is lost."""
+        return len(self.lost) / max(len(self.held) + len(self.lost), 1)
+
+
+def snapping_loss(
+    robot: Robot,
+    samples: int = 50_000,
+    *,
+    size: float | None = None,
+    seed: int = 0,
+    reached: Workspace | None = None,
+    progress: Progress | None = None,
+) -> SnappingLoss:
+    """The part of the workspace that is inaccessible because the robot snaps past it.
+
+    A model that does not look at stability shows more than a robot can do: of the equilibria that it finds some are
+    unstable, and where they are the robot never stays. This computes equilibria of all kinds, from tip rotations over a
+    whole turn and the translations that the robot's limits allow, sorts their tips into voxels, and calls lost what
+    only unstable ones reach. A voxel with a stable equilibrium is held, even if the only way there should lead through
+    a snap: of ways speak `follow` and `stability_map`.
+
+    Args:
+        samples: equilibria.   size: edge of the voxels, m; by default as in `voxels`.   seed: of the samples.
+        reached: a workspace of the same robot, whose stable tips count as well.
+        progress: called with the samples done and their number.
+
+    Raises:
+        InputError: tubes off the centreline, for which the equilibria cannot be listed by their tips; a workspace of
+            another robot; a size that is not positive; limits of rotations that leave no equilibrium.
+    """
+    if robot.assembly(robot.home_translations).eccentric:
+        raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
+    if reached is not None and reached.robot != robot:
+        raise InputError("reached is a workspace of another robot")
+    drawn = JointSamples(_free_to_turn(robot), "sobol", samples, seed)
+    edge = None if size is None else positive("size", size)
+    stable, unstable = _sorted(robot, drawn, edge, reached, progress)
+    counts = int(stable.count.sum()), int(unstable.count.sum())
+    if reached is not None:
+        for _, rows in reached.chunks():
+            _add(stable, rows[held(rows, 0.0)], np.ones(1, dtype=bool))
+    return _loss(robot, stable, unstable, counts)
+
+
+def _sorted(
+    robot: Robot, drawn: JointSamples, edge: float | None, reached: Workspace | None, progress: Progress | None
+) -> tuple[Store, Store]:
+    """Voxels of the stable and of the unstable equilibria."""
+    stores: tuple[Store, Store] | None = None
+    done = 0
+    for tips, shift in drawn.blocks():
+        found = from_tips(robot, tips, shift)
+        sign = np.where(found.stable, 1.0, -1.0)
+        table = np.column_stack([tips, shift, found.tip_position, found.tip_direction, sign])
+        table = table[_within_limits(robot, found.rotations)]
+        if stores is None and len(table):
+            edge = edge or _edge(robot, table, drawn.count, reached)
+            stores = Store(edge), Store(edge)
+        early = np.arange(done, done + len(table)) < drawn.count // 2
+        for store, rows in zip(stores or (), (table[:, -1] > 0, table[:, -1] < 0), strict=False):
+            _add(store, table[rows], early[rows])
+        done += len(tips)
+        if progress is not None:
+            progress(done, drawn.count)
+    if stores is None:
+        raise InputError("limits of the rotations leave none of the equilibria that were sampled")
+    return stores
+
+
+def _add(store: Store, table: Array, early: Mask) -> None:
+    store.add(table[:, -7:-4], table[:, -4:-1], table[:, -1], np.broadcast_to(early, len(table)))
+
+
+def _loss(robot: Robot, stable: Store, unstable: Store, counts: tuple[int, int]) -> SnappingLoss:
+    firm, shaky = stable.voxels(0), unstable.voxels(0)
+    return SnappingLoss(
+        robot=robot,
+        size=stable.size,
+        equilibria=sum(counts),
+        unstable=counts[1],
+        held=firm.index,
+        lost=shaky.index[_lost(stable.keys, unstable.keys, shaky.count)],
+        early_loss=_early(firm, shaky, stable, unstable) * stable.size**3,
+    )
+
+
+def _lost(firm: Keys, shaky: Keys, count: Keys) -> Mask:
+    return np.asarray((count >= SURE) & ~np.isin(shaky, firm))
+
+
+def _early(firm: Voxels, shaky: Voxels, stable: Store, unstable: Store) -> int:
+    return int(_lost(stable.keys[firm.early > 0], unstable.keys, shaky.early).sum())
+
+
+def _free_to_turn(robot: Robot) -> Robot:
+    """The robot whose tubes may turn by half a turn either way: for tip rotations."""
+    limits = JointLimits(((-np.pi, np.pi),) * robot.n_tubes, robot.limits.translations)
+    changed: Any = robot
+    return replace(changed, joint_limits=limits)  # type: ignore[no-any-return]
+
+
+def _within_limits(robot: Robot, rotations: Array) -> Mask:
+    """(B,) whether joint rotations, give or take whole turns, are within the limits."""
+    low, high = np.array(robot.limits.rotations).T
+    turned = rotations + TURN * np.ceil((low - 1e-9 - rotations) / TURN)
+    return np.asarray((turned <= high + 1e-9).all(1))
+
+
+def _edge(robot: Robot, table: Array, samples: int, reached: Workspace | None) -> float:
+    """The default edge of the voxels, for so many samples as these."""
+    if reached is not None:
+        return default_size(reached)
+    repeated = max(1, samples // len(table))
+    return default_size(Workspace(robot, "sobol", 0, np.tile(table, (repeated, 1))))

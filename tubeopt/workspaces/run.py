@@ -1,0 +1,231 @@
+"""Workspaces: the equilibria of sampled joint values, in memory or appended to a file chunk by chunk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from os import PathLike
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..batch import forward_kinematics_batch
+from ..errors import InputError
+from ..robots.assembly import Array
+from ..robots.robot import Robot
+from ..study.files import read_bytes, write_text
+from .samples import JointSamples
+from .table import Workspace, width
+
+Progress = Callable[[int, int], object]
+
+SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
+
+
+def workspace(
+    robot: Robot,
+    samples: int = 10_000,
+    *,
+    method: str = "sobol",
+    seed: int = 0,
+    out: str | PathLike[str] | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Workspace:
+    """Where the tip of a robot is at many joint values within `robot.limits`, and by which margin it is stable there.
+
+    The joint values keep the tubes in order, carriages and ends (see `inverse.joints.joint_space`), and are spread
+    evenly over what is allowed: translations over all ordered ones, rotations over one turn where the limits hold a
+    whole one, since the shape repeats. Each is solved by itself, cold: its equilibrium is stable, and is the one that
+    `forward_kinematics` finds.
+
+    Args:
+        samples: joint values N. A grid has as many points per axis as N allows, less those out of order.
+        method: "sobol" (scrambled Sobol points: the most even), "random" or "grid".
+        seed: of the first two; the same seed gives the same joint values.
+        out: directory to append results to as they come, so that memory does not grow with N; a run that was stopped
+            there goes on where it was.
+        workers: threads; 0 is one per core.
+        progress: called with the samples done and their number.
+
+    Raises:
+        InputError: no number of samples, unknown method, limits that leave nothing, a directory that holds another
+            workspace or cannot be written.
+    """
+    drawn = JointSamples(robot, method, samples, seed)
+    count = sum(len(rotations) for rotations, _ in drawn.blocks()) if method == "grid" else samples
+    if not count:
+        raise InputError(f"samples is {samples}; a grid of no more points has none that keeps the tubes in order")
+    sink = _Memory(robot, count) if out is None else _Disk(robot, count, Path(out), _spec(drawn, count))
+    with sink:
+        done = sink.done
+        if progress is not None:
+            progress(done, count)
+        for alpha, shift in _after(drawn.blocks(), done):
+            batch = forward_kinematics_batch(robot, alpha, shift, workers=workers)
+            rows = np.column_stack([alpha, shift, batch.tip_position, batch.tip_rotation[:, :, 2], batch.margin])
+            sink.append(rows, [(done + row, reason) for row, reason in batch.failures])
+            done += len(rows)
+            if progress is not None:
+                progress(done, count)
+    return Workspace(robot, method, seed, *sink.result())
+
+
+def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
+    """The workspace of `robot` that `workspace(..., out=directory)` left there, its table on disk.
+
+    Raises:
+        InputError: there is none, it is of another robot, or it is not finished.
+    """
+    directory = Path(directory)
+    head = json.loads(read_bytes(directory / HEAD))
+    if head["robot_sha256"] != _mark(robot):
+        raise InputError(f"{directory}: the workspace there is of another robot")
+    table, failures = _stored(directory, head["samples"], width(robot.n_tubes))
+    return Workspace(robot, head["method"], head["seed"], table, failures)
+
+
+def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[Array, Array]]:
+    """Blocks without the first rows."""
+    for alpha, shift in blocks:
+        skip = min(done, len(alpha))
+        done -= skip
+        if skip < len(alpha):
+            yield alpha[skip:], shift[skip:]
+
+
+def _mark(robot: Robot) -> str:
+    """What tells robots apart, by everything that joint values and equilibria follow from."""
+    return hashlib.sha256(repr((type(robot).__name__, robot)).encode()).hexdigest()
+
+
+def _spec(drawn: JointSamples, count: int) -> dict[str, Any]:
+    return {
+        "robot": drawn.robot.name,
+        "robot_sha256": _mark(drawn.robot),
+        "method": drawn.method,
+        "seed": int(drawn.seed),
+        "samples": int(count),
+        "columns": _columns(drawn.robot.n_tubes),
+    }
+
+
+def _columns(n: int) -> list[str]:
+    joints = [f"{kind}_{i}" for kind in ("rotation", "translation") for i in range(1, n + 1)]
+    tip = [f"tip_{what}_{axis}" for what in ("position", "direction") for axis in "xyz"]
+    return [*joints, *tip, "margin"]
+
+
+class _Memory:
+    """A table in memory."""
+
+    def __init__(self, robot: Robot, count: int) -> None:
+        self.done = 0
+        self._table = np.full((count, width(robot.n_tubes)), np.nan)
+        self._failures: list[tuple[int, str]] = []
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:
+        """Add rows."""
+        self._table[self.done : self.done + len(rows)] = rows
+        self._failures += failures
+        self.done += len(rows)
+
+    def result(self) -> tuple[Array, tuple[tuple[int, str], ...]]:
+        """The table and the failures."""
+        return self._table, tuple(self._failures)
+
+
+class _Disk:
+    """A table in a .npy file that grows by whole rows; of a run that was killed, those are kept."""
+
+    def __init__(self, robot: Robot, count: int, directory: Path, spec: dict[str, Any]) -> None:
+        self._directory, self._count, self._width = directory, count, width(robot.n_tubes)
+        head = directory / HEAD
+        if not head.exists():
+            write_text(head, json.dumps(spec, indent=2) + "\n")
+        elif json.loads(read_bytes(head)) != spec:
+            raise InputError(f"{directory}: holds the workspace of another robot or of other samples")
+        try:
+            self._file: BinaryIO = (directory / SAMPLES).open("a+b")
+        except OSError as error:
+            raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+        self.done = self._cut_to_whole_rows()
+
+    def _cut_to_whole_rows(self) -> int:
+        """Rows that are there, after a torn one is cut off; the head of the file is written where it is missing."""
+        size = self._file.seek(0, os.SEEK_END)
+        self._file.seek(0)
+        try:
+            np.lib.format.read_magic(self._file)
+            np.lib.format.read_array_header_1_0(self._file)
+            start = self._file.tell()
+        except ValueError:
+            self._file.truncate(0)
+            shape = {"descr": "<f8", "fortran_order": False, "shape": (self._count, self._width)}
+            np.lib.format.write_array_header_1_0(self._file, shape)
+            self._file.flush()
+            return 0
+        rows = (size - start) // (8 * self._width)
+        self._file.truncate(start + rows * 8 * self._width)
+        return rows
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:
+        """Add rows, on the disk when this returns; reasons of failures before the rows that they are of."""
+        try:
+            if failures:
+                with (self._directory / FAILURES).open("a", encoding="utf-8") as file:
+                    file.writelines(json.dumps(failure) + "\n" for failure in failures)
+                    file.flush()
+                    os.fsync(file.fileno())
+            self._file.write(np.ascontiguousarray(rows, dtype="<f8").tobytes())
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise InputError(f"{self._directory}: cannot be written: {error.strerror or error}") from error
+        self.done += len(rows)
+
+    def result(self) -> tuple[Array, tuple[tuple[int, str], ...]]:
+        """The table, on disk, and the failures."""
+        return _stored(self._directory, self._count, self._width)
+
+
+def _stored(directory: Path, count: int, columns: int) -> tuple[Array, tuple[tuple[int, str], ...]]:
+    path = directory / SAMPLES
+    try:
+        table = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, EOFError, ValueError):
+        raise InputError(
+            f"{path}: is missing or not finished; compute the workspace once more to go on with it"
+        ) from None
+    if table.shape != (count, columns):
+        raise InputError(f"{path}: has the shape {table.shape}; it must be {(count, columns)}")
+    return table, _read_failures(directory / FAILURES)
+
+
+def _read_failures(path: Path) -> tuple[tuple[int, str], ...]:
+    """Failures by row; of those written twice, by a run that was killed, one; a torn last line is none."""
+    if not path.exists():
+        return ()
+    found = {}
+    for line in read_bytes(path).decode("utf-8", errors="replace").splitlines():
+        try:
+            row, reason = json.loads(line)
+        except ValueError:
+            continue
+        found[int(row)] = str(reason)
+    return tuple(sorted(found.items()))

@@ -1,0 +1,177 @@
+"""How large a workspace is, by three methods, each with what it says about its own error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError, positive
+from ..robots.assembly import Array
+from .table import Workspace, held
+from .voxels import Keys, Voxels, cells, default_size, voxels
+
+MOST_POINTS = 20_000
+"""Tips of an alpha shape; of more, so many are drawn."""
+
+REACH = 5.0
+"""Radius of the alpha shape in mean distances of its points."""
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A volume (m^3) and how far it is to be trusted.
+
+    method: "voxels", "meridian" or "alpha".   scale: edge of the cells, or radius of the alpha shape, m.
+    half: the volume from the first half of the samples; where it is as large, more samples change little.
+    unseen: estimated volume of voxels that no sample has hit yet (Chao 1984, from those hit once and twice); NaN for
+        the other methods.
+    surface: half the volume of the cells on the surface, which stick out of the workspace; NaN for an alpha shape.
+    """
+
+    value: float
+    method: str
+    scale: float
+    half: float
+    unseen: float
+    surface: float
+
+
+def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
+    """Volume of all voxels that hold a tip, less half of those on the surface, of which half is outside.
+
+    Args:
+        size, min_margin: as for `voxels`.
+
+    Raises:
+        InputError: as `voxels`.
+    """
+    return volume_of(voxels(workspace, size, min_margin=min_margin))
+
+
+def volume_of(found: Voxels) -> Volume:
+    """Volume of voxels."""
+    cube = found.size**3
+    early = found.early > 0
+    first = replace(
+        found,
+        index=found.index[early],
+        count=found.count[early],
+        early=found.early[early],
+        directions=found.directions[early],
+        margin=found.margin[early],
+    )
+    once, twice = int((found.count == 1).sum()), int((found.count == 2).sum())
+    surface = 0.5 * found.surface.sum() * cube
+    return Volume(
+        value=float(len(found) * cube - surface),
+        method="voxels",
+        scale=found.size,
+        half=float((len(first) - 0.5 * first.surface.sum()) * cube),
+        unseen=once * (once - 1) / (2 * (twice + 1)) * cube,
+        surface=float(surface),
+    )
+
+
+def meridian_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
+    """Volume of the body that tips, turned about z into one plane, sweep in a turn: the sharpest of the three methods.
+
+    Exact in the limit for robots with all tubes on the centreline and free to turn a whole turn, since turning all
+    tubes turns the arm. Cells of the plane at its edge count half, as for `voxel_volume`.
+
+    Args:
+        size: edge of the cells, m; by default a quarter of that of `voxels`.
+        min_margin: only configurations at least as stable count.
+
+    Raises:
+        InputError: tubes off the centreline, or limits of less than a turn; a size that is not positive; no sample is
+            that stable.
+    """
+    robot = workspace.robot
+    turns = np.diff(np.array(robot.limits.rotations), axis=1)
+    if robot.assembly(robot.home_translations).eccentric or turns.min() < 2 * np.pi - 1e-9:
+        raise InputError("the workspace is no body of revolution: tubes off the centreline, or less than a turn free")
+    scale = default_size(workspace) / 4 if size is None else positive("size", size)
+    seen: dict[bool, Keys] = {}
+    half = (len(workspace) + 1) // 2
+    for first, table in workspace.chunks():
+        kept = held(table, min_margin)
+        tips = table[kept, -7:-4]
+        plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), np.zeros(len(tips)), tips[:, 2]])
+        index = cells(plane, scale)[:, ::2]
+        for early, found in ((False, index), (True, index[np.flatnonzero(kept) < half - first])):
+            seen[early] = np.unique(np.concatenate([seen.get(early, found[:0]), found]), axis=0)
+    if not len(seen[False]):
+        raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
+    value, surface = _revolved(seen[False], scale)
+    first_half = _revolved(seen[True], scale)[0] if len(seen[True]) else 0.0
+    return Volume(value, "meridian", scale, first_half, float("nan"), surface)
+
+
+def _revolved(index: Keys, size: float) -> tuple[float, float]:
+    """Volume (m^3) of cells (C, 2) of the meridian turned about its axis, and the half of those on the edge in it."""
+    filled = np.zeros(index.max(0) - index.min(0) + (3, 3), dtype=bool)
+    filled[tuple((index - index.min(0) + 1).T)] = True
+    if index[:, 0].min() == 0:  # beyond the axis lies the other side
+        filled[0] = filled[1]
+    inside = filled[1:-1, 1:-1] & filled[:-2, 1:-1] & filled[2:, 1:-1] & filled[1:-1, :-2] & filled[1:-1, 2:]
+    ring = 2 * np.pi * (np.arange(index[:, 0].min(), index[:, 0].max() + 1) + 0.5) * size**3
+    whole, core = (float(ring @ part.sum(1)) for part in (filled[1:-1, 1:-1], inside))
+    return (whole + core) / 2, (whole - core) / 2
+
+
+def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margin: float = 0.0) -> Volume:
+    """Volume of the alpha shape of the tips: of Delaunay's tetrahedra, those whose circumsphere is small.
+
+    Edelsbrunner and Muecke, "Three-dimensional alpha shapes", ACM Trans. Graphics 13(1), 1994.
+
+    Args:
+        radius: largest circumradius, m; by default 5 mean distances of the points.
+        min_margin: only configurations at least as stable count.
+
+    Raises:
+        InputError: a radius that is not positive, fewer than five points, points that lie in a plane.
+    """
+    if radius is not None:
+        positive("radius", radius)
+    tips = _some_tips(workspace, min_margin)
+    value, reach = alpha_shape(tips, radius)
+    half, _ = alpha_shape(tips[: len(tips) // 2], radius)
+    return Volume(value, "alpha", reach, half, float("nan"), float("nan"))
+
+
+def _some_tips(workspace: Workspace, min_margin: float) -> Array:
+    table = workspace.some(MOST_POINTS)
+    return np.asarray(table[held(table, min_margin), -7:-4])
+
+
+def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, float]:
+    """Volume (m^3) and radius (m) of the alpha shape of points (N, 3)."""
+    from scipy.spatial import Delaunay, QhullError
+
+    if len(points) < 5:
+        raise InputError(f"there are {len(points)} tips; an alpha shape needs at least 5")
+    try:
+        corners = points[Delaunay(points).simplices]
+    except QhullError:
+        raise InputError("the tips lie in a plane; an alpha shape needs points in space") from None
+    edges = corners[:, 1:] - corners[:, :1]
+    size = np.abs(np.linalg.det(edges)) / 6
+    flat = size <= 1e-12 * np.abs(edges).max((1, 2)) ** 3
+    edges[flat] = np.eye(3)
+    centre = np.linalg.solve(2 * edges, (edges**2).sum(2)[..., None])[..., 0]
+    circumradius = np.where(flat, np.inf, np.linalg.norm(centre, axis=1))
+    if radius is None:
+        radius = _mean_distance(size, circumradius, len(points))
+    return float(size[circumradius <= radius].sum()), float(radius)
+
+
+def _mean_distance(size: Array, circumradius: Array, count: int) -> float:
+    """The radius of so many mean distances of points in the shape that it makes itself: a fixed point from above."""
+    radius = REACH * (float(size.sum()) / count) ** (1 / 3)
+    for _ in range(50):
+        smaller = REACH * (float(size[circumradius <= radius].sum()) / count) ** (1 / 3)
+        if smaller >= 0.99 * radius:
+            break
+        radius = max(float(smaller), 0.5 * radius)
+    return float(radius)

@@ -1,0 +1,173 @@
+"""The workspace in voxels: where tips are, how many, from how many sides, and by which margin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, positive
+from ..robots.assembly import Array, Mask
+from .table import Workspace, held, require_samples
+
+Words = NDArray[np.uint64]
+Keys = NDArray[np.int64]
+
+PATCHES = 64
+"""Patches of equal area into which directions are sorted: 8 bands of height by 8 sectors."""
+
+PER_VOXEL = 50
+"""Samples per occupied voxel that the default size aims at."""
+
+_BITS = 21
+_HALF = 1 << (_BITS - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """Cubes of edge `size` (m) that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size.
+
+    samples: how many tips in all.   index: (V, 3).   count: (V,) tips in each, `early` of them of the first half
+        of the samples (of a grid, of a random half).
+    directions: (V,) patches of the sphere of directions, of `PATCHES`, in which tips point.
+    margin: (V,) largest stability margin of a tip.
+    """
+
+    size: float
+    samples: int
+    index: Keys
+    count: Keys
+    early: Keys
+    directions: Keys
+    margin: Array
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def centres(self) -> Array:
+        """(V, 3) m."""
+        return np.asarray((self.index + 0.5) * self.size)
+
+    @property
+    def dexterity(self) -> Array:
+        """(V,) share of all directions in which tips point: the service sphere of Kumar and Waldron (1981).
+
+        A lower bound, since a voxel of few samples cannot show many directions.
+        """
+        return self.directions / PATCHES
+
+    @property
+    def surface(self) -> Mask:
+        """(V,) whether one of the six neighbours holds no tip."""
+        keys = _keys(self.index)
+        steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+        return np.asarray(np.any([~np.isin(_keys(self.index + step), keys) for step in steps], axis=0))
+
+
+def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Voxels:
+    """The tips of a workspace sorted into cubes; memory grows with the cubes, not with the samples.
+
+    Args:
+        size: edge, m; by default a round number such that some fifty samples fall into a cube.
+        min_margin: only configurations at least as stable count.
+
+    Raises:
+        InputError: a size that is not positive, or so small that indices overflow; no sample is that stable.
+    """
+    require_samples(workspace)
+    edge = default_size(workspace) if size is None else positive("size", size)
+    store = Store(edge)
+    half = (len(workspace) + 1) // 2
+    kept = 0
+    for first, table in workspace.chunks():
+        rows = held(table, min_margin)
+        early = np.arange(first, first + len(table)) < half
+        if workspace.method == "grid":  # whose first half lies on one side
+            early = np.random.default_rng(first).random(len(table)) < 0.5
+        store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
+        kept += int(rows.sum())
+    if not kept:
+        raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
+    return store.voxels(kept)
+
+
+def default_size(workspace: Workspace) -> float:
+    """Edge (m), of the series 1, 2, 5, at which the voxels of the bounding box hold about `PER_VOXEL` samples each."""
+    low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
+    for _, table in workspace.chunks():
+        tips = table[held(table, -np.inf), -7:-4]
+        if len(tips):
+            low, high, count = np.minimum(low, tips.min(0)), np.maximum(high, tips.max(0)), count + len(tips)
+    extent = high - low
+    longest = float(extent.max())
+    if longest <= 0:
+        return 1e-3
+    # A workspace that is flat is as thick as a thousandth of its length, so that its voxels are counted on its face.
+    volume = float(np.prod(np.maximum(extent, longest / 1000)))
+    wanted = max((volume * PER_VOXEL / count) ** (1 / 3), longest / 500)
+    steps = np.array([m * 10.0**e for e in range(-7, 1) for m in (1, 2, 5)])
+    return float(steps[np.argmin(np.abs(np.log(steps / wanted)))])
+
+
+class Store:
+    """Voxels that grow chunk by chunk."""
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+        self.keys: Keys = np.zeros(0, np.int64)
+        self.count, self.early = self.keys.copy(), self.keys.copy()
+        self.patches: Words = np.zeros(0, np.uint64)
+        self.margin: Array = np.zeros(0)
+
+    def add(self, tips: Array, directions: Array, margin: Array, early: Mask) -> None:
+        """Sort in tips (B, 3), their directions (B, 3) and margins (B,)."""
+        keys = np.concatenate([self.keys, _keys(cells(tips, self.size))])
+        ones = np.ones(len(tips), np.int64)
+        word = np.left_shift(np.uint64(1), patch_of(directions).astype(np.uint64))
+        order = np.argsort(keys, kind="stable")
+        self.keys, starts = np.unique(keys[order], return_index=True)
+        self.count = _reduce(np.add, [self.count, ones], order, starts)
+        self.early = _reduce(np.add, [self.early, early.astype(np.int64)], order, starts)
+        self.patches = _reduce(np.bitwise_or, [self.patches, word], order, starts)
+        self.margin = _reduce(np.maximum, [self.margin, margin], order, starts)
+
+    def voxels(self, samples: int) -> Voxels:
+        """What was sorted in."""
+        directions = np.bitwise_count(self.patches).astype(np.int64)
+        return Voxels(self.size, samples, _index(self.keys), self.count, self.early, directions, self.margin)
+
+
+def _reduce(how: np.ufunc, parts: Iterable[NDArray[Any]], order: Keys, starts: Keys) -> NDArray[Any]:
+    values = np.concatenate(list(parts))[order]
+    return np.asarray(how.reduceat(values, starts)) if len(values) else values
+
+
+def cells(points: Array, size: float) -> Keys:
+    """(B, 3) index of the cube that each point (B, 3) is in."""
+    index = np.floor(points / size)
+    if len(index) and np.abs(index).max() >= _HALF:
+        raise InputError(f"size is {size:g} m; it must be at least a millionth of the workspace's size")
+    return index.astype(np.int64)
+
+
+def _keys(index: Keys) -> Keys:
+    """(V,) one number per cube."""
+    x, y, z = (index + _HALF).T
+    return np.asarray((x << (2 * _BITS)) | (y << _BITS) | z)
+
+
+def _index(keys: Keys) -> Keys:
+    mask = (1 << _BITS) - 1
+    return np.column_stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask]) - _HALF
+
+
+def patch_of(directions: Array) -> Keys:
+    """(B,) the patch of equal area, from 0, in which each unit vector (B, 3) lies (Archimedes: equal heights)."""
+    x, y, z = directions.T
+    band = np.clip(((z + 1) * 4).astype(np.int64), 0, 7)
+    sector = np.clip(((np.arctan2(y, x) / (2 * np.pi) + 0.5) * 8).astype(np.int64), 0, 7)
+    return np.asarray(8 * band + sector)
