@@ -140,6 +140,19 @@ def plot_stability_map(
     """
     figure = new_figure(5.6, 4.9)
     axes = figure.add_subplot()
+    image, handles = draw_map(axes, stability_map)
+    first, second = stability_map.tubes
+    axes.set_xlabel(f"rotation of tube {first + 1} relative to home (deg)")
+    axes.set_ylabel(f"rotation of tube {second + 1} relative to home (deg)")
+    axes.set_title(title, loc="left")
+    bar = figure.colorbar(image, ax=axes, label="stability margin", pad=0.02, shrink=0.9, aspect=28)
+    bar.outline.set_visible(False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return finish(figure, path)
+
+
+def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:
+    """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains."""
     angles = np.degrees(stability_map.angles)
     values = np.clip(stability_map.margin.T, 0, 1)
     image = axes.pcolormesh(angles, angles, values, cmap=MAP, vmin=0, vmax=1, shading="nearest", rasterized=True)
@@ -149,14 +162,7 @@ def plot_stability_map(
         axis.set_major_locator(angle_locator())
     axes.set_aspect("equal")
     axes.set(xlim=(angles[0], angles[-1]), ylim=(angles[0], angles[-1]))
-    first, second = stability_map.tubes
-    axes.set_xlabel(f"rotation of tube {first + 1} relative to home (deg)")
-    axes.set_ylabel(f"rotation of tube {second + 1} relative to home (deg)")
-    axes.set_title(title, loc="left")
-    bar = figure.colorbar(image, ax=axes, label="stability margin", pad=0.02, shrink=0.9, aspect=28)
-    bar.outline.set_visible(False)
-    figure.legend(handles=[h for h in handles if h], loc="outside lower center", ncols=3)
-    return finish(figure, path)
+    return image, [h for h in handles if h]
 
 
 def _hatch(axes: Axes, stability_map: StabilityMap) -> Artist | None:

@@ -1,0 +1,40 @@
+"""Inner, middle and outer tube from stock: which sizes of published robots make the tightest snap-free turn?
+
+One learns: most of the choices need not be designed at all: limits on dimensions alone bound what each of them can
+reach.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tubeopt.design import choose_from_stock
+from tubeopt.plotting.design import plot_stock
+from tubeopt.study.design_study import DesignStudy
+from tubeopt.study.stock_file import load_stock
+from tubeopt.study.study_file import load_study
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(out: Path) -> list[Path]:
+    """Choose, print the best, save the picture into `out`, and return its path."""
+    study = load_study(ROOT / "configs" / "studies" / "design_stock.yaml")
+    assert isinstance(study, DesignStudy)
+    task = study.task()
+    choice = choose_from_stock(task, load_stock(ROOT / "configs" / "tubes" / "stock.yaml"), clearance=0.05e-3, keep=5)
+    print(f"{len(choice.candidates)} choices nest; {choice.count('design')} designed, {choice.count('pruned')} pruned")
+    for one in choice.candidates[:5]:
+        assert one.objective is not None
+        print(f"{', '.join(size.name for size in one.sizes)}: {one.objective:.3f} per m")
+    picture = out / "design_from_stock.png"
+    plot_stock(task, choice, picture)
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

@@ -1,0 +1,100 @@
+"""What is made: tolerances against what can be computed by hand, stock against enumeration without bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from tests.design.tasks import closed_form, equal_pair, three_tubes, two_tubes
+from tubeopt import DesignTask, InputError, forward_kinematics, optimize_design
+from tubeopt.design import (
+    Free,
+    Objective,
+    SnapFree,
+    StockTube,
+    Strain,
+    Tolerances,
+    choose_from_stock,
+    tolerance_analysis,
+)
+from tubeopt.design.multistart import multistart
+from tubeopt.design.program import compile_task
+from tubeopt.design.stock import combinations, with_sizes
+from tubeopt.design.tolerance import wilson
+
+
+def test_probability_of_two_tubes_is_that_of_a_product_of_normals() -> None:
+    kappa = closed_form(0.1, 0.05, 0.05)
+    spread = 0.05
+    found = tolerance_analysis(equal_pair(0.1, 0.05, kappa), Tolerances(curvature=spread), samples=2000)
+    # snap-free while kappa_1 kappa_2 is below its value at margin 0
+    limit = (closed_form(0.1, 0.05, 0.0) / kappa) ** 2
+    a = np.linspace(-6, 6, 4001)
+    expected = np.trapezoid(norm.pdf(a) * norm.cdf((limit / (1 + spread * a) - 1) / spread), a)
+    assert found.interval[0] - 0.01 <= expected <= found.interval[1] + 0.01
+    assert found.interval == wilson(found.snap_free, 2000)
+
+
+def test_tip_spread_follows_the_derivative_for_small_errors() -> None:
+    robot = two_tubes()
+    joints = (np.array([0.5, 0.0]), np.array([-0.02, -0.01]))
+    found = tolerance_analysis(robot, Tolerances(curvature=1e-4), poses=[joints], samples=400)
+    from dataclasses import replace
+
+    tip = forward_kinematics(robot, *joints).tip_position
+    total = 0.0
+    for i, tube in enumerate(robot.tubes):
+        tubes = list(robot.tubes)
+        tubes[i] = replace(tube, curvature=tube.curvature * (1 + 1e-5))
+        slope = (forward_kinematics(replace(robot, tubes=tuple(tubes)), *joints).tip_position - tip) / 1e-5
+        total += float(slope @ slope) * 1e-8
+    assert found.spread[0] == pytest.approx(np.sqrt(total), rel=0.1)
+    assert found.failed == 0
+
+
+def test_uniform_errors_stay_within_their_half_width() -> None:
+    found = tolerance_analysis(equal_pair(0.1, 0.05, 5.0), Tolerances(curvature=0.01, distribution="uniform"))
+    high = tolerance_analysis(equal_pair(0.1, 0.05, 5.0 * 1.01), Tolerances(), samples=2).certificate[0]
+    low = tolerance_analysis(equal_pair(0.1, 0.05, 5.0 * 0.99), Tolerances(), samples=2).certificate[0]
+    assert high <= found.certificate.min() <= found.certificate.max() <= low
+
+
+def stock() -> list[StockTube]:
+    sizes = ((0.5, 0.4), (0.9, 0.7), (1.0, 0.9), (1.2, 1.05), (1.5, 1.2), (1.8, 1.4))
+    return [StockTube(f"{od}", od * 1e-3, bore * 1e-3) for od, bore in sizes]
+
+
+def test_stock_is_ranked_as_without_bounds() -> None:
+    free = (Free("curvature", (0, 1, 2), 0.5, 40.0),)
+    task = DesignTask(three_tubes(), free, (SnapFree(0.05), Strain((0.01,))), Objective("tip_curvature"))
+    choice = choose_from_stock(task, stock(), clearance=0.05e-3, keep=2)
+    values = []
+    for sizes in combinations(stock(), 3, 0.05e-3):
+        found = multistart(compile_task(with_sizes(task, sizes))).designs[0]
+        values.append((-found.objective, tuple(size.name for size in sizes)))
+    best = sorted(values, reverse=True)[:2]
+    assert len(values) == len(choice.candidates)
+    assert choice.count("pruned") > 0
+    for (value, names), one in zip(best, choice.candidates, strict=False):
+        assert tuple(size.name for size in one.sizes) == names
+        assert one.objective == pytest.approx(value, rel=1e-5)
+    assert choice.best is choice.candidates[0]
+
+
+def test_stock_that_does_not_nest_is_refused() -> None:
+    task = DesignTask(three_tubes(), (Free("curvature", (0, 1, 2), 0.5, 40.0),), (SnapFree(0.05),))
+    with pytest.raises(InputError, match="no 3 tubes in stock nest with a clearance of 5 mm"):
+        choose_from_stock(task, stock(), clearance=5e-3)
+    with pytest.raises(InputError, match="samples is 1; it must be at least 2"):
+        tolerance_analysis(three_tubes(), Tolerances(), samples=1)
+
+
+def test_starts_on_several_processes_find_the_same() -> None:
+    task = DesignTask(
+        two_tubes(), (Free("curvature", (0, 1), 1.0, 25.0),), (SnapFree(0.2),), Objective("tip_curvature")
+    )
+    one, two = (optimize_design(task, starts=4, workers=workers, turns=1) for workers in (1, 2))
+    assert one.objective == pytest.approx(two.objective, rel=1e-9)
+    assert one.ranking.starts == two.ranking.starts == 4
+    assert sum(one.ranking.found) == 4

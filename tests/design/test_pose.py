@@ -1,0 +1,82 @@
+"""A pose is the one of forward kinematics, and its derivatives are those of differences."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.examples import random_robot
+from tubeopt import forward_kinematics, snap_free_certificate
+from tubeopt.design.pose import Pose
+from tubeopt.design.solved import LOCAL, Twist, solve_pose
+from tubeopt.robots.assembly import Array
+from tubeopt.tubes import Tube
+
+Numbers = dict[str, Array]
+
+
+def pose_of(numbers: Numbers, guess: Twist | None = None) -> Pose:
+    """A pose of tubes that are given by their stiffnesses and lengths alone."""
+    n = len(numbers["rotation"])
+    tubes = [SimpleNamespace(**{name: float(numbers[name][i]) for name in LOCAL[2:]}) for i in range(n)]
+    for tube in tubes:
+        tube.length = tube.straight_length + tube.curved_length
+    return Pose(solve_pose(cast(list[Tube], tubes), numbers["rotation"], numbers["translation"], guess))
+
+
+def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:
+    """A robot that is turned far enough for its margin to fall below 1, withdrawn by a little."""
+    random = np.random.default_rng([7, seed])
+    while True:
+        robot = random_robot(random, n)
+        numbers = {name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in LOCAL[2:]}
+        numbers["rotation"] = random.uniform(-2.5, 2.5, n)
+        numbers["translation"] = -random.uniform(0.0, 0.02, n)
+        if 0.1 < pose_of(numbers).margin < 0.98:
+            return robot, numbers
+
+
+@pytest.mark.parametrize(("seed", "n"), [(1, 2), (2, 3), (3, 3), (4, 4)])
+def test_values_are_those_of_forward_kinematics(seed: int, n: int) -> None:
+    robot, numbers = random_numbers(seed, n)
+    pose = pose_of(numbers)
+    guess = forward_kinematics(robot, numbers["rotation"], numbers["translation"])
+    assert np.allclose(pose.position[-1], guess.tip_position, atol=1e-8)
+    assert pose.margin == pytest.approx(guess.margin, abs=1e-7)
+    assert pose.certificate[0] == pytest.approx(snap_free_certificate(robot, numbers["translation"]), abs=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "n"), [(1, 2), (2, 3), (3, 3), (4, 4)])
+def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
+    _, numbers = random_numbers(seed, n)
+    pose = pose_of(numbers)
+    position, turn, arc = pose.shape_slopes
+    theta, bend = pose.bend_slopes
+    parts = (position, turn, arc, theta, bend, pose.margin_slope, pose.certificate[1])
+    for k, (name, i) in enumerate((name, i) for name in LOCAL for i in range(n)):
+        size = 1e-6 * (abs(numbers[name][i]) if name in LOCAL[2:] else 1.0)
+        sides = []
+        for sign in (1, -1):
+            moved = {key: value.copy() for key, value in numbers.items()}
+            moved[name][i] += sign * size
+            sides.append(pose_of(moved, pose.solved.twist))
+        if sides[0].position.shape != sides[1].position.shape:
+            continue  # the mesh itself changes
+        changes = [_difference(a, b) / (2 * size) for a, b in zip(_values(sides[0]), _values(sides[1]), strict=True)]
+        frame = changes[1] @ pose.frame.swapaxes(1, 2)
+        changes[1] = np.stack([frame[:, 2, 1], frame[:, 0, 2], frame[:, 1, 0]], axis=1)
+        for part, change in zip(parts, changes, strict=True):
+            floor = 1e-7 * max(1.0, 1e-9 / size)
+            assert np.allclose(part[..., k], change, rtol=2e-4, atol=2e-4 * np.abs(change).max() + floor), (name, i)
+
+
+def _values(pose: Pose) -> tuple[Array, ...]:
+    scalars = (np.array(pose.margin), np.array(pose.certificate[0]))
+    return (pose.position, pose.frame, pose.arc_length, pose.theta, pose.bend, *scalars)
+
+
+def _difference(a: Array, b: Array) -> Array:
+    return np.asarray(a - b)

@@ -1,0 +1,161 @@
+"""Designs with task poses: reach, corridor, obstacles, margins in use, workspace boxes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.design.tasks import THESIS, two_tubes
+from tubeopt import ConcentricRobot, DesignTask, Tube, follow, forward_kinematics, optimize_design
+from tubeopt.design import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Free,
+    Objective,
+    Poses,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    Target,
+)
+from tubeopt.design.program import compile_task, evaluate, stack, total_objective
+from tubeopt.design.starts import with_joints
+from tubeopt.obstacles import Sphere
+from tubeopt.robots.assembly import Array
+
+MM = 1e-3
+TURN = 2 * np.pi
+
+
+def corridor() -> tuple[tuple[float, float, float], ...]:
+    """60 mm up, then a quarter turn of 70 mm radius towards -y, and 40 mm on."""
+    bend = [(0.0, -0.07 * (1 - np.cos(a)), 0.06 + 0.07 * np.sin(a)) for a in np.linspace(0, np.pi / 2, 13)]
+    return ((0.0, 0.0, -0.005), *bend, (0.0, -0.11, 0.13))
+
+
+def corner_task(targets: int = 3) -> DesignTask:
+    """The shortest robot that reaches targets around a corner."""
+    tubes = (
+        Tube(1.0 * MM, 0.8 * MM, 0.15, 0.08, 12.0),
+        Tube(1.4 * MM, 1.1 * MM, 0.1, 0.09, 9.0),
+        Tube(2.0 * MM, 1.6 * MM, 0.05, 0.05, 2.0),
+    )
+    angles = np.arange(targets) * TURN / targets
+    points = [(5 * MM * np.cos(a), -0.085 + 3 * MM * (k % 2), 0.13 + 5 * MM * np.sin(a)) for k, a in enumerate(angles)]
+    return DesignTask(
+        ConcentricRobot(tubes),
+        (
+            Free("curvature", (0, 1, 2), 0.0, 19.0),
+            Free("curved_length", (0, 1, 2), 0.02, 0.2),
+            Free("straight_length", (0, 1, 2), 0.02, 0.25),
+        ),
+        (
+            Reach(tuple(Target(point) for point in points)),
+            Corridor(corridor(), 12 * MM),
+            SnapFreeInUse(0.1),
+            Strain((0.025,)),
+        ),
+        Objective("length"),
+    )
+
+
+def distance_from(line: Array, points: Array) -> Array:
+    """Distance of points from a polyline, by brute force."""
+    fine = np.concatenate([a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in pairwise(line)])
+    return np.asarray([np.linalg.norm(fine - point, axis=1).min() for point in points])
+
+
+def test_derivatives_of_all_rows_are_those_of_differences() -> None:
+    program = compile_task(corner_task(2))
+    x = with_joints(program, program.layout.space.start, np.random.default_rng(0))
+    x = x * (1 + 1e-3 * np.random.default_rng(1).uniform(-1, 1, len(x)))
+
+    def at(point: Array) -> tuple[Array, Array, float, Array]:
+        found = evaluate(program, point)
+        assert found is not None
+        return (*stack(found[1], found[2]), *total_objective(program, found[0]))
+
+    _, jacobian, _, slope = at(x)
+    for j, size in enumerate(1e-6 * program.scale):
+        sides = [at(x + sign * size * np.eye(len(x))[j]) for sign in (1, -1)]
+        change = (sides[0][0] - sides[1][0]) / (2 * size)
+        assert np.allclose(change * program.scale[j], jacobian[:, j] * program.scale[j], atol=1e-4)
+        assert (sides[0][2] - sides[1][2]) / (2 * size) == pytest.approx(slope[j], abs=1e-6)
+
+
+def test_robot_reaches_around_a_corner() -> None:
+    task = corner_task(6)
+    design = optimize_design(task)
+    reach = task.requirements[0]
+    assert isinstance(reach, Reach)
+    for pose, target in zip(design.equilibria, reach.targets, strict=True):
+        again = forward_kinematics(design.robot, pose.rotations, pose.translations)
+        assert np.linalg.norm(again.tip_position - np.array(target.position)) <= 0.1 * MM * 1.001
+        assert again.margin >= 0.1
+        radius = [max(t.outer_diameter for t, end in zip(design.robot.tubes, again.tube_end, strict=True) if end >= s)
+                  for s in again.arc_length - 1e-9]  # fmt: skip
+        assert (distance_from(np.array(corridor()), again.position) + np.array(radius) / 2).max() <= 12 * MM + 1e-6
+        beta = pose.translations - [tube.straight_length for tube in design.robot.tubes]
+        ends = beta + [tube.length for tube in design.robot.tubes]
+        assert (np.diff(beta) >= -1e-7).all()
+        assert (np.diff(ends) <= 1e-7).all()
+        assert (beta <= 1e-9).all()
+    assert design.verification.kept
+    assert design.objective < 0.18
+    assert design.sensitivities
+
+
+def test_path_between_poses_stops_snapping() -> None:
+    turn = Poses(((0.0, 0.0, 0.0), (TURN, 0.0, 0.0)), ((0.0,) * 3,) * 2)
+    free = (Free("curvature", (0, 1, 2), 0.5, 15.0),)
+    design = optimize_design(DesignTask(THESIS, free, (turn, SnapFreeInUse(0.05)), Objective("change")))
+    way = np.linspace(0, 1, 60)[:, None] * np.array([TURN, 0.0, 0.0])
+    assert len(follow(THESIS, way).snaps) == 1
+    walked = follow(design.robot, way)
+    assert not walked.snaps
+    assert min(e.margin for e in walked.equilibria) >= 0.05 - 3e-3
+    assert design.rounds >= 1
+
+
+def test_direction_and_stroke_are_kept() -> None:
+    wanted = np.array([0.3, -1.0, 1.0]) / np.linalg.norm([0.3, -1.0, 1.0])
+    targets = (
+        Target((0.02, -0.03, 0.11), 1e-4, tuple(wanted), np.radians(12.0)),
+        Target((0.02, -0.03, 0.12), 2e-4),
+    )
+    free = (Free("curvature", (0, 1), 5.0, 25.0),)
+    task = DesignTask(two_tubes(), free, (SnapFree(0.1), Reach(targets), Stroke(0.02)), Objective("margin"))
+    design = optimize_design(task, turns=1)
+    first, second = design.equilibria
+    assert np.degrees(np.arccos(first.tip_rotation[:, 2] @ wanted)) <= 12.0 + 1e-4
+    assert np.linalg.norm(second.tip_position - [0.02, -0.03, 0.12]) <= 2.001e-4
+    assert np.abs(first.translations - second.translations).max() <= 0.02 + 1e-7
+
+
+def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
+    ball = Sphere((0.0, -0.05, 0.08), 0.012)
+    requirements = (SnapFree(0.1), Strain((0.012,), in_poses=False), Avoid((ball,), 1e-3))
+    free = (Free("curvature", (0, 1), 0.0, 25.0),)
+    design = optimize_design(DesignTask(two_tubes(), free, requirements, Objective("reach_radius", depth=0.1)), turns=1)
+    (pose,) = design.equilibria
+    assert pose.tip_position[2] == pytest.approx(0.1, abs=2e-6)
+    assert np.linalg.norm(pose.tip_position[:2]) == pytest.approx(design.objective, abs=1e-6)
+    assert design.objective > 0.09
+    assert ball.signed_distance(pose.position).min() >= 1e-3
+    # binding: the certificate, and the strain of the outer tube
+    assert {price.limit.words for price in design.sensitivities} >= {"certified margin"}
+
+
+def test_workspace_box_is_covered() -> None:
+    box = Coverage((-0.01, -0.01, 0.085), (0.01, 0.01, 0.095), 1e-3, 4)
+    free = (Free("curvature", (0, 1), 0.0, 25.0), Free("curved_length", (0, 1), 0.02, 0.12))
+    task = DesignTask(two_tubes(), free, (box, SnapFreeInUse(0.1, paths=False)), Objective("length"))
+    design = optimize_design(task)
+    corners = np.array([(x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (0.085, 0.095)])
+    tips = np.array([pose.tip_position for pose in design.equilibria])
+    assert np.linalg.norm(tips[None] - corners[:, None], axis=2).min(1).max() <= 1e-3 * 1.001

@@ -1,0 +1,66 @@
+"""Tube design: robots that cannot snap, as nonlinear programs over tubes and task poses."""
+
+from .objectives import Objective
+from .optimize import DesignSolution, Dimension, optimize_design
+from .parameters import Free
+from .pareto import FrontPoint, ParetoFront, pareto_front
+from .relaxation import Change, InfeasibleDesignError, Relaxation
+from .requirements import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Length,
+    Nesting,
+    Poses,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    Target,
+    Wall,
+)
+from .sensitivities import Sensitivity
+from .stock import Candidate, StockChoice, StockTube, choose_from_stock
+from .task import DesignTask
+from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
+from .verify import Check, Verification, count_snaps
+
+__all__ = [
+    "Avoid",
+    "Candidate",
+    "Change",
+    "Check",
+    "Corridor",
+    "Coverage",
+    "DesignSolution",
+    "DesignTask",
+    "Dimension",
+    "Free",
+    "FrontPoint",
+    "InfeasibleDesignError",
+    "Length",
+    "Nesting",
+    "Objective",
+    "ParetoFront",
+    "Poses",
+    "Reach",
+    "Relaxation",
+    "Sensitivity",
+    "SnapFree",
+    "SnapFreeInUse",
+    "StockChoice",
+    "StockTube",
+    "Strain",
+    "Stroke",
+    "Target",
+    "ToleranceAnalysis",
+    "Tolerances",
+    "Verification",
+    "Wall",
+    "choose_from_stock",
+    "count_snaps",
+    "optimize_design",
+    "pareto_front",
+    "tolerance_analysis",
+]

@@ -1,0 +1,109 @@
+"""The arm against its anatomy: where its surface is, and how that changes with the design."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..robots.assembly import Array
+from .pose import Pose
+from .state import State
+
+ARM_SAMPLES, WITHIN = 24, 16
+"""Parts of the arm, and places within each; at the worst of each part the arm must respect the anatomy."""
+
+HELD_OFF = 2e-5
+"""How far (m) the arm is held off its anatomy at these places, for what lies between them."""
+
+RAMP = 3e-3
+"""Length (m) over which a tube's radius runs out beyond its end, for the arm's distance to its anatomy."""
+
+IndexArray = NDArray[np.intp]
+
+
+Distance = Callable[[Array], tuple[Array, Array]]
+
+
+def _cubic(x: Array) -> tuple[Array, Array]:
+    """Weights (4, K) of p0, h t0, p1, h t1 in Hermite's cubic at x (K,), and their derivatives."""
+    weights = np.stack([(1 + 2 * x) * (1 - x) ** 2, x * (1 - x) ** 2, x**2 * (3 - 2 * x), -(x**2) * (1 - x)])
+    return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
+
+
+def _between(pose: Pose, share: Array) -> tuple[IndexArray, Array, Array]:
+    """For parts (K,) of the arm: the shape point before, the length to the next, and how far along it, 0 to 1."""
+    s = pose.arc_length
+    at = share * s[-1]
+    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    h = s[k + 1] - s[k]
+    return k, h, (at - s[k]) / h
+
+
+def arm_points(pose: Pose, share: Array) -> Array:
+    """Centreline (K, 3) at parts (K,) of the arm's length, cubic between the shape points."""
+    k, h, x = _between(pose, share)
+    ends = pose.position, pose.frame[:, :, 2]
+    nodes = np.stack([ends[0][k], h[:, None] * ends[1][k], ends[0][k + 1], h[:, None] * ends[1][k + 1]])
+    return np.asarray(np.einsum("wk,wkc->kc", _cubic(x)[0], nodes))
+
+
+def arm_slopes(pose: Pose, share: Array) -> Array:
+    """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
+    k, h, x = _between(pose, share)
+    position, turn, arc = pose.shape_slopes
+    tangent = pose.frame[:, :, 2]
+    weights, rates = _cubic(x)
+    turned = np.cross(turn, tangent[:, :, None], axis=1)
+    nodes = np.stack([pose.position[k], h[:, None] * tangent[k], pose.position[k + 1], h[:, None] * tangent[k + 1]])
+    dh = arc[k + 1] - arc[k]
+    moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
+    for w, end in ((weights[1], k), (weights[3], k + 1)):
+        moved = moved + w[:, None, None] * (h[:, None, None] * turned[end] + tangent[end][:, :, None] * dh[:, None, :])
+    dx = (share[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
+    return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
+
+
+def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Array]:
+    """Radius (K,) of the arm at parts (K,) of its length, its change (K, L) at fixed diameters, (K, n) by the radii.
+
+    Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
+    """
+    pose, n = state.pose(index), state.layout.n
+    radii = np.array([tube.outer_diameter / 2 for tube in state.tubes])
+    arc = pose.shape_slopes[2][-1]
+    beyond = (share[:, None] * pose.arc_length[-1] - pose.problem.assembly.end) / RAMP
+    ramp = np.clip(beyond, 0.0, 1.0)
+    each = radii - (radii - radii[0]) * ramp
+    tube = each.argmax(1)
+    k = np.arange(len(share))
+    by_radius = np.zeros((len(share), n))
+    by_radius[k, 0] += ramp[k, tube]
+    by_radius[k, tube] += 1 - ramp[k, tube]
+    sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
+    rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
+    moved = (rate * share)[:, None] * arc
+    moved[k, n + tube] -= rate
+    moved[k, 4 * n + tube] -= rate
+    return each[k, tube], moved, by_radius
+
+
+SHARES = (np.arange(ARM_SAMPLES * WITHIN) + 1) / (ARM_SAMPLES * WITHIN)
+
+
+def arm_rows(state: State, poses: tuple[int, ...], distance: Distance, sign: float) -> tuple[Array, Array]:
+    """sign * distance - radius of the arm where that is least in each of ARM_SAMPLES parts of every pose, with its
+    change."""
+    values, slopes = [], []
+    radii = 0.5 * state.slopes["outer_diameter"]
+    for index in poses:
+        pose = state.pose(index)
+        radius, thinner, by_radius = arm_radius(state, index, SHARES)
+        least, gradient = distance(arm_points(pose, SHARES))
+        room = sign * least - radius - HELD_OFF
+        worst = room.reshape(ARM_SAMPLES, WITHIN).argmin(1) + WITHIN * np.arange(ARM_SAMPLES)
+        values.append(room[worst])
+        local = sign * np.einsum("kc,kcl->kl", gradient[worst], arm_slopes(pose, SHARES[worst])) - thinner[worst]
+        slopes.append(local @ state.chain(index) - by_radius[worst] @ radii)
+    return np.concatenate(values), np.concatenate(slopes)

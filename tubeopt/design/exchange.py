@@ -1,0 +1,217 @@
+"""Requirements with endlessly many cases, by exchange: solve, find the worst cases left out, add them, repeat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from ..equilibrium import Equilibrium
+from ..errors import SolveError
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..stability import find_equilibria, follow, worst_certificate
+from .parameters import Free
+from .program import Added, Program, compile_task, corners, state_at
+from .requirements import Coverage, Reach, SnapFree, SnapFreeInUse, Target, of_kind
+from .solve_one import to_feasibility, violation
+from .solved import Twist
+from .starts import with_joints
+from .state import FreePose
+from .task import DesignTask
+
+ROUNDS = 12
+"""Most times that worst cases are added."""
+
+WAYPOINTS = 16
+"""Points of a joint path at which its margin is looked at."""
+
+POINTS_PER_ROUND = 3
+"""Points of a workspace box that are added at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A robot moved along its task poses: margins (W,) at fractions (W,) of each step, snaps, and where it arrives."""
+
+    first: int
+    second: int
+    fraction: Array
+    margin: Array
+    equilibria: tuple[Equilibrium, ...]
+    snap: float | None
+
+
+def robot_at(program: Program, x: Array) -> ConcentricRobot:
+    """The robot at x; raises InputError where its tubes do not fit into one another."""
+    task = program.task
+    tubes = program.layout.space.tubes(x[: program.layout.designs])
+    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
+
+
+def walks(program: Program, robot: ConcentricRobot, x: Array) -> list[Walk]:
+    """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
+    state = state_at(program, x)
+    joints = [state.joint_values(k) for k in program.task_poses]
+    share = np.linspace(0.0, 1.0, WAYPOINTS + 1)
+    out = []
+    start: Equilibrium | None = None
+    for a in range(len(joints) - 1):
+        rows = [np.outer(1 - share, joints[a][j]) + np.outer(share, joints[a + 1][j]) for j in range(2)]
+        path = follow(robot, rows[0], rows[1], start=start)
+        snap = (path.snaps[0].index + path.snaps[0].fraction) / WAYPOINTS if path.snaps else None
+        margin = np.array([e.margin for e in path.equilibria])
+        numbers = program.task_poses[a], program.task_poses[a + 1]
+        out.append(Walk(*numbers, share, margin, path.equilibria, snap))
+        start = None if path.snaps else path.equilibria[-1]
+    return out
+
+
+def violations(program: Program, x: Array) -> tuple[Added, str]:
+    """What is to be added to a program whose optimum is x, and in a word why; nothing and "" where all cases hold.
+
+    Raises:
+        SolveError: a motion or a worst case cannot be computed.
+    """
+    robot = robot_at(program, x)
+    added, why = program.added, []
+    for one in of_kind(program.task.requirements, SnapFree):
+        if one.box is not None:
+            worst = worst_certificate(robot, *one.box).certificate
+            if worst.margin < one.margin - one.tolerance:
+                row = tuple(worst.translations.tolist())
+                added = replace(added, translations=(*added.translations, row))
+                why.append(f"certificate {worst.margin:.4f} in the box")
+    for one in of_kind(program.task.requirements, SnapFreeInUse):
+        if one.paths:
+            vias = _weak_points(program, robot, x, one)
+            added = replace(added, vias=(*added.vias, *vias))
+            why += [f"{len(vias)} points on joint paths"] if vias else []
+    boxes = of_kind(program.task.requirements, Coverage)
+    if boxes:
+        tables = list(added.points) or [corners(box) for box in boxes]
+        for k, box in enumerate(boxes):
+            missed = _missed(program, x, box)
+            new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
+            tables[k] = (*tables[k], *new)
+            why += [f"{len(missed)} points of the workspace box"] if new else []
+        added = replace(added, points=tuple(tables))
+    return added, ", ".join(why)
+
+
+def _weak_points(
+    program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse
+) -> list[tuple[int, int, float]]:
+    """Points of joint paths where the margin is too small, the worst of each; poses there begin in what was found."""
+    out = []
+    for walk in walks(program, robot, x):
+        if walk.snap is not None:
+            fraction, found = _inside_fold(robot, walk)
+        elif walk.margin.min() < one.margin - one.tolerance:
+            k = int(np.argmin(walk.margin))
+            fraction, found = float(walk.fraction[k]), walk.equilibria[k]
+        else:
+            continue
+        out.append((walk.first, walk.second, fraction))
+        program.guesses[len(program.layout.poses) + len(out) - 1] = twist_of(found)
+    return out
+
+
+def _inside_fold(robot: ConcentricRobot, walk: Walk) -> tuple[float, Equilibrium]:
+    """A fraction of a path that snaps, and the equilibrium there with the least margin: the saddle between branches.
+
+    Going forth the robot leaves its branch at one fold, coming back at another; half-way between them the saddle is
+    farthest from both. A design in which it has a positive margin has no folds there.
+    """
+    assert walk.snap is not None
+    joints = [np.concatenate([e.rotations, e.translations]) for e in (walk.equilibria[0], walk.equilibria[-1])]
+
+    def at(t: float) -> tuple[Array, Array]:
+        rotations, translations = np.split(joints[0] + t * (joints[1] - joints[0]), 2)
+        return rotations, translations
+
+    there, here = at(1.0), at(0.0)
+    back = follow(robot, [there[0], here[0]], [there[1], here[1]], start=walk.equilibria[-1]).snaps
+    t = walk.snap if not back else 0.5 * (walk.snap + 1.0 - back[-1].fraction)
+    candidates = find_equilibria(robot, *at(t))
+    return t, min(candidates, key=lambda e: e.margin)
+
+
+def twist_of(equilibrium: Equilibrium) -> Twist:
+    """Where a pose near an equilibrium begins."""
+    length = max(float(equilibrium.tube_end.max()), 1e-300)
+    return Twist(equilibrium.point / length, equilibrium.point_rotation - equilibrium.rotations)
+
+
+def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]]:
+    """Sobol points of a workspace box that the robot at x cannot reach under the task's other requirements, the
+    farthest out of reach first."""
+    if not box.samples:
+        return []
+    unit = qmc.Sobol(3, rng=0).random_base2(int(np.ceil(np.log2(box.samples))))[: box.samples]
+    points = np.array(box.lower) + unit * (np.array(box.upper) - np.array(box.lower))
+    missed = []
+    for k, point in enumerate(points.tolist()):
+        gap = reachable(program, x, tuple(point), box.tolerance, seed=k)
+        if gap > 1e-3:
+            missed.append((gap, tuple(point)))
+    return [point for _, point in sorted(missed, reverse=True)]
+
+
+def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: float, *, seed: int = 0) -> float:
+    """How far, in steps of the limits, the robot at x stays from reaching a point within what poses must keep."""
+    space = program.layout.space
+    fixed = tuple(
+        Free(field, tubes, value, value, "scaled" if scaled else "equal")
+        for (field, tubes, scaled), value in zip(space.unknowns, x.tolist(), strict=False)
+    )
+    target = Target((point[0], point[1], point[2]), tolerance)
+    keep = tuple(
+        replace(one, paths=False) if isinstance(one, SnapFreeInUse) else one
+        for one in program.task.requirements
+        if not isinstance(one, Coverage | Reach | SnapFree)
+    )
+    alone = compile_task(DesignTask(program.task.robot, fixed, (Reach((target,)), *keep)))
+    best = np.inf
+    for attempt_number in range(3):
+        random = np.random.default_rng([seed, attempt_number])
+        begin = with_joints(alone, alone.layout.space.start, random)
+        best = min(best, violation(alone, to_feasibility(alone, begin))[0])
+        alone.guesses.clear()
+        if best <= 1e-3:
+            break
+    return best
+
+
+def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program, Array]:
+    """The program with more cases, and x in its layout; poses that are new begin from the best of many."""
+    new = compile_task(old.task, added)
+    if new.layout.poses == old.layout.poses:
+        new.guesses.update(old.guesses)
+        return new, x.copy()
+    out = with_joints(new, x[: old.layout.designs], np.random.default_rng([seed, len(new.layout.poses)]))
+    pairs = [
+        *(pair for before, after in zip(old.own, new.own, strict=True) for pair in zip(before, after, strict=False)),
+        *([(old.depth_pose, new.depth_pose)] if old.depth_pose is not None and new.depth_pose is not None else []),
+    ]
+    for before, after in pairs:
+        here, there = old.layout.poses[before], new.layout.poses[after]
+        if isinstance(here, FreePose) and isinstance(there, FreePose):
+            for a, b in zip(old.layout.joints(here), new.layout.joints(there), strict=True):
+                out[b] = x[a]
+        if before in old.guesses:
+            new.guesses[after] = old.guesses[before]
+    for name in old.layout.auxiliary:
+        out[new.layout.column(name)] = x[old.layout.column(name)]
+    first_old, first_new = len(old.task_poses), len(new.task_poses)
+    for k in range(len(added.vias)):
+        if first_old + k in old.guesses:
+            new.guesses[first_new + k] = old.guesses[first_old + k]
+    return new, np.clip(out, new.lower, new.upper)
+
+
+def check_rounds(count: int, why: str) -> None:
+    """Raises SolveError where exchange has not ended."""
+    if count >= ROUNDS:
+        raise SolveError(f"after {ROUNDS} rounds of adding worst cases there are still some: {why}")

@@ -1,0 +1,94 @@
+"""Solves from many starts: ranked, duplicates merged, failures counted by what stood in their way."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import Array
+from .pool import Progress, executor, run_all
+from .program import Program
+from .solve import Attempt, Report, solve
+from .starts import start_values
+
+SAME = 1e-3
+"""Dimensions closer than this, in steps of their scale, are one design."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """What became of all starts.
+
+    designs: feasible ones, the best first, each once.  found: from how many starts each was reached.
+    failures: how many starts ended infeasible, by the limit violated most.  failed: where, the least violated first.
+    """
+
+    designs: tuple[Attempt, ...]
+    found: tuple[int, ...]
+    failures: dict[str, int]
+    failed: tuple[Attempt, ...]
+
+    @property
+    def starts(self) -> int:
+        """Number of starts."""
+        return sum(self.found) + sum(self.failures.values())
+
+
+def solve_from(program: Program, start: Array, report: Report | None = None) -> Attempt:
+    """`solve` on a copy of the program that remembers no poses of other starts."""
+    fresh = Program(**{**program.__dict__, "guesses": {}})
+    return solve(fresh, start, report)
+
+
+def rank(attempts: Sequence[Attempt]) -> Ranking:
+    """Feasible designs in order, duplicates merged; the others counted."""
+    designs: list[Attempt] = []
+    found: list[int] = []
+    for one in sorted((a for a in attempts if a.feasible), key=lambda a: a.objective):
+        k = next((k for k, other in enumerate(designs) if _same(one, other)), None)
+        if k is None:
+            designs.append(one)
+            found.append(1)
+        else:
+            found[k] += 1
+    failed = sorted((a for a in attempts if not a.feasible), key=lambda a: a.violation)
+    failures = Counter(a.worst for a in failed)
+    return Ranking(tuple(designs), tuple(found), dict(failures.most_common()), tuple(failed))
+
+
+def _same(a: Attempt, b: Attempt) -> bool:
+    count = a.program.layout.designs
+    gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
+    return bool(gap.max() < SAME)
+
+
+def multistart(
+    program: Program,
+    *,
+    starts: int = 1,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> Ranking:
+    """Solve from the task's own dimensions and from `starts` - 1 others.
+
+    Args:
+        seed: of the other dimensions and of the first joint values.
+        workers: processes.
+        report: told of every iteration; with one worker only.
+
+    Raises:
+        InputError: fewer than one start or worker.
+    """
+    if starts < 1:
+        raise InputError(f"starts is {starts}; it must be at least 1")
+    begin = start_values(program, seed, starts)
+    with executor(min(workers, starts)) as pool:
+        attempts = run_all(partial(solve_from, program, report=report if pool is None else None), begin, pool, progress)
+    return rank(attempts)

@@ -1,0 +1,52 @@
+"""What a design is good for: every objective is a number that falls as the design gets better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import InputError, choice, positive
+
+KINDS = {
+    "tip_curvature": ("tip curvature", "1/m", 1.0, -1),
+    "turning_radius": ("turning radius", "mm", 1e3, 1),
+    "reach_radius": ("reachable radius", "mm", 1e3, -1),
+    "strain": ("largest strain", "%", 1e2, 1),
+    "length": ("length of the robot", "mm", 1e3, 1),
+    "margin": ("least margin", "", 1.0, -1),
+    "change": ("change of the robot", "", 1.0, 1),
+}
+"""Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One aim of a design.
+
+    kind:
+        "tip_curvature": curvature of the arm at its tip, all tubes bending to one side, at `translations` (more is
+            better); "turning_radius": one over it.
+        "reach_radius": distance of the tip from the axis of the plate that it can reach at height `depth`, m.
+        "strain": largest strain of any tube held straight.
+        "length": overall length of the longest tube.
+        "margin": the least certificate where a certificate is required, else the least margin of the task poses.
+        "change": sum of squares of the changes from the start, each relative to its size.
+    weight: where there are several objectives, what they are multiplied by before they are added, in SI.
+    """
+
+    kind: str
+    weight: float = 1.0
+    depth: float | None = None
+    translations: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        choice("objective", self.kind, KINDS)
+        positive("weight of an objective", self.weight)
+        if (self.kind == "reach_radius") != (self.depth is not None):
+            raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
+        if self.translations is not None:
+            object.__setattr__(self, "translations", tuple(float(d) for d in self.translations))
+
+    @property
+    def sign(self) -> int:
+        """1 where less is better, -1 where more is better."""
+        return KINDS[self.kind][3]

@@ -1,0 +1,221 @@
+"""Tube design: the question, and its answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from ..equilibrium import Equilibrium
+from ..errors import SolveError
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..stability import snap_free_certificate
+from .exchange import carry, check_rounds, robot_at, violations
+from .multistart import Ranking, multistart, rank
+from .objectives import KINDS
+from .pool import Progress
+from .program import Added, Program, compile_task, objective_value, state_at
+from .relaxation import InfeasibleDesignError, smallest_relaxations
+from .sensitivities import Sensitivity, sensitivities
+from .solve import Attempt, Report, solve
+from .task import DesignTask
+from .verify import Verification, solve_again, verify
+
+RETRIES = 4
+"""Starts that are tried before a task counts as infeasible, where fewer were asked for."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One free dimension: its name, unit, and value before and after, in that unit; whether it lies on a bound."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    bound: str
+
+
+@dataclass(frozen=True, eq=False)
+class DesignSolution:
+    """A design that meets its task.
+
+    Attributes:
+        task: what was asked.
+        robot: the design.
+        certificate: least mu_cert over the translations at which the task demands one, else at home.
+        equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
+        objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
+        objectives: value of each, by kind, SI.
+        dimensions: every free dimension before and after.
+        sensitivities: limits that bind, and what easing them would buy, the dearest first.
+        ranking: designs of all starts.
+        rounds: how often worst cases were added, and `added` which.
+        verification: all promises, checked again.
+        seconds: of the whole computation.
+    """
+
+    task: DesignTask
+    robot: ConcentricRobot
+    certificate: float
+    equilibria: tuple[Equilibrium, ...]
+    objective: float
+    objectives: dict[str, float]
+    dimensions: tuple[Dimension, ...]
+    sensitivities: tuple[Sensitivity, ...]
+    ranking: Ranking
+    rounds: int
+    added: Added
+    verification: Verification
+    seconds: float
+
+    @property
+    def attempt(self) -> Attempt:
+        """The optimum as the program sees it: where further designs may begin."""
+        return self.ranking.designs[0]
+
+
+def optimize_design(
+    task: DesignTask,
+    *,
+    starts: int = 1,
+    seed: int = 0,
+    workers: int = 1,
+    turns: int = 6,
+    progress: Progress | None = None,
+    report: Callable[[str, float], object] | None = None,
+    begin: Attempt | None = None,
+) -> DesignSolution:
+    """The best robot that keeps all requirements of a task.
+
+    Unknown are the free dimensions and the joint values of the task poses; equilibria are solved inside. From every
+    start, least squares lead to a feasible design and IPOPT to the best one near it (a local optimum; more starts
+    look farther). Cases of which there are endlessly many (a box of translations, joint paths, a workspace box) are
+    added one by one where they are violated. At the end everything is checked again by independent code.
+
+    Args:
+        starts: from the task's own dimensions, and from so many less one random others; where none leads to a feasible
+            design, up to 4 are tried.
+        seed: of random starts.
+        workers: processes for the starts.
+        turns: random full turns forth and back, per translations checked, on which no certified robot may snap.
+        progress: called with the number of starts done, and of all.
+        report: called with stage and measure after each iteration; with one worker.
+        begin: an earlier answer for a task with the same unknowns, from which to start instead.
+
+    Raises:
+        InputError: fewer than one start or worker.
+        InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
+            have to move.
+        SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
+    """
+    began = time.perf_counter()
+    program = compile_task(task) if begin is None else _recompiled(task, begin)
+    if begin is not None:
+        ranking = rank([solve(program, begin.x, report)])
+    else:
+        ranking = multistart(program, starts=starts, seed=seed, workers=workers, progress=progress, report=report)
+    if not ranking.designs and starts < RETRIES:
+        ranking = multistart(
+            compile_task(task, program.added), starts=RETRIES, seed=seed, workers=workers, progress=progress,
+            report=report,
+        )  # fmt: skip
+    if not ranking.designs:
+        raise infeasible(ranking)
+    best, rounds = settle(ranking.designs[0], report)
+    others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
+    ranking = replace(ranking, designs=(best, *(others or ranking.designs[1:])))
+    return _solution(task, best, ranking, rounds, turns, began)
+
+
+def _recompiled(task: DesignTask, begin: Attempt) -> Program:
+    program = compile_task(task, begin.program.added)
+    program.guesses.update(begin.program.guesses)
+    return program
+
+
+def settle(found: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
+    """A design for which all cases hold, and how many rounds of adding the worst of them that took.
+
+    Raises:
+        InfeasibleDesignError: with the cases added there is no design near the one found.
+        SolveError: the rounds did not end.
+    """
+    rounds = 0
+    while True:
+        added, why = violations(found.program, found.x)
+        if not why:
+            return found, rounds
+        check_rounds(rounds, why)
+        rounds += 1
+        program, start = carry(found.program, added, found.x, rounds)
+        following = solve(program, start, report)
+        if not following.feasible:
+            raise infeasible(rank([following]))
+        found = following
+
+
+def infeasible(ranking: Ranking) -> InfeasibleDesignError:
+    """What to raise where no start is feasible."""
+    name, count = next(iter(ranking.failures.items()))
+    head = f"no design meets all requirements: of {ranking.starts} starts, {count} failed most at the {name}"
+    ways = smallest_relaxations(ranking.failed)
+    if not ways:
+        return InfeasibleDesignError(
+            f"{head}; no relaxation was found that makes the task feasible", (), ranking.failed[0]
+        )
+    return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
+
+
+def _solution(
+    task: DesignTask, best: Attempt, ranking: Ranking, rounds: int, turns: int, began: float
+) -> DesignSolution:
+    program, x = best.program, best.x
+    robot = robot_at(program, x)
+    equilibria = solve_again(program, robot, x)
+    verification = verify(program, robot, x, equilibria, turns=turns)
+    state = state_at(program, x)
+    values = {one.kind: objective_value(program, state, one)[0] for one in task.objectives}
+    certified = program.layout.certified or (tuple(robot.home_translations.tolist()),)
+    single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
+    solution = DesignSolution(
+        task=task,
+        robot=robot,
+        certificate=min(snap_free_certificate(robot, row) for row in certified),
+        equilibria=equilibria,
+        objective=next(iter(values.values())) if single else best.objective,
+        objectives=values,
+        dimensions=dimensions(program, x),
+        sensitivities=sensitivities(best),
+        ranking=ranking,
+        rounds=rounds,
+        added=program.added,
+        verification=verification,
+        seconds=time.perf_counter() - began,
+    )
+    if not verification.kept:
+        raise SolveError(f"the design that was found does not keep what it promises: {verification.broken}", solution)
+    return solution
+
+
+def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
+    """Free dimensions before and after, tube by tube."""
+    from .parameters import NAMES, UNITS
+
+    space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
+    out = []
+    for k, (field, chosen, _) in enumerate(space.unknowns):
+        unit, factor = UNITS[field]
+        gap = 1e-5 * space.scale[k]
+        bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
+        for i in chosen:
+            before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
+            out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))
+    return tuple(out)
+
+
+def objective_words(kind: str, value: float) -> str:
+    """An objective with its unit."""
+    name, unit, factor, _ = KINDS[kind]
+    return f"{name} {value * factor:.6g} {unit}".strip()

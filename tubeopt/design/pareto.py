@@ -1,0 +1,109 @@
+"""The trade between margin and everything else: the front along which one cannot gain but by giving up the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import InputError, SolveError
+from ..robots.concentric import ConcentricRobot
+from .exchange import robot_at
+from .multistart import multistart
+from .objectives import KINDS
+from .optimize import infeasible, settle
+from .pool import Progress
+from .program import compile_task, objective_value, state_at
+from .requirements import SnapFree, SnapFreeInUse
+from .solve import Attempt, solve
+from .task import DesignTask
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPoint:
+    """One design of the front: margin demanded, objective in its own sign (SI), and the robot."""
+
+    margin: float
+    objective: float
+    robot: ConcentricRobot
+
+
+@dataclass(frozen=True, eq=False)
+class ParetoFront:
+    """Designs in order of the margin demanded, up to the greatest that is feasible.
+
+    objective: its kind.  ended: the first margin demanded that no design near the front keeps, None where all do.
+    """
+
+    task: DesignTask
+    objective: str
+    points: tuple[FrontPoint, ...]
+    ended: float | None
+
+
+def with_margin(task: DesignTask, margin: float) -> DesignTask:
+    """The task with another margin demanded."""
+    changed = tuple(
+        replace(one, margin=margin) if isinstance(one, SnapFree | SnapFreeInUse) else one for one in task.requirements
+    )
+    return replace(task, requirements=changed)
+
+
+def pareto_front(
+    task: DesignTask,
+    margins: Sequence[float],
+    *,
+    begin: Attempt | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> ParetoFront:
+    """The best objective at each of several margins, each solve warm-started from the one before.
+
+    Args:
+        margins: demanded of the certificate or in use; they are taken in order of size.
+        begin: an answer for the least of them, or near it.
+
+    Raises:
+        InputError: no margins, a task without certificate or margin in use, or with several objectives.
+        SolveError: not even the least margin is feasible.
+    """
+    if not len(margins):
+        raise InputError("margins is empty; a front needs at least one")
+    if len(task.objectives) > 1 or task.objectives[0].kind == "margin":
+        raise InputError("a front needs one objective, and that other than the margin itself")
+    if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
+        raise InputError("a front needs a certificate or a margin in use among the requirements")
+    one = task.objectives[0]
+    points: list[FrontPoint] = []
+    here = begin
+    ordered = sorted(float(m) for m in margins)
+    for k, margin in enumerate(ordered):
+        eased = with_margin(task, margin)
+        if here is None:
+            ranking = multistart(compile_task(eased), starts=4, seed=seed)
+            if not ranking.designs:
+                raise infeasible(ranking)
+            found = ranking.designs[0]
+        else:
+            program = compile_task(eased, here.program.added)
+            program.guesses.update(here.program.guesses)
+            found = solve(program, here.x)
+        try:
+            if not found.feasible:
+                raise SolveError("infeasible")
+            found, _ = settle(found)
+        except SolveError:
+            if not points:
+                raise
+            return ParetoFront(task, one.kind, tuple(points), margin)
+        value = objective_value(found.program, state_at(found.program, found.x), one)[0]
+        points.append(FrontPoint(margin, value, robot_at(found.program, found.x)))
+        here = found
+        if progress is not None:
+            progress(k + 1, len(ordered))
+    return ParetoFront(task, one.kind, tuple(points), None)
+
+
+def front_label(front: ParetoFront) -> tuple[str, str, float]:
+    """Name, unit and factor of the front's objective."""
+    name, unit, factor, _ = KINDS[front.objective]
+    return name, unit, factor

@@ -1,0 +1,342 @@
+"""A design task as a nonlinear program in the dimensions and the joint values of its poses.
+
+Equilibria are solved inside: the unknowns are what a designer chooses, and every constraint and its exact derivative
+follow from the solved poses. A design that is certified snap-free has one equilibrium for every input, so nothing can
+go to another branch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import InputError, SolveError
+from ..robots.assembly import Array
+from ..solvers.smooth import Values
+from .objectives import Objective
+from .requirements import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Poses,
+    Reach,
+    Requirement,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    of_kind,
+)
+from .rows import Rows, coverage_rows, joint_rows, rows, straightened, via_points
+from .solved import Twist
+from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
+from .task import DesignTask
+
+STABLE = SnapFreeInUse(0.05, paths=False)
+"""What task poses must keep where nothing else speaks of snapping."""
+
+POSED = ("margin in use", "certified margin")
+"""Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens."""
+
+MOST_SLACK = 1e4
+"""Steps by which a limit may move at most."""
+
+DEPTH_TOLERANCE = 1e-6
+"""How exactly (m) the pose of the objective reach_radius keeps its depth."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """What exchange has added to a task: translations of the certificate (.., n), points on joint paths
+    (first, second, fraction), points of each workspace box."""
+
+    translations: tuple[tuple[float, ...], ...] = ()
+    vias: tuple[tuple[int, int, float], ...] = ()
+    points: tuple[tuple[tuple[float, ...], ...], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A task with what exchange has added, laid out as unknowns and rows.
+
+    own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
+    elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
+    """
+
+    task: DesignTask
+    added: Added
+    layout: Layout
+    own: tuple[tuple[int, ...], ...]
+    depth_pose: int | None
+    lower: Array
+    upper: Array
+    scale: Array
+    elastic: bool = False
+    guesses: dict[int, Twist] = field(default_factory=dict)
+
+    @property
+    def task_poses(self) -> tuple[int, ...]:
+        """Numbers of the task poses, without those on the way."""
+        return tuple(k for k, pose in enumerate(self.layout.poses) if not isinstance(pose, Via))
+
+    @property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Those of the task, and that poses be stable where nothing else says so."""
+        given = self.task.requirements
+        speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
+        return given if speaks or not self.task_poses else (*given, STABLE)
+
+
+def compile_task(task: DesignTask, added: Added | None = None) -> Program:
+    """Lay out the unknowns of a task."""
+    added = Added() if added is None else added
+    poses: list[PoseKind] = []
+    own: list[tuple[int, ...]] = []
+    boxes = iter(added.points)
+
+    def free(count: int) -> tuple[int, ...]:
+        first = sum(isinstance(pose, FreePose) for pose in poses)
+        numbers = tuple(range(len(poses), len(poses) + count))
+        poses.extend(FreePose(first + k) for k in range(count))
+        return numbers
+
+    for one in task.requirements:
+        match one:
+            case Reach(targets=targets):
+                own.append(free(len(targets)))
+            case Coverage():
+                own.append(free(len(next(boxes, corners(one)))))
+            case Poses(rotations=rotations, translations=translations):
+                own.append(tuple(range(len(poses), len(poses) + len(rotations))))
+                poses.extend(FixedPose(*pair) for pair in zip(rotations, translations, strict=True))
+            case _:
+                own.append(())
+    deep = [one for one in task.objectives if one.kind == "reach_radius"]
+    depth_pose = free(1)[0] if deep else None
+    poses.extend(Via(*via) for via in added.vias)
+    kinds = [one.kind for one in task.objectives]
+    auxiliary = tuple(kind for kind in ("strain", "margin") if kind in kinds)
+    layout = Layout(task.space, tuple(poses), _certified(task, added), auxiliary)
+    lower, upper, scale = _bounds(task, layout)
+    return Program(task, added, layout, tuple(own), depth_pose, lower, upper, scale)
+
+
+def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
+    """The eight corners of a workspace box."""
+    ends = np.array([box.lower, box.upper])
+    grid = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
+    return tuple(dict.fromkeys(tuple(row) for row in ends[grid, np.arange(3)].tolist()))
+
+
+def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
+    found: list[tuple[float, ...]] = []
+    for one in of_kind(task.requirements, SnapFree):
+        if one.translations is not None:
+            found.extend(one.translations)
+        if one.box is not None:
+            found.extend([one.box[0], one.box[1]])
+        if not found:
+            found.append((0.0,) * task.robot.n_tubes)
+    return tuple(dict.fromkeys([*found, *added.translations]))
+
+
+def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
+    space, n = layout.space, layout.n
+    low_tubes, high_tubes = _extreme_lengths(task)
+    limits = task.robot.limits.rotations
+    lower = [*space.lower]
+    upper = [*space.upper]
+    scale = [*space.scale]
+    for _ in range(layout.free_poses):
+        lower += [low for low, _ in limits] + [-longest for longest in high_tubes]
+        upper += [high for _, high in limits] + [0.0] * n
+        scale += [1.0] * n + [max(0.2 * longest, 1e-3) for longest in low_tubes]
+    bounds = {"strain": (0.0, 1.0, 1e-2), "margin": (-100.0, 1.0, 0.1)}
+    for name in layout.auxiliary:
+        low, high, size = bounds[name]
+        lower.append(low)
+        upper.append(high)
+        scale.append(size)
+    return np.array(lower), np.array(upper), np.array(scale)
+
+
+def _extreme_lengths(task: DesignTask) -> tuple[list[float], list[float]]:
+    """Overall length of every tube at the start, and the greatest that the bounds allow."""
+    space = task.space
+    start = [tube.length for tube in space.tubes(space.start)]
+    most = list(start)
+    for (name, tubes, scaled), begin, high in zip(space.unknowns, space.start, space.upper, strict=True):
+        if name in ("straight_length", "curved_length"):
+            for i in tubes:
+                size = getattr(space.robot_tubes[i], name) if scaled else 1.0
+                most[i] += (high - begin) * size
+    return start, most
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+def groups(program: Program, state: State) -> list[Rows]:
+    """All groups of rows that can be relaxed."""
+    task_poses = program.task_poses
+    out: list[Rows] = []
+    boxes = iter(program.added.points)
+    for number, one in enumerate(program.requirements):
+        match one:
+            case Coverage():
+                points = list(next(boxes, corners(one)))
+                out += coverage_rows(one, number, state, program.own[number], points)
+            case SnapFreeInUse():
+                out += rows(one, number, state, (*task_poses, *via_points(state)))
+            case Strain() | Stroke() | Corridor() | Avoid():
+                out += rows(one, number, state, task_poses)
+            case Reach() | Poses():
+                out += rows(one, number, state, program.own[number])
+            case _:
+                out += rows(one, number, state, ())
+    # A limit on dimensions that are not free, and is kept, is no constraint.
+    out = [group for group in out if group.jacobian.any() or group.values.min() < 0 or group.limit.words in POSED]
+    return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
+
+
+def slack_name(k: int) -> str:
+    """Name of the auxiliary unknown by which the k-th group of rows is eased, in steps of its limit."""
+    return f"slack {k}"
+
+
+def _eased(state: State, group: Rows, k: int) -> Rows:
+    column = state.layout.column(slack_name(k))
+    jacobian = group.jacobian.copy()
+    jacobian[:, column] += 1.0
+    return replace(group, values=group.values + state.x[column], jacobian=jacobian)
+
+
+def elastic(program: Program, may_move: Sequence[bool]) -> Program:
+    """The program with a slack for every group of rows, fixed at 0 for those that may not move."""
+    count = len(may_move)
+    layout = replace(program.layout, auxiliary=(*program.layout.auxiliary, *(slack_name(k) for k in range(count))))
+    most = np.where(may_move, MOST_SLACK, 0.0)
+    return replace(
+        program,
+        layout=layout,
+        lower=np.concatenate([program.lower, np.zeros(count)]),
+        upper=np.concatenate([program.upper, most]),
+        scale=np.concatenate([program.scale, np.ones(count)]),
+        elastic=True,
+        guesses=dict(program.guesses),
+    )
+
+
+def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
+    """Rows that are never relaxed: joint limits, the depth of the reach, the bounds behind strain and margin."""
+    values, slopes = joint_rows(state)
+    parts, changes = [values], [slopes]
+    for one in program.task.objectives:
+        if one.kind == "reach_radius" and program.depth_pose is not None and one.depth is not None:
+            index = program.depth_pose
+            height = state.pose(index).position[-1, 2] - one.depth
+            slope = state.pose(index).shape_slopes[0][-1, 2] @ state.chain(index)
+            parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
+            changes.append(np.array([-slope, slope]) / 1e-2)
+        if one.kind in ("strain", "margin"):
+            column = program.layout.column(one.kind)
+            found, size = _bounded(program, state, one)
+            sign = 1.0 if one.kind == "strain" else -1.0
+            change = -sign * np.array([slope for _, slope in found])
+            change[:, column] += sign
+            parts.append(sign * (state.x[column] - np.array([value for value, _ in found])) / size)
+            changes.append(change / size)
+    return np.concatenate(parts), np.concatenate(changes)
+
+
+def _bounded(program: Program, state: State, one: Objective) -> tuple[list[tuple[float, Array]], float]:
+    """What the largest strain or the least margin is taken over, and its size."""
+    if one.kind == "strain":
+        return [straightened(state, i) for i in range(program.layout.n)], 1e-2
+    if program.layout.certified:
+        return [state.certificate(k) for k in range(len(program.layout.certified))], 0.1
+    poses = (*program.task_poses, *via_points(state))
+    return [(state.pose(k).margin, state.pose(k).margin_slope @ state.chain(k)) for k in poses], 0.1
+
+
+def objective_value(program: Program, state: State, one: Objective) -> tuple[float, Array]:
+    """An objective in its own sign, SI, and its change (X,)."""
+    tubes, size = state.tubes, program.layout.size
+    match one.kind:
+        case "strain" | "margin":
+            column = program.layout.column(one.kind)
+            return float(state.x[column]), np.eye(size)[column]
+        case "length":
+            k = int(np.argmax([tube.length for tube in tubes]))
+            return tubes[k].length, state.slopes["straight_length"][k] + state.slopes["curved_length"][k]
+        case "change":
+            space, x = program.layout.space, state.x[: program.layout.designs]
+            base = np.where(np.abs(space.start) > 0, space.start, space.scale)
+            gap = np.pad((x - space.start) / base, (0, size - len(x)))
+            return float(gap @ gap), 2 * gap * np.pad(1 / base, (0, size - len(x)))
+        case "reach_radius":
+            assert program.depth_pose is not None
+            index = program.depth_pose
+            across = state.pose(index).position[-1, :2]
+            slope = state.pose(index).shape_slopes[0][-1, :2] @ state.chain(index)
+            radius = float(np.linalg.norm(across))
+            return radius, across @ slope / max(radius, 1e-9)
+        case _:
+            value, slope = _tip_curvature(program, state, one)
+            if one.kind == "tip_curvature":
+                return value, slope
+            return 1 / max(value, 1e-9), -slope / max(value, 1e-9) ** 2
+
+
+def _tip_curvature(program: Program, state: State, one: Objective) -> tuple[float, Array]:
+    """sum kb |kappa| / sum kb of the section at the tip, with all tubes bending to one side."""
+    shift = np.zeros(program.layout.n) if one.translations is None else np.array(one.translations)
+    assembly = replace(program.task.robot, tubes=state.tubes, joint_limits=None).assembly(shift)
+    present, curved = assembly.present[-1], assembly.curved[-1]
+    kb, kappa = assembly.bending_stiffness, np.abs(assembly.curvature)
+    total = float(kb @ present)
+    value = float((kb * kappa) @ curved) / total
+    by_stiffness = (curved * kappa - present * value) / total
+    slope = by_stiffness @ state.slopes["bending_stiffness"]
+    return value, slope + (curved * kb * np.sign(assembly.curvature) / total) @ state.slopes["curvature"]
+
+
+def total_objective(program: Program, state: State) -> tuple[float, Array]:
+    """What is minimised, and its change (X,)."""
+    total, slope = 0.0, np.zeros(program.layout.size)
+    if program.elastic:
+        slope[[k for k, name in enumerate(program.layout.names) if name.startswith("slack")]] = 1.0
+        return float(slope @ state.x), slope
+    for one in program.task.objectives:
+        value, change = objective_value(program, state, one)
+        total += one.sign * one.weight * value
+        slope = slope + one.sign * one.weight * change
+    return total, slope
+
+
+def state_at(program: Program, x: Array) -> State:
+    """The state at x, SI; poses begin near the last ones solved."""
+    return State(program.layout, x, program.guesses)
+
+
+def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:
+    """State, groups of rows and fixed rows at x, SI; None where there is no such robot or no equilibrium."""
+    state = state_at(program, x)
+    try:
+        return state, groups(program, state), fixed_rows(program, state)
+    except (InputError, SolveError, np.linalg.LinAlgError, FloatingPointError):
+        return None
+
+
+def stack(found: Sequence[Rows], fixed: tuple[Array, Array]) -> tuple[Array, Array]:
+    """All rows, those that can be relaxed first."""
+    values = np.concatenate([*(group.values for group in found), fixed[0]])
+    return values, np.concatenate([*(group.jacobian for group in found), fixed[1]])
+
+
+def nowhere(rows_count: int, size: int) -> Values:
+    """Values where the functions are not defined."""
+    nan = np.full(rows_count, np.nan)
+    return Values(np.nan, np.full(size, np.nan), nan, np.full((rows_count, size), np.nan))

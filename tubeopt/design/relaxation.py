@@ -1,0 +1,154 @@
+"""Why a task is infeasible: the smallest relaxation of its limits that makes it feasible, in words, and verified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import SolveError
+from ..robots.assembly import Array
+from .program import Program, compile_task, elastic, evaluate
+from .rows import Limit, Rows, relaxed
+from .solve import NEAR, best_from
+from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
+from .task import DesignTask
+
+DIGITS = 3
+"""Digits to which a relaxed limit is told: rounded to the side on which the task is feasible."""
+
+LEAST = 1e-5
+"""Slack, in steps of its limit, below which a limit needs no relaxation."""
+
+ENOUGH = 1e-5
+"""Violation (steps) at which slacks count as sufficient."""
+
+STARTS = 2
+"""Failed starts near which the least sum of moves is looked for."""
+
+TRIES = 4
+"""Times that a relaxation is enlarged by 2 % where the relaxed task is not found feasible."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One limit that must move: `requirement` and `part` as in `rows`, by `amount` (SI, > 0) to `value`."""
+
+    requirement: int
+    part: int
+    limit: Limit
+    amount: float
+    value: float
+
+    @property
+    def words(self) -> str:
+        """What must happen, as a clause."""
+        verb = "rise" if self.limit.most else "fall"
+        return f"{self.limit.words} must {verb} from {self.limit.shown()} to {self.limit.shown(self.value)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """A way to make a task feasible: limits that move, the task with them moved, and its verified feasible design."""
+
+    changes: tuple[Change, ...]
+    task: DesignTask
+    attempt: Attempt
+
+    @property
+    def words(self) -> str:
+        """All changes."""
+        return " and ".join(change.words for change in self.changes)
+
+
+class InfeasibleDesignError(SolveError):
+    """No design meets all requirements; the message says which limits would have to move, and how far.
+
+    relaxations: ways to make the task feasible: first the one with the least sum of moves, each in steps of its limit
+    (`rows.Limit.size`), then those in which one limit moves alone; each was verified by solving the relaxed task.
+    """
+
+    def __init__(self, message: str, relaxations: Sequence[Relaxation], closest: Attempt) -> None:
+        super().__init__(message, closest)
+        self.relaxations = tuple(relaxations)
+
+
+def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relaxation]:
+    """The relaxation with the least sum of moves that is found near where starts failed, and up to `most` in which a
+    single limit moves."""
+    sums: list[tuple[float, Program, Array, Array]] = []
+    for one in failed[:STARTS]:
+        if evaluate(one.program, one.x) is not None:
+            everything = np.ones(len(rows_at(one.program, one.x)[0]), dtype=bool)
+            eased = _elastic(one.program, one.x, everything)
+            sums += [] if eased is None else [(float(eased[1].sum()), one.program, *eased)]
+    if not sums:
+        return []
+    _, program, x, slack = min(sums, key=lambda item: item[0])
+    together = _apply(program, x, slack)
+    out = [] if together is None else [together]
+    moved = np.flatnonzero(slack > LEAST)
+    values = [float(group.values.min()) for group in rows_at(program, x)[0]]
+    near = np.argsort(values)
+    candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
+    for k in candidates[:most]:
+        single = _elastic(program, x, np.arange(len(values)) == k)
+        relaxation = None if single is None else _apply(program, *single)
+        out += [] if relaxation is None else [relaxation]
+    return out
+
+
+def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Array] | None:
+    """x and slack of every group (steps) with the least sum; None where no slack of the allowed groups suffices."""
+    found, _ = rows_at(program, start)
+    eased = elastic(program, may_move.tolist())
+    slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in found], 0.0)
+    begin = to_feasibility(eased, np.concatenate([start, slack]))
+    if violation(eased, begin)[0] > NEAR:
+        return None
+    best = best_from(eased, begin)
+    return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= ENOUGH else None
+
+
+def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
+    """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
+    found, _ = rows_at(program, x)
+    for attempt_number in range(TRIES):
+        factor = 1.0 + 0.02 * attempt_number
+        moves = [
+            _change(group, factor * float(s) * group.limit.size)
+            for group, s in zip(found, slack, strict=True)
+            if s > LEAST
+        ]
+        if not moves:
+            return None
+        easier = compile_task(apply_changes(program.task, moves), program.added)
+        easier.guesses.update(program.guesses)
+        result = attempt(easier, x, None)
+        if not result.feasible:
+            result = improve(easier, to_feasibility(easier, x))
+        if result.violation <= FEASIBLE:
+            return Relaxation(tuple(moves), easier.task, result)
+    return None
+
+
+def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
+    """The task with limits moved."""
+    requirements = list(task.requirements)
+    for change in changes:
+        if change.requirement < len(requirements):
+            one = requirements[change.requirement]
+            requirements[change.requirement] = relaxed(one, change.part, change.amount)
+    return replace(task, requirements=tuple(requirements))
+
+
+def _change(group: Rows, amount: float) -> Change:
+    limit = group.limit
+    sign = 1.0 if limit.most else -1.0
+    shown = (limit.value + sign * amount) * limit.factor
+    digits = DIGITS - 1 - int(np.floor(np.log10(max(abs(shown), 1e-12))))
+    step = 10.0 ** -min(max(digits, 0), 8)
+    rounded = (np.ceil(shown / step - 1e-9) if limit.most else np.floor(shown / step + 1e-9)) * step
+    value = float(rounded / limit.factor)
+    return Change(group.requirement, group.part, limit, abs(value - limit.value), value)

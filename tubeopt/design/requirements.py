@@ -1,0 +1,271 @@
+"""What a design must keep. Every requirement is data; `design.rows` turns it into constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, finite, positive
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+def table(name: str, values: Any, columns: int) -> Rows:
+    """`values` as a tuple of rows of finite numbers, or InputError naming it; `columns` 0 allows any number."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {values!r}; it must be rows of numbers") from None
+    if array.ndim != 2 or not array.size or (columns and array.shape[1] != columns) or not np.isfinite(array).all():
+        raise InputError(f"{name} has shape {array.shape}; it must be rows of {columns or 'n'} finite numbers")
+    return tuple(tuple(row) for row in array.tolist())
+
+
+def triple(name: str, values: Any) -> tuple[float, float, float]:
+    """`values` as three finite numbers, or InputError naming it."""
+    (row,) = table(name, [values], 3)
+    return row[0], row[1], row[2]
+
+
+@dataclass(frozen=True)
+class SnapFree:
+    """No snap at any rotation: certificate mu_cert >= margin.
+
+    margin: at most 1.  translations: (T, n) at which it must hold, m; None and no box is home.
+    box: least and greatest translations (n,), m; over the box the worst case counts, found by exchange.
+    tolerance: by which the margin may fall short anywhere in the box.
+    """
+
+    margin: float = 0.05
+    translations: Rows | None = None
+    box: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if finite("margin", self.margin) >= 1:
+            raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
+        positive("tolerance of the certificate", self.tolerance)
+        if self.translations is not None:
+            object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
+        if self.box is not None:
+            low, high = table("box of translations", self.box, 0)
+            if any(a > b for a, b in zip(low, high, strict=True)):
+                raise InputError("box of translations is crossed; its first row must not be above its second")
+            object.__setattr__(self, "box", (low, high))
+
+
+@dataclass(frozen=True)
+class SnapFreeInUse:
+    """No snap where the robot works: margin >= `margin` at every task pose and, with `paths`, on the straight joint
+    path from each pose to the next, to `tolerance`."""
+
+    margin: float = 0.05
+    paths: bool = True
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not 0 < finite("margin", self.margin) < 1:
+            raise InputError(f"margin in use is {self.margin:g}; it must be between 0 and 1")
+        positive("tolerance of the margin in use", self.tolerance)
+
+
+@dataclass(frozen=True)
+class Strain:
+    """Largest bending strain of every tube: held straight, and at every task pose, r |u - u*| / (1 - r |u*|).
+
+    limits: one per tube, or one for all.
+    """
+
+    limits: tuple[float, ...] = (0.01,)
+    straightened: bool = True
+    in_poses: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limits", tuple(positive("strain limit", v) for v in np.atleast_1d(self.limits)))
+
+
+@dataclass(frozen=True)
+class Nesting:
+    """Every tube fits into the next with at least this difference of diameters, m."""
+
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("clearance", self.clearance, zero=True)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """Every tube has at least this wall thickness, m."""
+
+    thickness: float
+
+    def __post_init__(self) -> None:
+        positive("wall thickness", self.thickness)
+
+
+LENGTHS = ("length", "straight_length", "curved_length")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length (overall, straight or curved) of one tube (from 0) is at most `limit`, m, or at least with `least`."""
+
+    field: str
+    tube: int
+    limit: float
+    least: bool = False
+
+    def __post_init__(self) -> None:
+        if self.field not in LENGTHS:
+            raise InputError(f"length is {self.field!r}; it must be one of {', '.join(LENGTHS)}")
+        positive("limit of a length", self.limit)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """No carriage travels more than this between any two task poses, m."""
+
+    limit: float
+
+    def __post_init__(self) -> None:
+        positive("stroke", self.limit)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the tip must get: position (3,) m, within `tolerance`; and, if given, along `direction` (3,) within
+    `direction_tolerance`, rad."""
+
+    position: tuple[float, float, float]
+    tolerance: float = 1e-4
+    direction: tuple[float, float, float] | None = None
+    direction_tolerance: float = np.radians(2.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", triple("position of a target", self.position))
+        positive("tolerance of a target", self.tolerance)
+        if self.direction is not None:
+            d = np.array(triple("direction of a target", self.direction))
+            size = float(np.linalg.norm(d))
+            if size == 0:
+                raise InputError("direction of a target is 0, 0, 0; it must point somewhere")
+            object.__setattr__(self, "direction", tuple((d / size).tolist()))
+            if not 0 < finite("direction_tolerance", self.direction_tolerance) < np.pi / 2:
+                raise InputError(
+                    f"direction_tolerance is {self.direction_tolerance:g} rad; it must be between 0 and pi/2"
+                )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The tip reaches every target; each is a task pose whose joint values are free."""
+
+    targets: tuple[Target, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "targets", tuple(self.targets))
+        if not self.targets:
+            raise InputError("targets is empty; reach needs at least one target")
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """The tip reaches every point of a box, m, to `tolerance`: the corners, and of `samples` Sobol points within those
+    that exchange finds to be out of reach."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    tolerance: float = 1e-3
+    samples: int = 32
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
+        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
+        positive("tolerance of the workspace box", self.tolerance)
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Task poses with given joint values: rotations (T, n) rad, translations (T, n) m."""
+
+    rotations: Rows
+    translations: Rows
+
+    def __post_init__(self) -> None:
+        for name in ("rotations", "translations"):
+            object.__setattr__(self, name, table(f"{name} of the poses", getattr(self, name), 0))
+        if len(self.rotations) != len(self.translations):
+            raise InputError("poses have as many rows of rotations as of translations")
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """The whole arm, with its thickness, stays in a tube around a polyline: points (K, 3) m, radius m.
+
+    Distance is to the nearest point of the polyline, so that its ends are round.
+    """
+
+    centreline: Rows
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centreline", table("centreline of the corridor", self.centreline, 3))
+        if len(self.centreline) < 2:
+            raise InputError("centreline of the corridor has 1 point; it must have at least 2")
+        positive("radius of the corridor", self.radius)
+
+
+@dataclass(frozen=True)
+class Avoid:
+    """The whole arm, with its thickness, stays at least `clearance` (m) away from every obstacle."""
+
+    obstacles: tuple[Obstacle, ...]
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        if not self.obstacles:
+            raise InputError("obstacles is empty; there must be at least one to avoid")
+        finite("clearance of the obstacles", self.clearance)
+
+
+Requirement = (
+    SnapFree | SnapFreeInUse | Strain | Nesting | Wall | Length | Stroke | Reach | Coverage | Poses | Corridor | Avoid
+)
+"""Anything that a design may have to keep."""
+
+
+def corridor_distance(corridor: Corridor, points: Array) -> tuple[Array, Array]:
+    """Distance (m,) of points (m, 3) from the centreline, and its gradient (m, 3), 0 on it."""
+    line = np.array(corridor.centreline)
+    a, b = line[:-1], line[1:]
+    way = b - a
+    long = np.maximum((way**2).sum(1), 1e-300)
+    t = np.clip(((points[:, None] - a) * way).sum(2) / long, 0.0, 1.0)
+    gap = points[:, None] - (a + t[:, :, None] * way)
+    distance = np.linalg.norm(gap, axis=2)
+    nearest = distance.argmin(1)
+    rows = np.arange(len(points))
+    least = distance[rows, nearest]
+    return least, gap[rows, nearest] / np.maximum(least, 1e-12)[:, None]
+
+
+def obstacle_distance(avoid: Avoid, points: Array) -> tuple[Array, Array]:
+    """Distance (m,) of points (m, 3) from the nearest obstacle, < 0 inside, and its gradient (m, 3)."""
+    distance = np.array([body.signed_distance(points) for body in avoid.obstacles])
+    gradient = np.array([body.gradient(points) for body in avoid.obstacles])
+    nearest, rows = distance.argmin(0), np.arange(len(points))
+    return distance[nearest, rows], gradient[nearest, rows]
+
+
+def of_kind(requirements: Sequence[Requirement], kind: type[Any]) -> list[Any]:
+    """Requirements of one kind, in order."""
+    return [one for one in requirements if isinstance(one, kind)]

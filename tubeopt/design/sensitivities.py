@@ -1,0 +1,126 @@
+"""What a limit costs: multipliers of the optimum in physical units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ..robots.assembly import Array
+from .cells import cell_at, cell_rows
+from .objectives import KINDS
+from .parameters import UNITS
+from .program import stack, state_at, total_objective
+from .rows import Limit
+from .solve_one import Attempt, rows_at
+
+NEAR_ROW = 1e-3
+"""Steps of a limit within which it may bind, where IPOPT has not said which do."""
+
+OPTIMAL = 0.02
+"""Part of the objective's slope that the conditions of optimality may leave over."""
+
+ACTIVE = 1e-6
+"""Multiplier, relative to the largest, below which a limit does not bind."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How the objective changes with one limit that binds, to first order.
+
+    limit: what is limited.  derivative: of the objective with respect to the limit, SI, in the objective's own sign
+    (with several objectives: of their weighted sum, as minimised).  sentence: the same in words.
+    """
+
+    limit: Limit
+    derivative: float
+    sentence: str
+
+
+def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
+    """All limits that bind at an optimum, the dearest first; empty where the design is no optimum to first order."""
+    multipliers = _multipliers(found)
+    if multipliers is None:
+        return ()
+    groups, _ = rows_at(found.program, found.x)
+    prices: list[tuple[Limit, float]] = []
+    first = 0
+    for group in groups:
+        count = len(group.values)
+        price = float(multipliers[0][first : first + count].sum())
+        prices.append((group.limit, price / group.limit.size))
+        first += count
+    prices += _bounds(found, multipliers[1])
+    effect = [price * limit.size for limit, price in prices]
+    largest = max(effect, default=0.0)
+    order = np.argsort(effect)[::-1]
+    return tuple(_sensitivity(found, *prices[k]) for k in order if effect[k] > ACTIVE * max(largest, 1e-300) > 0)
+
+
+def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
+    """Multipliers of the rows and of the bounds (> 0 at a lower one): IPOPT's where it converged, else the ones that
+    come closest to the conditions of optimality at the design; None where those do not hold."""
+    if found.optimum is not None and found.optimum.success:
+        return found.optimum.multipliers, found.optimum.bound_multipliers
+    program, x = found.program, found.x
+    state = state_at(program, x)
+    values, jacobian = stack(*rows_at(program, x))
+    sections = cell_rows(program, state, cell_at(program, x))
+    near = np.flatnonzero(values < NEAR_ROW)
+    closed = np.flatnonzero(sections[0] < NEAR_ROW)
+    low, high = ((program.scale * NEAR_ROW > abs(x - bound)) for bound in (program.lower, program.upper))
+    unit = np.eye(len(x))
+    columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
+    matrix = (np.concatenate(columns) * program.scale).T
+    slope = total_objective(program, state)[1] * program.scale
+    price, gap = nnls(matrix, slope)
+    if gap > OPTIMAL * float(np.linalg.norm(slope)):
+        return None
+    out = np.zeros(len(values))
+    out[near] = price[: len(near)]
+    bounds = np.zeros(len(x))
+    first = len(near) + 2 * len(closed)
+    bounds[low] = price[first : first + low.sum()]
+    bounds[high] -= price[first + low.sum() :]
+    return out, bounds
+
+
+def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
+    """Bounds of the dimensions, with what they cost."""
+    space = found.program.layout.space
+    out = []
+    for k, (name, (field, _, scaled)) in enumerate(zip(space.names, space.unknowns, strict=True)):
+        price = float(multipliers[k])
+        most = price < 0
+        unit, factor = ("", 1.0) if scaled else UNITS[field]
+        value = float((space.upper if most else space.lower)[k])
+        words = f"{'upper' if most else 'lower'} bound of the {name}"
+        near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]
+        if near and space.upper[k] > space.lower[k]:
+            out.append((Limit(words, value, most, unit, factor, float(space.scale[k])), abs(price)))
+    return out
+
+
+def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
+    """`price`: how much less the minimised objective gets per SI unit by which the limit is eased."""
+    objectives = found.program.task.objectives
+    sign = 1.0 if limit.most else -1.0
+    if len(objectives) == 1 and objectives[0].weight == 1.0:
+        name, unit, factor, direction = KINDS[objectives[0].kind]
+    else:
+        name, unit, factor, direction = "weighted objective", "", 1.0, 1
+    derivative = -direction * price * sign
+    step = _round_step(limit)
+    gain = abs(price) * step / limit.factor * factor
+    verb = "more" if limit.most else "less"
+    change = "less" if direction > 0 else "more"
+    shown = f"{step:g} {limit.unit}".strip()
+    sentence = f"{shown} {verb} {limit.words} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"
+    return Sensitivity(limit, derivative, sentence)
+
+
+def _round_step(limit: Limit) -> float:
+    """A round amount of the limit, in the unit in which it is shown."""
+    size = limit.size * limit.factor
+    return float(10.0 ** np.floor(np.log10(max(size, 1e-12)) + 1e-9))

@@ -1,0 +1,118 @@
+"""A pose solved for a design, and how its mesh moves with the lengths of the tubes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SolveError
+from ..robots.assembly import ROUND_OFF, Array, Assembly, assemble
+from ..solvers.newton import descend, newton
+from ..transcription.mesh import Mesh, make_mesh
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, to_unknowns
+from ..tubes import Tube
+
+LOCAL = (
+    "rotation",
+    "translation",
+    "curvature",
+    "straight_length",
+    "curved_length",
+    "bending_stiffness",
+    "torsional_stiffness",
+)
+"""What a pose is differentiated by, n each, in this order; SI."""
+
+
+@dataclass(frozen=True, eq=False)
+class Twist:
+    """Twist theta - alpha (m, n) of a solved pose at fractions (m,) of the arm: a guess for the next one."""
+
+    fraction: Array
+    twist: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Derivatives of the mesh by Q basic quantities: alpha, |beta|, kt, kb, kappa (n each), cuts (one per section).
+
+    start, length: (P, Q) of the pieces; local: (Q, 7 n) of the basic quantities by LOCAL.
+    """
+
+    start: Array
+    length: Array
+    local: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved pose, before derivatives."""
+
+    problem: ReducedProblem
+    rotations: Array
+    state: Evaluation
+    margin: float
+
+    @property
+    def twist(self) -> Twist:
+        """Guess for a pose close by."""
+        length = max(self.problem.assembly.total_length, 1e-300)
+        return Twist(self.problem.arc_length / length, self.state.theta - self.rotations)
+
+
+def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> Solved:
+    """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion.
+
+    Raises:
+        InputError: a tube leaves its actuator.
+        SolveError: no equilibrium was found.
+    """
+    assembly = assemble(tubes, translations)
+    problem = reduce(assembly, make_mesh(assembly))
+    if guess is not None and len(guess.fraction) and problem.size:
+        fraction = problem.arc_length / max(assembly.total_length, 1e-300)
+        twist = np.column_stack([np.interp(fraction, guess.fraction, column) for column in guess.twist.T])
+        result = newton(problem, rotations, to_unknowns(problem, rotations, rotations + twist), iterations=12)
+        if result.converged:
+            return Solved(problem, rotations, result.state, margin(problem, result.state))
+    result = descend(problem, rotations, np.zeros(problem.size))
+    if not result.converged:
+        raise SolveError("no equilibrium was found at a pose of the design")
+    return Solved(problem, rotations, result.state, margin(problem, result.state))
+
+
+def without_solving(tubes: Sequence[Tube], translations: Array) -> Solved:
+    """The problem at given translations, for what does not depend on the rotations: the certificate."""
+    assembly = assemble(tubes, translations)
+    problem = reduce(assembly, make_mesh(assembly))
+    state = evaluate(problem, np.zeros(len(tubes)), np.zeros(problem.size))
+    return Solved(problem, np.zeros(len(tubes)), state, 1.0)
+
+
+def mesh_basis(assembly: Assembly, mesh: Mesh) -> Basis:
+    """How pieces move with the breakpoints, and the breakpoints with lengths and translations."""
+    n, m = assembly.n_tubes, assembly.n_sections
+    count = np.bincount(mesh.section, minlength=m)
+    rank = np.arange(len(mesh.section)) - np.repeat(np.cumsum(count) - count, count)
+    size = 5 * n + m
+    length, start = (np.zeros((len(mesh.section), size)) for _ in range(2))
+    for piece, section in enumerate(mesh.section):
+        length[piece, 5 * n + section] = 1 / count[section]
+        if section:
+            length[piece, 5 * n + section - 1] = -1 / count[section]
+            start[piece, 5 * n + section - 1] = 1.0
+        start[piece] += rank[piece] * length[piece]
+    local = np.zeros((size, 7 * n))
+    for i in range(n):
+        alpha, shift, curvature, straight, _, bending, torsional = (i + k * n for k in range(7))
+        local[i, alpha] = 1.0
+        local[n + i, [straight, shift]] = 1.0, -1.0
+        local[2 * n + i, torsional] = local[3 * n + i, bending] = local[4 * n + i, curvature] = 1.0
+    for k, cut in enumerate(assembly.start + assembly.length):
+        near = np.abs(np.stack([assembly.transition, assembly.end], axis=1).ravel() - cut) <= 2 * ROUND_OFF
+        tube, at_end = divmod(int(np.argmax(near)), 2)
+        local[5 * n + k, n + tube] = 1.0
+        local[5 * n + k, 4 * n + tube] = at_end
+    return Basis(start, length, local)

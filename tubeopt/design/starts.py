@@ -1,0 +1,129 @@
+"""Where solves begin: dimensions from a Sobol sequence, joint values from the best of many poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from ..errors import InputError, SolveError
+from ..robots.assembly import Array
+from ..tubes import Tube
+from .pose import Pose
+from .program import Program, corners
+from .requirements import Avoid, Corridor, Coverage, Reach, corridor_distance, obstacle_distance
+from .solved import solve_pose
+from .state import FreePose
+
+POSES = 256
+"""Poses from which the joint values of the first guess are taken."""
+
+DRAWS = 32
+"""Random dimensions that are drawn for each start that is wanted."""
+
+FAR = 5e-3
+"""Distance (m) from its target that is as bad, in the guess of a pose, as to turn by 1 rad from the pose before."""
+
+
+def start_values(program: Program, seed: int, count: int) -> list[Array]:
+    """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
+    layout = program.layout
+    space = layout.space
+    unit = qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
+    drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
+    # Dimensions of tubes that make a robot come first.
+    designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
+    return [with_joints(program, design, np.random.default_rng([seed, k])) for k, design in enumerate(designs[:count])]
+
+
+def _makes_robot(program: Program, design: Array) -> bool:
+    try:
+        replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)
+    except InputError:
+        return False
+    return True
+
+
+def with_joints(program: Program, design: Array, random: np.random.Generator) -> Array:
+    """A start (X,) with these dimensions (D,), every free pose at the best of POSES random joint values."""
+    layout = program.layout
+    x = np.clip(np.zeros(layout.size), program.lower, program.upper)
+    x[: layout.designs] = design
+    if not layout.free_poses:
+        return x
+    try:
+        tubes = layout.space.tubes(design)
+    except InputError:
+        return x
+    joints, poses = _sample(tubes, random)
+    if not poses:
+        return x
+    tips = np.array([pose.position[-1] for pose in poses])
+    penalty = _outside(program, poses)
+    turned = np.zeros(len(poses))
+    for index, aim in _aims(program).items():
+        pose = layout.poses[index]
+        assert isinstance(pose, FreePose)
+        best = int(np.argmin(_gap(tips, aim) + penalty + FAR * turned))
+        turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
+        x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
+        program.guesses[index] = poses[best].solved.twist
+    return np.clip(x, program.lower, program.upper)
+
+
+def _gap(tips: Array, aim: tuple[float, ...]) -> Array:
+    """Distance of tips (N, 3) from a point, or from a height where that is all that is given."""
+    return np.abs(tips[:, 2] - aim[0]) if len(aim) == 1 else np.linalg.norm(tips - np.array(aim), axis=1)
+
+
+def _aims(program: Program) -> dict[int, tuple[float, ...]]:
+    """What the tip is to reach in every free pose: a point, or a height."""
+    out: dict[int, tuple[float, ...]] = {}
+    boxes = iter(program.added.points)
+    for one, own in zip(program.task.requirements, program.own, strict=True):
+        if isinstance(one, Reach):
+            out |= dict(zip(own, (target.position for target in one.targets), strict=True))
+        if isinstance(one, Coverage):
+            out |= dict(zip(own, next(boxes, corners(one)), strict=True))
+    for aim in program.task.objectives:
+        if aim.depth is not None and program.depth_pose is not None:
+            out[program.depth_pose] = (aim.depth,)
+    return out
+
+
+def _sample(tubes: tuple[Tube, ...], random: np.random.Generator) -> tuple[list[Array], list[Pose]]:
+    """Joint values (2 n,), rotations then beta, with carriages and ends in order, and their poses."""
+    n = len(tubes)
+    length = np.array([tube.length for tube in tubes])
+    straight = np.array([tube.straight_length for tube in tubes])
+    joints, poses = [], []
+    for _ in range(POSES):
+        rotations = random.uniform(-np.pi, np.pi, n)
+        beta = np.zeros(n)
+        ahead, behind = 0.0, 0.0
+        for i in reversed(range(n)):
+            # beta_i <= beta_{i+1}, end_i >= end_{i+1}
+            low, high = max(-length[i] + behind, -length[i]), ahead
+            beta[i] = random.uniform(low, high) if high > low else high
+            ahead, behind = beta[i], max(beta[i] + length[i], 0.0)
+        try:
+            pose = Pose(solve_pose(tubes, rotations, beta + straight))
+        except (InputError, SolveError):
+            continue
+        if pose.margin > 0:
+            joints.append(np.concatenate([rotations, beta]))
+            poses.append(pose)
+    return joints, poses
+
+
+def _outside(program: Program, poses: list[Pose]) -> Array:
+    """(N,) how far, m, the worst point of each arm is where it must not be."""
+    out = np.zeros(len(poses))
+    for one in program.task.requirements:
+        for k, pose in enumerate(poses):
+            if isinstance(one, Corridor):
+                out[k] += max(0.0, float(corridor_distance(one, pose.position)[0].max()) - one.radius)
+            elif isinstance(one, Avoid):
+                out[k] += max(0.0, one.clearance - float(obstacle_distance(one, pose.position)[0].min()))
+    return out

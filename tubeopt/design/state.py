@@ -1,0 +1,172 @@
+"""A design at one vector of unknowns: tubes, poses and certificates, and how their derivatives reach the unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..robots.assembly import Array
+from ..tubes import Tube
+from .parameters import DesignSpace
+from .pose import Pose
+from .solved import LOCAL, Twist, solve_pose, without_solving
+
+
+@dataclass(frozen=True)
+class FreePose:
+    """A task pose whose joint values are unknowns: rotations, then beta of every tube."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class FixedPose:
+    """A task pose with given joint values."""
+
+    rotations: tuple[float, ...]
+    translations: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Via:
+    """The pose at `fraction` of the straight joint path from task pose `first` to task pose `second`."""
+
+    first: int
+    second: int
+    fraction: float
+
+
+PoseKind = FreePose | FixedPose | Via
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers.
+
+    poses: task poses in order, then via points.  certified: (T, n) translations of the certificate, m.
+    """
+
+    space: DesignSpace
+    poses: tuple[PoseKind, ...]
+    certified: tuple[tuple[float, ...], ...]
+    auxiliary: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of tubes."""
+        return len(self.space.robot_tubes)
+
+    @property
+    def designs(self) -> int:
+        """Number of unknown dimensions D."""
+        return len(self.space.unknowns)
+
+    @property
+    def free_poses(self) -> int:
+        """Number of poses whose joint values are unknown."""
+        return sum(isinstance(pose, FreePose) for pose in self.poses)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns X."""
+        return self.designs + 2 * self.n * self.free_poses + len(self.auxiliary)
+
+    def joints(self, pose: FreePose) -> tuple[slice, slice]:
+        """Columns of the rotations and of beta of a free pose."""
+        first = self.designs + 2 * self.n * pose.index
+        return slice(first, first + self.n), slice(first + self.n, first + 2 * self.n)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each unknown is: a dimension, "joint", or the name of an auxiliary one."""
+        return (*self.space.names, *("joint",) * (2 * self.n * self.free_poses), *self.auxiliary)
+
+    def column(self, name: str) -> int:
+        """Column of an auxiliary unknown."""
+        return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
+
+
+class State:
+    """Everything at x; equilibria are solved when asked for, near `guesses` where there are some.
+
+    Raises, when asked: InputError where the dimensions make no tubes, SolveError where a pose has no equilibrium.
+    """
+
+    def __init__(self, layout: Layout, x: Array, guesses: dict[int, Twist] | None = None) -> None:
+        self.layout = layout
+        self.x = x
+        self._guesses = {} if guesses is None else guesses
+        self._poses: dict[int, Pose] = {}
+        self._certified: dict[int, Pose] = {}
+
+    @cached_property
+    def tubes(self) -> tuple[Tube, ...]:
+        """The tubes."""
+        return self.layout.space.tubes(self.x[: self.layout.designs])
+
+    @cached_property
+    def slopes(self) -> dict[str, Array]:
+        """(n, X) change of every dimension and stiffness."""
+        designs = self.layout.space.slopes(self.tubes)
+        return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
+
+    def _straight(self) -> Array:
+        return np.array([tube.straight_length for tube in self.tubes])
+
+    def joint_values(self, index: int) -> tuple[Array, Array]:
+        """Rotations and translations (n,) of a pose."""
+        pose = self.layout.poses[index]
+        if isinstance(pose, FixedPose):
+            return np.array(pose.rotations), np.array(pose.translations)
+        if isinstance(pose, FreePose):
+            rotations, beta = self.layout.joints(pose)
+            return self.x[rotations], self.x[beta] + self._straight()
+        first, second = (self.joint_values(i) for i in (pose.first, pose.second))
+        t = pose.fraction
+        return (1 - t) * first[0] + t * second[0], (1 - t) * first[1] + t * second[1]
+
+    def joint_slopes(self, index: int) -> tuple[Array, Array]:
+        """(n, X) change of the rotations and of the translations of a pose."""
+        pose, n, size = self.layout.poses[index], self.layout.n, self.layout.size
+        rotations, translations = np.zeros((n, size)), np.zeros((n, size))
+        if isinstance(pose, FreePose):
+            alpha, beta = self.layout.joints(pose)
+            rotations[:, alpha] = np.eye(n)
+            translations[:, beta] = np.eye(n)
+            translations += self.slopes["straight_length"]
+        elif isinstance(pose, Via):
+            first, second = (self.joint_slopes(i) for i in (pose.first, pose.second))
+            t = pose.fraction
+            rotations = (1 - t) * first[0] + t * second[0]
+            translations = (1 - t) * first[1] + t * second[1]
+        return rotations, translations
+
+    def pose(self, index: int) -> Pose:
+        """The equilibrium of a pose."""
+        if index not in self._poses:
+            solved = solve_pose(self.tubes, *self.joint_values(index), self._guesses.get(index))
+            self._guesses[index] = solved.twist
+            self._poses[index] = Pose(solved)
+        return self._poses[index]
+
+    def chain(self, index: int) -> Array:
+        """(7 n, X) change of what a pose is differentiated by."""
+        rotations, translations = self.joint_slopes(index)
+        return np.concatenate([rotations, translations, *(self.slopes[name] for name in LOCAL[2:])])
+
+    def certificate(self, k: int) -> tuple[float, Array]:
+        """mu_cert at the k-th translations of the certificate, and its change (X,)."""
+        if k not in self._certified:
+            shift = np.array(self.layout.certified[k])
+            self._certified[k] = Pose(without_solving(self.tubes, shift))
+        value, slope = self._certified[k].certificate
+        n = self.layout.n
+        still = np.zeros((2 * n, self.layout.size))
+        return value, slope @ np.concatenate([still, *(self.slopes[name] for name in LOCAL[2:])])
+
+    @property
+    def guesses(self) -> dict[int, Twist]:
+        """Where the next poses close by begin."""
+        return self._guesses

@@ -1,0 +1,194 @@
+"""Tubes from a stock list: which sizes for which tube, by enumeration with bounds and a design for each candidate."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ..errors import InputError, SolveError, positive
+from ..materials import NITINOL, Material
+from ..robots.concentric import ConcentricRobot
+from .exchange import robot_at
+from .multistart import multistart
+from .objectives import KINDS
+from .optimize import settle
+from .pool import Progress, executor, run_all
+from .program import compile_task, objective_value, state_at
+from .requirements import Length, Nesting, Strain, Wall
+from .task import DesignTask
+
+CHEAP = (Length, Nesting, Wall)
+"""Requirements on dimensions alone, which bound a candidate without an equilibrium."""
+
+BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
+"""Objectives that speak of dimensions alone."""
+
+
+@dataclass(frozen=True)
+class StockTube:
+    """A size that can be bought: diameters in m, and where it was used."""
+
+    name: str
+    outer_diameter: float
+    inner_diameter: float
+    source: str = ""
+    material: Material = NITINOL
+
+    def __post_init__(self) -> None:
+        positive("outer_diameter", self.outer_diameter)
+        positive("inner_diameter", self.inner_diameter, zero=True)
+        if self.inner_diameter >= self.outer_diameter:
+            raise InputError(f"stock tube {self.name!r} has no wall: its inner diameter must be less than its outer")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One choice of sizes, inner to outer.
+
+    bound: the best objective that the requirements on dimensions alone allow, as minimised.  objective: what a design
+    reaches, in its own sign, SI, None where it was pruned or infeasible.  status: "design", "infeasible" with what
+    failed, or "pruned".
+    """
+
+    sizes: tuple[StockTube, ...]
+    bound: float
+    objective: float | None
+    robot: ConcentricRobot | None
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class StockChoice:
+    """All candidates: designs first, the best first; then the infeasible, then the pruned."""
+
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best design, None where there is none."""
+        first = self.candidates[0] if self.candidates else None
+        return first if first is not None and first.robot is not None else None
+
+    def count(self, status: str) -> int:
+        """How many candidates ended so."""
+        return sum(one.status.startswith(status) for one in self.candidates)
+
+
+def choose_from_stock(
+    task: DesignTask,
+    stock: Sequence[StockTube],
+    *,
+    clearance: float = 0.05e-3,
+    keep: int = 5,
+    starts: int = 1,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> StockChoice:
+    """Design with every choice of stock sizes that nest, but for those that cannot be among the best.
+
+    Candidates are taken in the order of their bounds: the optimum under the requirements on dimensions alone (held-
+    straight strain, lengths, walls). A candidate whose bound is worse than the `keep` best designs found is pruned. The
+    bound is exact where that smaller problem has one optimum, as for curvature and strain.
+
+    Args:
+        clearance: least difference of diameters between a tube and the next one.
+        keep: how many of the best designs are to be found for certain.
+        starts: of each design.
+
+    Raises:
+        InputError: nothing in stock nests, a task in which diameters are free or with several objectives.
+        SolveError: no candidate is feasible.
+    """
+    if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
+        raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
+    if len(task.objectives) > 1:
+        raise InputError("a choice from stock ranks by one objective; the task has several")
+    choices = list(combinations(stock, task.robot.n_tubes, clearance))
+    if not choices:
+        raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")
+    bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
+    order = np.argsort(bounds, kind="stable")
+    done: list[Candidate] = []
+    with executor(workers) as pool:
+        for k in range(0, len(order), max(1, workers)):
+            best = sorted(_minimised(task, one) for one in done if one.robot is not None)
+            limit = best[keep - 1] if len(best) >= keep else np.inf
+            batch = [i for i in order[k : k + max(1, workers)] if bounds[i] < limit]
+            skipped = [i for i in order[k : k + max(1, workers)] if bounds[i] >= limit]
+            done += [Candidate(choices[i], bounds[i], None, None, "pruned") for i in skipped]
+            tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch]
+            done += run_all(partial(_design, starts=starts), tasks, pool)
+            if progress is not None:
+                progress(len(done), len(order))
+    designs = sorted((one for one in done if one.robot is not None), key=lambda one: _minimised(task, one))
+    if not designs:
+        raise SolveError(f"none of {len(choices)} choices from stock meets all requirements: {done[0].status}")
+    rest = sorted((one for one in done if one.robot is None), key=lambda one: one.status == "pruned")
+    return StockChoice((*designs, *rest))
+
+
+def combinations(stock: Sequence[StockTube], n: int, clearance: float) -> Iterator[tuple[StockTube, ...]]:
+    """Choices of n sizes, inner to outer, each with `clearance` inside the next."""
+    sizes = sorted(stock, key=lambda one: one.outer_diameter)
+    for chosen in itertools.combinations(sizes, n):
+        if all(b.inner_diameter - a.outer_diameter >= clearance - 1e-12 for a, b in itertools.pairwise(chosen)):
+            yield chosen
+
+
+def with_sizes(task: DesignTask, sizes: Sequence[StockTube]) -> DesignTask:
+    """The task with tubes of these sizes."""
+    tubes = tuple(
+        replace(
+            tube,
+            outer_diameter=size.outer_diameter,
+            inner_diameter=size.inner_diameter,
+            material=size.material,
+            curvature=np.sign(tube.curvature) * min(abs(tube.curvature), 1.0 / size.outer_diameter),
+        )
+        for tube, size in zip(task.robot.tubes, sizes, strict=True)
+    )
+    return replace(task, robot=replace(task.robot, tubes=tubes))
+
+
+def _bound(task: DesignTask) -> float:
+    """The best objective, as minimised, under the requirements on dimensions alone."""
+    one = task.objectives[0]
+    if one.kind not in BOUNDED:
+        return -np.inf
+    kept = tuple(
+        replace(r, in_poses=False) if isinstance(r, Strain) else r
+        for r in task.requirements
+        if isinstance(r, (*CHEAP, Strain))
+    )
+    ranking = multistart(compile_task(replace(task, requirements=kept)), starts=1)
+    return ranking.designs[0].objective if ranking.designs else np.inf
+
+
+def _minimised(task: DesignTask, one: Candidate) -> float:
+    assert one.objective is not None
+    return task.objectives[0].sign * task.objectives[0].weight * one.objective
+
+
+def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) -> Candidate:
+    """The design of one candidate."""
+    task, sizes, bound = item
+    ranking = multistart(compile_task(task), starts=starts)
+    if not ranking.designs:
+        failed = next(iter(ranking.failures))
+        return Candidate(sizes, bound, None, None, f"infeasible: {failed}")
+    try:
+        found, _ = settle(ranking.designs[0])
+    except SolveError as error:
+        return Candidate(sizes, bound, None, None, f"infeasible: {error}")
+    value = objective_value(found.program, state_at(found.program, found.x), task.objectives[0])[0]
+    return Candidate(sizes, bound, value, robot_at(found.program, found.x), "design")
+
+
+def objective_label(task: DesignTask) -> tuple[str, str, float]:
+    """Name, unit and factor of the objective that candidates are ranked by."""
+    name, unit, factor, _ = KINDS[task.objectives[0].kind]
+    return name, unit, factor

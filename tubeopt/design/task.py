@@ -1,0 +1,142 @@
+"""A design task: where it starts, what is free, what must hold, what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from ..errors import InputError
+from ..robots.concentric import ConcentricRobot
+from .objectives import Objective
+from .parameters import DesignSpace, Free, design_space
+from .requirements import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Length,
+    Poses,
+    Reach,
+    Requirement,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    of_kind,
+)
+
+
+@dataclass(frozen=True)
+class DesignTask:
+    """What to design.
+
+    robot: where to start.  free: dimensions that may change.  requirements: all of which must hold.
+    objective: one, or several that are added with their weights.  name: what to call it.
+
+    Raises:
+        InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
+            a requirement or objective that speaks of task poses where there are none, nothing free or wanted.
+    """
+
+    robot: ConcentricRobot
+    free: tuple[Free, ...]
+    requirements: tuple[Requirement, ...] = ()
+    objective: Objective | tuple[Objective, ...] = field(default_factory=lambda: Objective("change"))
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.robot, ConcentricRobot):
+            raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
+        object.__setattr__(self, "free", tuple(self.free))
+        n = self.robot.n_tubes
+        spread = [
+            replace(one, limits=one.limits * n) if isinstance(one, Strain) and len(one.limits) == 1 else one
+            for one in self.requirements
+        ]
+        object.__setattr__(self, "requirements", tuple(spread))
+        self.space  # noqa: B018  (its checks)
+        if not self.objectives:
+            raise InputError("objective is empty; a design needs at least one")
+        _check_requirements(self)
+        _check_objectives(self)
+
+    @property
+    def objectives(self) -> tuple[Objective, ...]:
+        """All objectives."""
+        return (self.objective,) if isinstance(self.objective, Objective) else tuple(self.objective)
+
+    @property
+    def space(self) -> DesignSpace:
+        """The unknown dimensions."""
+        return design_space(self.robot.tubes, self.free)
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether there are task poses."""
+        kinds = (Reach, Poses, Coverage)
+        posed = any(isinstance(one, kinds) for one in self.requirements)
+        return posed or any(one.kind == "reach_radius" for one in self.objectives)
+
+
+def least_straight(task: DesignTask) -> list[float]:
+    """Least straight length that every tube may get, m: how far it may be advanced from home."""
+    space = task.space
+    least = [tube.straight_length for tube in task.robot.tubes]
+    for (name, tubes, scaled), low in zip(space.unknowns, space.lower, strict=True):
+        if name == "straight_length":
+            for i in tubes:
+                least[i] = float(low) * (task.robot.tubes[i].straight_length if scaled else 1.0)
+    return least
+
+
+def _advanced(task: DesignTask, row: Sequence[float]) -> None:
+    for i, (shift, most) in enumerate(zip(row, least_straight(task), strict=True)):
+        if shift > most + 1e-12:
+            raise InputError(
+                f"translation of tube {i + 1} is {shift:g} m; it must be at most the least straight length that the "
+                f"tube may get, {most:g} m"
+            )
+
+
+def _per_tube(name: str, row: Sequence[float], n: int) -> None:
+    if len(row) != n:
+        raise InputError(f"{name} has {len(row)} numbers; it must be {n} (one per tube)")
+
+
+def _check_requirements(task: DesignTask) -> None:
+    n = task.robot.n_tubes
+    for one in task.requirements:
+        match one:
+            case SnapFree(translations=rows, box=box):
+                for row in (*(rows or ()), *(box or ())):
+                    _per_tube("translations of the certificate", row, n)
+                    _advanced(task, row)
+            case Poses(rotations=rotations, translations=translations):
+                for row in (*rotations, *translations):
+                    _per_tube("a pose", row, n)
+                for row in translations:
+                    _advanced(task, row)
+            case Strain(limits=limits) if len(limits) != n:
+                raise InputError(f"strain has {len(limits)} limits; it must be 1 or {n} (one per tube)")
+            case Length(tube=tube) if not 0 <= tube < n:
+                raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
+            case SnapFreeInUse() | Stroke() | Corridor() | Avoid() if not task.has_poses:
+                raise InputError(
+                    f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
+                )
+            case _:
+                pass
+    for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, Corridor):
+        if len(of_kind(task.requirements, kind)) > 1:
+            raise InputError(f"{kind.__name__} is required twice; it must be given once")
+
+
+def _check_objectives(task: DesignTask) -> None:
+    certified = bool(of_kind(task.requirements, SnapFree))
+    for one in task.objectives:
+        if one.translations is not None:
+            _per_tube("translations of the objective", one.translations, task.robot.n_tubes)
+            _advanced(task, one.translations)
+        if one.kind == "margin" and not (certified or task.has_poses):
+            raise InputError("objective margin needs a certificate or task poses; the task has neither")
+    if len({one.kind for one in task.objectives}) < len(task.objectives):
+        raise InputError("an objective is given twice; each must be given once")

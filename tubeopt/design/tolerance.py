@@ -1,0 +1,172 @@
+"""What manufacturing leaves of a design: how likely it stays snap-free, and how far the tips spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ..errors import InputError, SolveError, choice, positive
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..tubes import Tube
+from .pool import Progress, executor, run_all
+from .pose import Pose
+from .solved import solve_pose, without_solving
+
+NORMAL_95 = 1.959963984540054
+"""Half width of the 95 % interval of the normal distribution."""
+
+BATCH = 64
+"""Samples per piece of work."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Independent errors of every tube: standard deviations, or half widths where uniform.
+
+    curvature, stiffness: relative (bending and torsional stiffness together); straight_length, curved_length: m.
+    """
+
+    curvature: float = 0.0
+    stiffness: float = 0.0
+    straight_length: float = 0.0
+    curved_length: float = 0.0
+    distribution: str = "normal"
+
+    def __post_init__(self) -> None:
+        choice("distribution", self.distribution, ("normal", "uniform"))
+        for name in ("curvature", "stiffness", "straight_length", "curved_length"):
+            positive(f"tolerance of {name}", getattr(self, name), zero=True)
+        if max(self.curvature, self.stiffness) >= 0.3:
+            raise InputError("tolerances of curvature and stiffness must be below 30 %")
+
+
+@dataclass(frozen=True, eq=False)
+class ToleranceAnalysis:
+    """Samples of a robot as it may be made.
+
+    certificate: (S,) least mu_cert of each over the given translations.  snap_free: share above 0, with its 95 %
+    interval (Wilson).  margin_kept: share that keeps `margin`.  tip: (S, P, 3) tips in each pose, m, NaN where a
+    sample has no stable equilibrium.  spread: (P,) RMS distance of the tips from the nominal one, m;
+    spread_95: (P,) the distance that 95 % stay within.  failed: samples without a stable equilibrium at some pose.
+    """
+
+    certificate: Array
+    snap_free: float
+    interval: tuple[float, float]
+    margin: float
+    margin_kept: float
+    tip: Array
+    spread: Array
+    spread_95: Array
+    failed: int
+
+
+def tolerance_analysis(
+    robot: ConcentricRobot,
+    tolerances: Tolerances,
+    *,
+    translations: Sequence[Sequence[float]] | None = None,
+    poses: Sequence[tuple[Array, Array]] = (),
+    margin: float = 0.0,
+    samples: int = 500,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> ToleranceAnalysis:
+    """Sample robots as they may be made.
+
+    Args:
+        translations: (T, n) m at which the certificate is computed; None is home.
+        poses: (rotations, translations) whose tips are compared, rad and m.
+        margin: of which to report how many samples keep it.
+
+    Raises:
+        InputError: fewer than 2 samples.
+        SolveError: a pose has no equilibrium of the robot as designed.
+    """
+    if samples < 2:
+        raise InputError(f"samples is {samples}; it must be at least 2")
+    where = tuple(map(tuple, translations)) if translations is not None else (tuple(robot.home_translations.tolist()),)
+    nominal = _batch((robot.tubes,), where, tuple(poses))
+    if np.isnan(nominal[1]).any():
+        raise SolveError("the robot as designed has no stable equilibrium at a pose whose tip is to be compared")
+    tubes = sample_tubes(robot.tubes, tolerances, samples)
+    batches = [tubes[k : k + BATCH] for k in range(0, samples, BATCH)]
+    with executor(min(workers, len(batches))) as pool:
+        parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
+    certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    gap = np.linalg.norm(tip - nominal[1], axis=2)
+    share = float((certificate > 0).mean())
+    return ToleranceAnalysis(
+        certificate=certificate,
+        snap_free=share,
+        interval=wilson(share, samples),
+        margin=margin,
+        margin_kept=float((certificate >= margin).mean()),
+        tip=tip,
+        spread=np.sqrt(np.nanmean(gap**2, axis=0)),
+        spread_95=np.nanquantile(gap, 0.95, axis=0),
+        failed=int(np.isnan(gap).any(axis=1).sum()),
+    )
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """95 % interval of a probability of which a share of `count` trials was seen (Wilson 1927)."""
+    z2 = NORMAL_95**2 / count
+    middle = (share + z2 / 2) / (1 + z2)
+    half = np.sqrt(z2 * (share * (1 - share) + z2 / 4)) / (1 + z2)
+    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+
+
+def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, seed: int = 0) -> list[tuple[Tube, ...]]:
+    """`samples` sets of tubes as they may be made."""
+    random = np.random.default_rng(seed)
+    size = (samples, len(tubes), 4)
+    errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
+    out = []
+    for row in errors:
+        made = []
+        for tube, (bend, stiff, straight, curved) in zip(tubes, row.tolist(), strict=True):
+            factor = 1 + tolerances.stiffness * stiff
+            material = replace(
+                tube.material,
+                youngs_modulus=tube.material.youngs_modulus * factor,
+                shear_modulus=tube.material.shear_modulus * factor,
+            )
+            made.append(
+                replace(
+                    tube,
+                    material=material,
+                    curvature=tube.curvature * (1 + tolerances.curvature * bend),
+                    straight_length=max(0.0, tube.straight_length + tolerances.straight_length * straight),
+                    curved_length=max(0.0, tube.curved_length + tolerances.curved_length * curved),
+                )
+            )
+        out.append(tuple(made))
+    return out
+
+
+def _batch(
+    batch: Sequence[tuple[Tube, ...]],
+    translations: tuple[tuple[float, ...], ...],
+    poses: tuple[tuple[Array, Array], ...],
+) -> tuple[Array, Array]:
+    """Least certificate (B,) and tips (B, P, 3) of sampled tubes."""
+    certificates = np.empty(len(batch))
+    tips = np.full((len(batch), len(poses), 3), np.nan)
+    for k, tubes in enumerate(batch):
+        straight = np.array([tube.straight_length for tube in tubes])
+        certificates[k] = min(
+            Pose(without_solving(tubes, np.minimum(row, straight))).certificate[0] for row in translations
+        )
+        for p, (rotations, shift) in enumerate(poses):
+            try:
+                pose = Pose(solve_pose(tubes, np.asarray(rotations), np.minimum(shift, straight)))
+            except SolveError:
+                continue
+            if pose.margin > 0:
+                tips[k, p] = pose.position[-1]
+    return certificates, tips

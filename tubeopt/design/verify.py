@@ -1,0 +1,194 @@
+"""Trust in a design: everything it promises, computed again by code that the optimisation does not use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..errors import SolveError
+from ..kinematics import forward_kinematics
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..stability import follow, snap_free_certificate, worst_margin
+from .exchange import walks
+from .program import Program, corners, state_at
+from .requirements import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    corridor_distance,
+    obstacle_distance,
+    of_kind,
+)
+
+SLACK = 1e-6
+"""By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
+
+SEARCHED = 3
+"""Translations at which the least margin is searched for: those with the least certificate."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One promise: what it is, what was found, whether it is kept."""
+
+    what: str
+    found: str
+    kept: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """All promises of a design, checked again."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def kept(self) -> bool:
+        """Whether all promises are kept."""
+        return all(check.kept for check in self.checks)
+
+    @property
+    def broken(self) -> str:
+        """The promises that are not kept, in words."""
+        return "; ".join(f"{check.what}: {check.found}" for check in self.checks if not check.kept)
+
+
+def count_snaps(
+    robot: ConcentricRobot, turns: int, seed: int = 0, translations: Array | None = None
+) -> tuple[int, int]:
+    """Snaps and turns on which there were some, in full turns of random tubes in random directions, forth and back.
+
+    Every turn begins at the untwisted home, with all tubes bending to one side; at least one tube, and not all,
+    goes a full turn forth or back, and then everything goes back to where it began.
+    """
+    random = np.random.default_rng(seed)
+    n = robot.n_tubes
+    home = robot.home_translations if translations is None else translations
+    start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
+    snaps, snapped = 0, 0
+    for _ in range(turns):
+        turn = np.zeros(n)
+        turn[: n - 1] = random.choice([-1.0, 0.0, 1.0], n - 1)
+        if n > 1 and not turn.any():
+            turn[random.integers(n - 1)] = random.choice([-1.0, 1.0])
+        begin = start + random.uniform(-0.5, 0.5, n)
+        way = np.array([start, begin, begin + 2 * np.pi * turn, begin, start])
+        found = len(follow(robot, way, np.tile(home, (5, 1))).snaps)
+        snaps, snapped = snaps + found, snapped + (found > 0)
+    return snaps, snapped
+
+
+def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equilibrium, ...]:
+    """Equilibria of all task poses by forward kinematics from scratch; of poses that the robot reaches on joint paths,
+    those in which it arrives."""
+    state = state_at(program, x)
+    joints = [state.joint_values(k) for k in program.task_poses]
+    paths = [one for one in of_kind(program.task.requirements, SnapFreeInUse) if one.paths]
+    if paths and len(joints) > 1:
+        found = walks(program, robot, x)
+        return (found[0].equilibria[0], *(walk.equilibria[-1] for walk in found))
+    return tuple(forward_kinematics(robot, *pair) for pair in joints)
+
+
+def verify(
+    program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
+) -> Verification:
+    """Check a design again: certificates against search and against random full turns, poses by forward kinematics."""
+    checks: list[Check] = []
+    for one in program.task.requirements:
+        if isinstance(one, SnapFree):
+            checks += _certificate(program, robot, one, turns)
+        elif isinstance(one, SnapFreeInUse) and equilibria:
+            least = min(e.margin for e in equilibria)
+            checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
+            if one.paths and len(equilibria) > 1:
+                checks.append(_paths(program, robot, x, one))
+        elif isinstance(one, Corridor | Avoid):
+            checks.append(_anatomy(one, robot, equilibria))
+    checks += _tips(program, equilibria)
+    return Verification(tuple(checks))
+
+
+def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns: int) -> list[Check]:
+    rows = [np.array(row) for row in program.layout.certified]
+    values = [snap_free_certificate(robot, row) for row in rows]
+    checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.margin - one.tolerance - SLACK)]
+    order = np.argsort(values)[:SEARCHED]
+    for k in order:
+        try:
+            found = worst_margin(robot, rows[k]).margin
+        except SolveError:
+            found = 0.0  # a fold
+        where = ", ".join(f"{d * 1e3:.4g}" for d in rows[k])
+        words = f"least margin that search finds at translations {where} mm"
+        checks.append(Check(words, f"{found:.4f}", found >= values[k] - SLACK))
+    if one.margin > 0:
+        snaps = sum(count_snaps(robot, turns, 10 + int(k), rows[k])[0] for k in order)
+        words = f"snaps in {turns * len(order)} random full turns forth and back"
+        checks.append(Check(words, str(snaps), snaps == 0))
+    return checks
+
+
+def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse) -> Check:
+    found = walks(program, robot, x)
+    if any(walk.snap is not None for walk in found):
+        return Check("joint paths between the task poses", "a snap", False)
+    least = min(float(walk.margin.min()) for walk in found)
+    words = "margin on the joint paths between the task poses"
+    return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
+
+
+def _anatomy(one: Corridor | Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
+    room = min((clearance(one, robot, e) for e in equilibria), default=np.inf)
+    name = "corridor" if isinstance(one, Corridor) else "obstacles"
+    return Check(f"room between the arm and the {name}", f"{room * 1e3:.4f} mm", room >= 0)
+
+
+def clearance(one: Corridor | Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
+    """Least room (m) between the surface of the arm at its shape points and the anatomy, beyond what is demanded."""
+    ends = equilibrium.tube_end
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    outer = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
+    if isinstance(one, Corridor):
+        return float((one.radius - corridor_distance(one, equilibrium.position)[0] - outer)[1:].min())
+    return float((obstacle_distance(one, equilibrium.position)[0] - one.clearance - outer).min())
+
+
+def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
+    place = {number: k for k, number in enumerate(program.task_poses)}
+    boxes = iter(program.added.points)
+    checks = []
+    for one, own in zip(program.task.requirements, program.own, strict=True):
+        if isinstance(one, Reach):
+            aims = [(np.array(target.position), target.tolerance) for target in one.targets]
+        elif isinstance(one, Coverage):
+            aims = [(np.array(point), one.tolerance) for point in next(boxes, corners(one))]
+        else:
+            continue
+        gaps = [
+            float(np.linalg.norm(equilibria[place[number]].tip_position - aim) / tolerance)
+            for number, (aim, tolerance) in zip(own, aims, strict=True)
+        ]
+        worst = int(np.argmax(gaps))
+        words = f"largest distance of the tip from {len(aims)} targets"
+        checks.append(Check(words, f"{gaps[worst] * aims[worst][1] * 1e3:.4f} mm", gaps[worst] <= 1 + 1e-3))
+        if isinstance(one, Reach):
+            checks += _directions(one, [equilibria[place[number]] for number in own])
+    return checks
+
+
+def _directions(one: Reach, equilibria: list[Equilibrium]) -> list[Check]:
+    out = []
+    for k, (target, equilibrium) in enumerate(zip(one.targets, equilibria, strict=True)):
+        if target.direction is not None:
+            heading = equilibrium.tip_rotation[:, 2]
+            angle = float(np.arccos(np.clip(heading @ np.array(target.direction), -1, 1)))
+            kept = angle <= target.direction_tolerance + SLACK
+            out.append(Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", kept))
+    return out
