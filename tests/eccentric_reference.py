@@ -81,6 +81,17 @@ def shoot(tubes: tuple[Row, ...], rotations: Array, twist: Array | None = None) 
     return Answer(state[2 * n + 9 :], frame, theta, found.x, ends)
 
 
+def torsion_map(tubes: tuple[Row, ...], rotations: Array, twist: Array) -> Array:
+    """(n, n) how w at the ends changes with `twist` (n,) at the plate: singular at a fold."""
+    held = np.array([tube.held for tube in tubes])
+    size = 1e-5 * np.abs(twist).max()
+    ends = [
+        [_integrate(tubes, rotations + held * w, w)[1] for w in (twist + step, twist - step)]
+        for step in size * np.eye(len(twist))
+    ]
+    return np.column_stack([(up - down) / (2 * size) for up, down in ends])
+
+
 def _integrate(tubes: tuple[Row, ...], theta: Array, w: Array) -> tuple[Array, Array, Array]:
     """State at the tip; w and theta of every tube at its own end."""
     cuts = np.unique(np.clip([[0.0, tube.begin, tube.end] for tube in tubes], 0.0, None).round(15))

@@ -20,6 +20,7 @@ from tubeopt import (
 )
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled.binding import kernel_of
 
 ETR = EccentricRobot(Tube(1.92e-3, 1.57e-3, 0.02, 0.094, 26.0), transmission_length=0.05)
 
@@ -79,6 +80,19 @@ def test_robots_of_other_numbers_of_tubes(n: int) -> None:
     many = forward_kinematics_batch(robot, alpha, shift)
     for k in range(0, 40, 4):
         assert many.tip_position[k] == pytest.approx(forward_kinematics(robot, alpha[k], shift[k]).tip_position)
+
+
+def test_what_is_left_over_does_not_read_old_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that is wholly withdrawn among others: the kernel leaves it over, in memory that held huge numbers."""
+    if kernel_of(THESIS) is None:
+        pytest.skip("no C compiler")
+    monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, np.finfo(float).max, dtype))
+    out = [-tube.curved_length for tube in THESIS.tubes]
+    many = forward_kinematics_batch(THESIS, [(0.3, -0.2, 0.1), (0.0, 1.0, 2.0)], [out, (0.0, 0.0, 0.0)])
+    assert many.converged.all()
+    assert many.tip_position[0].tolist() == [0.0, 0.0, 0.0]
+    assert many.tip_rotations[0] == pytest.approx([0.3, -0.2, 0.1])
+    assert many.tip_position[1] == pytest.approx(forward_kinematics(THESIS, (0.0, 1.0, 2.0)).tip_position, abs=1e-12)
 
 
 def test_workers_and_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,6 +161,7 @@ def test_one_row_of_translations_serves_all_and_none_is_home() -> None:
         ([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]], None, {}, r"rotations\[1\] is \[0.0, nan, 0.0\]; every number"),
         ([[0.0, 0.0, 0.0]], [[0.0, 0.0]], {}, "translations has the shape"),
         ([[0.0] * 3] * 2, [[0.0] * 3, [0.0, 9.0, 0.0]], {}, r"translations\[1\] of tube 2 is 9 m, which pulls it out"),
+        ([[0.0] * 3, [0.0, -1e9, 0.0]], None, {}, r"^rotations has -1e\+09 rad; it must be at most 1000 rad"),
         ([[0.0] * 3], None, {"tolerance": 0.0}, "tolerance is 0"),
         ([[0.0] * 3], None, {"workers": -1}, "workers is -1"),
         ([[0.0] * 3], None, {"on_failure": "ignore"}, "on_failure is 'ignore'"),

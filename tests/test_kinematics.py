@@ -535,6 +535,10 @@ def test_every_array_has_the_shape_that_is_promised() -> None:
         ({"rotations": [[0, 1, 2]]}, "rotations has an array of shape (1, 3); it must be 3 numbers (one per tube)"),
         ({"rotations": (0, np.nan, 1)}, "rotations is [0.0, nan, 1.0]; every number must be finite"),
         ({"rotations": (0, np.inf, 1)}, "rotations is [0.0, inf, 1.0]; every number must be finite"),
+        (
+            {"rotations": (0, -1e9, 1)},
+            "rotations has -1e+09 rad; it must be at most 1000 rad (159 turns) to either side",
+        ),
         ({"rotations": ("a", 0, 1)}, "rotations is ('a', 0, 1); it must be 3 numbers (one per tube)"),
         ({"translations": (0, 0)}, "translations has 2 numbers; it must be 3 numbers (one per tube)"),
         ({"translations": (0, 0, np.nan)}, "translations is [0.0, 0.0, nan]; every number must be finite"),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .equilibrium import Equilibrium
 from .errors import InputError, SolveError, choice, positive
-from .kinematics import forward_kinematics
+from .kinematics import check_turn, forward_kinematics
 from .robots.assembly import ROUND_OFF, Array, Mask
 from .robots.robot import Robot
 from .solvers.compiled.binding import solve_many_compiled
@@ -70,8 +70,8 @@ def forward_kinematics_batch(
 ) -> EquilibriumBatch:
     """Equilibria of N configurations, each the one that `forward_kinematics` finds without a guess.
 
-    Concentric robots are solved by the compiled kernel where there is a C compiler; what it leaves over, and other
-    robots, by `forward_kinematics` one by one.
+    Robots are solved by the compiled kernel where there is a C compiler; what it leaves over is solved by
+    `forward_kinematics` one by one.
 
     Args:
         rotations: (N, n) rad.
@@ -115,6 +115,7 @@ def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | N
     alpha = _table("rotations", rotations)
     if alpha.ndim != 2 or alpha.shape[1] != n:
         raise InputError(f"rotations has the shape {alpha.shape}; it must be (N, {n}), one column per tube")
+    check_turn("rotations", alpha)
     shift = _table("translations", robot.home_translations if translations is None else translations)
     if shift.shape == (n,):
         shift = np.tile(shift, (len(alpha), 1))
@@ -200,9 +201,7 @@ def _row(e: Equilibrium) -> Array:
     return np.concatenate([e.tip_position, e.tip_rotation.ravel(), e.tip_rotations, rest])
 
 
-def _batch(
-    robot: Robot, alpha: Array, shift: Array, table: Array, failures: list[tuple[int, str]]
-) -> EquilibriumBatch:
+def _batch(robot: Robot, alpha: Array, shift: Array, table: Array, failures: list[tuple[int, str]]) -> EquilibriumBatch:
     n = robot.n_tubes
     converged = np.ones(len(alpha), dtype=bool)
     converged[[row for row, _ in failures]] = False

@@ -38,6 +38,9 @@ FINEST = 6
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
 
+MOST_TURN = 1e3
+"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
+
 
 def forward_kinematics(
     robot: Robot,
@@ -65,12 +68,14 @@ def forward_kinematics(
         discretisation: collocation family and degree.
 
     Raises:
-        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator, unknown method.
+        InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
+            actuator, unknown method.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), or the tolerance
             is out of reach; `.solution` holds the best equilibrium found, where there is one.
     """
     began = time.perf_counter()
     alpha = vector("rotations", rotations, robot.n_tubes)
+    check_turn("rotations", alpha)
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
     choice("method", method, METHODS)
@@ -95,14 +100,19 @@ def forward_kinematics(
             break
         if level == FINEST or error > before / 2:
             why = "" if level == FINEST else "; finer pieces no longer help"
-            raise SolveError(
-                f"{Status.MESH_TOO_COARSE}: the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad{why}",
-                equilibrium,
-            )
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", equilibrium)
         before = error
         finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
         solution = _refine(robot, solution, shift, finer, method)
     return verify_equilibrium(equilibrium) if verify else equilibrium
+
+
+def check_turn(name: str, rotations: Array) -> None:
+    """Raise InputError naming a rotation beyond MOST_TURN."""
+    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
+    if abs(most) > MOST_TURN:
+        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
 
 
 def _error(equilibrium: Equilibrium) -> float:

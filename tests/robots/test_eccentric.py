@@ -141,6 +141,10 @@ def test_a_gap_between_segments_is_allowed() -> None:
         ((), r"^segments is empty; a robot needs at least one segment$"),
         ((ETR.tube, ETR.tube), r"^segments 1 and 2 do not nest: outer_diameter 0\.00192 m must be at most inner_"),
         ((Tube(1.2e-3, 1.05e-3, 0.05, 0.1, 5.0), ETR.tube), r"^straight_length of segment 1 is 0\.05 m; it must be at"),
+        (
+            (Tube(1.2e-3, 1.05e-3, 0.2, 0.1, -250.0), ETR.tube),
+            r"^offset is 0\.00110851 m; it must be less than .* of segment 1, 0\.001 m$",
+        ),
     ],
 )
 def test_what_is_no_stack_of_segments(segments: tuple[Tube, ...], problem: str) -> None:

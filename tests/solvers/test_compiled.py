@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +15,14 @@ import pytest
 from tests.examples import CRL, THESIS
 from tests.stability.robots import random_robot
 from tubeopt import (
+    ConcentricRobot,
     EccentricRobot,
     Equilibrium,
     InputError,
     SegmentedEccentricRobot,
     Tube,
     forward_kinematics,
+    forward_kinematics_batch,
     kinematics,
 )
 from tubeopt.robots.assembly import Array
@@ -110,6 +113,16 @@ def test_segmented_robot_at_home_and_moved() -> None:
 
 
 @compiler
+def test_of_several_equilibria_both_find_the_same() -> None:
+    """Long transmissions and tight curves, where descents that differ in their steps end in different minima."""
+    tubes = tuple(Tube(d, d - 0.3e-3, 0.22 - 0.04 * i, 0.14, 25.0) for i, d in enumerate((1e-3, 1.4e-3, 1.8e-3)))
+    robot = ConcentricRobot(tubes)
+    for k in range(15, 45):
+        alpha = np.random.default_rng([6, k]).uniform(-np.pi, np.pi, 3)
+        check_same(forward_kinematics(robot, alpha), general(robot, alpha))
+
+
+@compiler
 def test_a_withdrawn_robot_is_a_point() -> None:
     shift = np.array([-tube.curved_length for tube in THESIS.tubes])
     one = forward_kinematics(THESIS, (0.3, -0.2, 0.1), shift)
@@ -125,6 +138,22 @@ def test_results_are_the_callers_own() -> None:
     assert np.array_equal(one.tip_position, tip)
     assert np.array_equal(one.rotation, theta)
     assert np.array_equal(pickle.loads(pickle.dumps(one)).rotation, theta)
+
+
+@compiler
+def test_threads_and_robots_do_not_disturb_each_other() -> None:
+    """More robots than are remembered, of different numbers of tubes, in several threads at once."""
+    robots: list[Robot] = [random_robot(np.random.default_rng([7, k]), 1 + k % 4) for k in range(70)] + [ETR, SEGMENTED]
+
+    def tips(robot: Robot) -> Array:
+        random = np.random.default_rng(robot.n_tubes)
+        alpha = random.uniform(-1.0, 1.0, (20, robot.n_tubes))
+        return forward_kinematics_batch(robot, alpha).tip_position
+
+    alone = [tips(robot) for robot in robots]
+    with ThreadPoolExecutor(4) as pool:
+        for one, other in zip(alone, pool.map(tips, robots), strict=True):
+            assert np.array_equal(one, other)
 
 
 def test_tubes_of_one_segment_must_move_together() -> None:
@@ -147,6 +176,13 @@ def test_without_a_compiler_the_general_solver_answers(monkeypatch: pytest.Monke
         with monkeypatch.context() as patch:
             patch.setenv(*hide)
             assert building._build("int nothing;") is None
+
+
+def test_a_file_that_is_no_library_is_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    broken = tmp_path / "kernel.so"
+    broken.write_bytes(b"")
+    monkeypatch.setattr(building, "_build", lambda _: broken)
+    assert building.library.__wrapped__(3, False) is None
 
 
 @compiler

@@ -5,10 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.eccentric_reference import rows, shoot, torsion_map
 from tests.examples import CRL, DEG, THESIS
 from tests.stability.reference import Elements, bundle, integrated, settle_at
 from tests.stability.robots import strong, unit_pair
-from tubeopt import ConcentricRobot, InputError, Tube, find_equilibria, find_snap, follow, forward_kinematics
+from tubeopt import (
+    ConcentricRobot,
+    EccentricRobot,
+    InputError,
+    SegmentedEccentricRobot,
+    Tube,
+    find_equilibria,
+    find_snap,
+    follow,
+    forward_kinematics,
+)
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import Snap, trace_branch
@@ -114,6 +125,43 @@ def test_the_branch_that_is_given() -> None:
     down = find_snap(robot, ([turn, 0.0], None), ([0.0, 0.0], None), equilibrium=high)
     assert down is not None
     assert down.rotations[0] / DEG == pytest.approx(360 - 184.38397018, abs=1e-6)
+
+
+SIDE_BY_SIDE = EccentricRobot(Tube(1.92e-3, 1.57e-3, 0.02, 0.094, 13.79), transmission_length=0.1)
+TWO_SEGMENTS = SegmentedEccentricRobot(
+    (Tube(1.0e-3, 0.8e-3, 0.14, 0.06, 25.0), Tube(1.6e-3, 1.3e-3, 0.05, 0.08, 17.0)),
+)
+
+
+@pytest.mark.parametrize(
+    ("robot", "start", "end"),
+    [
+        # On the centreline the first loses its equilibrium a little earlier, the second a little later.
+        (SIDE_BY_SIDE, [0.0, 1.0, -1.0], [6.0, 1.0, -1.0]),
+        (SIDE_BY_SIDE, [0.0, 1.0, -1.0], [0.0, 7.0, 0.0]),
+        (TWO_SEGMENTS, [0.0, 1.0, -1.0] * 2, [0.0, 1.0, -1.0, 6.0, 1.0, -1.0]),
+    ],
+    ids=["one-earlier", "one-later", "two"],
+)
+def test_tubes_off_the_centreline(robot: Robot, start: list[float], end: list[float]) -> None:
+    """At the fold the shooting map is singular; where the robot lands, shooting finds the same equilibrium."""
+    snap = find_snap(robot, (start, None), (end, None))
+    assert snap is not None
+    bundle_here = robot.assembly(snap.translations)
+    tubes = rows(robot.tubes[::3], tuple(snap.translations[::3]), float(bundle_here.offset[0]))
+    twist = (snap.before.rotation[:, 0] - snap.rotations) / bundle_here.transmission
+    slope = torsion_map(tubes, snap.rotations, twist)
+    values, well = np.linalg.svd(slope)[1], np.linalg.svd(torsion_map(tubes, snap.rotations, 0.9 * twist))[1]
+    assert values[-1] < 1e-4 * values[0]
+    assert values[-1] < 1e-2 * well[-1]
+    assert snap.energy_released > 0
+    assert snap.after.margin > 0.9
+    reference = shoot(tubes, snap.rotations, (snap.after.rotation[:, 0] - snap.rotations) / bundle_here.transmission)
+    assert snap.after.tip_position == pytest.approx(reference.tip, abs=1e-8)
+    assert snap.tip_jump > 0.05
+    again = follow(robot, [start, end]).snaps[0]
+    assert again.fraction == pytest.approx(snap.fraction, abs=1e-8)
+    assert again.after.tip_position == pytest.approx(snap.after.tip_position, abs=1e-7)
 
 
 def test_messages() -> None:

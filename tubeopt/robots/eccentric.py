@@ -138,7 +138,7 @@ class SegmentedEccentricRobot:
 
     Raises:
         InputError: no segment, tubes that do not nest, an inner tube too short to reach beyond the next segment, an
-            offset at which tubes would overlap.
+            offset at which tubes would overlap or at which a precurvature is tighter than the robot is thick.
     """
 
     segments: tuple[Tube, ...]
@@ -165,6 +165,12 @@ class SegmentedEccentricRobot:
                 )
         widest = EccentricRobot(segments[-1], self.offset)
         object.__setattr__(self, "offset", widest.distance)
+        for i, tube in enumerate(segments):
+            if self.distance * abs(tube.curvature) >= 0.25:
+                raise InputError(
+                    f"offset is {self.distance:g} m; it must be less than a quarter of the radius of precurvature of "
+                    f"segment {i + 1}, {0.25 / abs(tube.curvature):g} m"
+                )
         if self.joint_limits is not None and len(self.joint_limits.rotations) != self.n_tubes:
             raise InputError(
                 f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {self.n_tubes}"

@@ -60,6 +60,8 @@ def start_values(structure: Structure, problem: ReducedProblem, guess: Profile, 
     """The unknowns of the program, in its order, at a torsion profile on the same mesh."""
     nodes = tuple(problem.mesh.tableau.nodes.tolist())
     theta, slope = rotations_at(problem, guess, nodes), torsion_at(problem, guess, nodes)
+    if guess.extra is not None:
+        slope = slope - guess.extra  # the unknown is w, and theta' = w + (g - 1) w
     parts: list[Array] = []
     if formulation == "energy":
         parts.append(guess.twist[0] if len(guess.twist) else np.zeros(problem.assembly.n_tubes))

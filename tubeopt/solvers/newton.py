@@ -91,14 +91,21 @@ def _turn(problem: ReducedProblem, step: Array) -> float:
 
 
 def _downhill(state: Evaluation) -> Array:
-    """Newton step where the energy is convex; else the step of the Hessian with its eigenvalues made positive."""
+    """Newton step where the energy is convex; else of the Hessian with a shift that makes it so.
+
+    The shifts are those of the compiled kernel: of several minima the two then end in the same one.
+    """
     if not len(state.z):
         return state.z
-    _, step, failed = dposv(state.hessian, -state.gradient)
-    if not failed:
-        return np.asarray(step)
-    values, vectors = np.linalg.eigh(state.hessian)
-    return np.asarray(-vectors @ ((vectors.T @ state.gradient) / np.maximum(np.abs(values), 1e-2)))
+    shift = 0.0
+    while shift < 1e6:
+        matrix = state.hessian.copy()
+        matrix.ravel()[:: len(matrix) + 1] += shift
+        _, step, failed = dposv(matrix, -state.gradient)
+        if not failed:
+            return np.asarray(step)
+        shift = 4 * shift if shift else 0.1
+    return np.zeros_like(state.z)
 
 
 def _solve(state: Evaluation) -> tuple[Array, bool]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dgesv, dposv, dpotrf
 
 from ..robots.assembly import Array
 from ..solution import Solution
 from ..solvers.newton import NewtonResult, newton
-from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, to_unknowns
 
 NUDGE = 1e-2
 """Push (rad) along the direction without stiffness."""
@@ -26,24 +26,19 @@ def land(solution: Solution, direction: Array) -> Solution | None:
     equilibrium, of which the one that ends lower is taken. From there it takes the way of steepest descent in the norm
     of the torsional energy. None where that leads to no stable equilibrium.
 
-    The energy is that of the tubes on the centreline; for tubes off it the landing is then solved with their offsets.
+    Of tubes off the centreline the torsional energy leaves out that they are stretched: it only chooses between sides.
     """
     problem, rotations = solution.problem, solution.rotations
-    concentric = on_centreline(problem)
     best: Solution | None = None
     lowest = np.inf
-    z = to_unknowns(concentric, rotations, solution.result.state.theta)
-    for start in _sides(concentric, rotations, z, direction):
-        result = slide(concentric, rotations, start)
-        value = margin(concentric, result.state)
+    z = to_unknowns(problem, rotations, solution.result.state.theta)
+    for start in _sides(problem, rotations, z, direction):
+        result = slide(problem, rotations, start)
+        value = margin(problem, result.state)
         if result.converged and value > 0 and result.state.energy < lowest:
             lowest = result.state.energy
-            best = Solution(concentric, rotations, result, value)
-    if best is None or concentric is problem:
-        return best
-    result = newton(problem, rotations, to_unknowns(problem, rotations, best.result.state.theta))
-    value = margin(problem, result.state)
-    return Solution(problem, rotations, result, value) if result.converged and value > 0 else None
+            best = Solution(problem, rotations, result, value)
+    return best
 
 
 def _sides(problem: ReducedProblem, rotations: Array, z: Array, direction: Array) -> list[Array]:
@@ -54,23 +49,26 @@ def _sides(problem: ReducedProblem, rotations: Array, z: Array, direction: Array
 
 
 def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
-    """The gradient flow of the energy from z (U,) to the minimum where it ends, for concentric tubes.
+    """The gradient flow of the energy from z (U,) to the minimum where it ends.
+
+    Tubes off the centreline flow down what stands for the gradient, their residual: at their fold the same tubes on the
+    centreline may still have a minimum close by, in which a descent of that energy would be caught.
 
     Linearly implicit Euler steps of at most STRIDE, which grow into those of Newton where the flow comes to rest. Time
     steps may be as long as the softest direction allows, so that a flat valley costs no more steps than a steep one.
     """
-    state, time = evaluate(problem, rotations, z), 1.0
+    state, time, eccentric = evaluate(problem, rotations, z), 1.0, problem.assembly.eccentric
     identity = np.eye(len(z))
     # The energy of bending may be next to 0 where curvatures agree; its round-off is that of its parts.
     parts = float(problem.weight @ ((problem.moment**2).sum(1) / problem.stiffness.sum(1)))
     for count in range(1, MOST_STEPS + 1):
-        _, step, not_convex = dposv(state.hessian + identity / time, -state.gradient)
+        step, not_convex = _step(problem, state, identity / time)
         turn = float(np.abs(problem.factor @ step).max(initial=0.0))
         if not_convex or turn > STRIDE:
             time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)
             continue
         trial = evaluate(problem, rotations, state.z + step)
-        if trial.energy > state.energy + 1e-13 * (parts + abs(state.energy)):
+        if not eccentric and trial.energy > state.energy + 1e-13 * (parts + abs(state.energy)):
             time *= 0.25
             continue
         state, time = trial, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
@@ -78,6 +76,17 @@ def slide(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
             last = newton(problem, rotations, state.z, iterations=4)
             return NewtonResult(last.state, last.converged, count, 0.0)
     return NewtonResult(state, False, MOST_STEPS, 0.0)
+
+
+def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Array, bool]:
+    """Step of the shifted Newton matrix, and whether that is not positive."""
+    matrix = state.hessian + shift
+    if problem.assembly.eccentric:
+        failed = dpotrf((matrix + matrix.T) / 2)[1]
+        step = dgesv(matrix, -state.gradient)[2]
+    else:
+        _, step, failed = dposv(matrix, -state.gradient)
+    return np.asarray(step), failed != 0
 
 
 def distance(a: Solution, b: Solution) -> float:

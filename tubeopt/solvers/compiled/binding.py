@@ -56,11 +56,11 @@ _rooms = threading.local()
 
 def _room(kernel: Library) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
-    if id(kernel) not in rooms:
+    if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
-        rooms[id(kernel)] = _Room(np.zeros(kernel.workspace_size // 8 + 1), answer, fields)
-    return rooms[id(kernel)]
+        rooms[kernel] = _Room(np.zeros(kernel.workspace_size // 8 + 1), answer, fields)
+    return rooms[kernel]
 
 
 @lru_cache(maxsize=64)
@@ -97,7 +97,7 @@ def solve_compiled(
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    room, guess = _room(kernel), None
+    room, guess, tubes = _room(kernel), None, _tubes(robot)
     if start is not None:
         arrays = [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
         arrays = [np.ascontiguousarray(a, dtype=float) for a in arrays]
@@ -105,7 +105,7 @@ def solve_compiled(
     joints = np.concatenate([rotations, translations])
     here = _at(joints)
     status = kernel.solve(
-        _at(_tubes(robot)), kernel.method, here, here + 8 * len(rotations), guess, _at(room.workspace), _at(room.answer)
+        _at(tubes), kernel.method, here, here + 8 * len(rotations), guess, _at(room.workspace), _at(room.answer)
     )
     return room.fields if status == SOLVED else None
 
@@ -119,9 +119,9 @@ def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> 
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    room, count = _room(kernel), len(rotations)
+    room, count, tubes = _room(kernel), len(rotations), _tubes(robot)
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
-    table, declined = np.empty((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
-    arguments = [_at(_tubes(robot)), kernel.method, count, _at(alpha), _at(shift), _at(table), _at(declined)]
+    table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
+    arguments = [_at(tubes), kernel.method, count, _at(alpha), _at(shift), _at(table), _at(declined)]
     kernel.solve_many(*arguments, _at(room.workspace), _at(room.answer))
     return table, declined.astype(bool)

@@ -42,7 +42,6 @@ MOST_PIECES, MOST_UNKNOWNS = 32, 168
 COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
 """A descent on the coarse points ends with a step below the first, rad; Newton keeps its factors below the second."""
 
-
 MOST_WARM_ITERATIONS = 12
 """From a guess: more than what Newton needs close by, since steps with kept factors count too."""
 
@@ -106,7 +105,8 @@ def source(n: int, eccentric: bool) -> str:
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    parts = {name: (HERE / f"{name}.c").read_text() for name in ("layout", "linear", "energy", "minimise", "arm", "stretch")}
+    names = ("layout", "linear", "energy", "minimise", "arm", "stretch")
+    parts = {name: (HERE / f"{name}.c").read_text() for name in names}
     kernel = (HERE / "kernel.c").read_text()
     for name, text in parts.items():
         kernel = kernel.replace(f'#include "{name}.c"\n', text)
@@ -203,7 +203,10 @@ def library(n: int, eccentric: bool) -> Library | None:
     path = _build(source(n, eccentric))
     if path is None:
         return None
-    loaded = ctypes.CDLL(str(path))
+    try:
+        loaded = ctypes.CDLL(str(path))
+    except OSError:  # a folder from which nothing may be executed, or a file that is broken
+        return None
     for size in ("workspace_size", "answer_size"):
         getattr(loaded, size).restype = ctypes.c_size_t
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
