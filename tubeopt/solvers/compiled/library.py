@@ -5,6 +5,7 @@ Where there is no C compiler, or it fails, `library` is None, and the general so
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import hashlib
 import os
@@ -131,8 +132,8 @@ def _build(text: str) -> Path | None:
         return None
     machine = f"{platform.machine()} {platform.system()} {_processor()}"
     name = hashlib.sha256("\0".join((text, *compiler, *FLAGS, machine)).encode()).hexdigest()[:32]
-    for folder in (cache_directory(), Path(tempfile.gettempdir()) / f"tubeopt-{os.getuid()}"):
-        path = folder / "kernels" / f"{name}.so"
+    for folder in (cache_directory, _own_folder):
+        path = folder() / "kernels" / f"{name}.so"
         if path.exists():
             return path
         try:
@@ -146,6 +147,14 @@ def _build(text: str) -> Path | None:
         except (OSError, subprocess.SubprocessError):
             continue
     return None
+
+
+@lru_cache(maxsize=1)
+def _own_folder() -> Path:
+    """A folder that only this process knows, for where the cache cannot be written; removed in the end."""
+    folder = tempfile.mkdtemp(prefix="tubeopt-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _processor() -> str:
