@@ -1,0 +1,178 @@
+"""Planning on the robot of the thesis: random queries whose straight joint path snaps, and corridors.
+
+Usage: python -m benchmarks.planning [--queries 50] [--corridors 10] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+import tubeopt
+from tubeopt import ConcentricRobot, Equilibrium, SolveError
+from tubeopt.corridors import Corridor
+from tubeopt.inverse.joints import JointSpace, joint_space
+from tubeopt.planning import PlanOptions, Trajectory, plan_trajectory
+
+ROOT = Path(__file__).resolve().parents[1]
+MARGIN = 0.05
+
+
+def random_equilibrium(space: JointSpace, random: np.random.Generator) -> Equilibrium:
+    """An admissible equilibrium with the margin to keep; rotations within half a turn."""
+    n = space.robot.n_tubes
+    while True:
+        q = space.lower + random.random(len(space.lower)) * (space.upper - space.lower)
+        q[:n] = random.uniform(-np.pi, np.pi, n)
+        if not space.admissible(q):
+            continue
+        try:
+            found = tubeopt.forward_kinematics(space.robot, *space.split(q))
+        except SolveError:
+            continue
+        if found.margin >= MARGIN + 0.005:
+            return found
+
+
+def straight_snaps(start: Equilibrium, goal: Equilibrium) -> bool:
+    """Whether the straight path of joint values snaps, or ends on another branch."""
+    ends = (start.rotations, start.translations), (goal.rotations, goal.translations)
+    return tubeopt.find_snap(start.robot, *ends, equilibrium=start) is not None
+
+
+def queries(robot: ConcentricRobot, count: int, seed: int) -> tuple[list[tuple[Equilibrium, Equilibrium]], int]:
+    """Pairs of equilibria whose straight path snaps, and how many pairs were drawn for them."""
+    space, random = joint_space(robot), np.random.default_rng(seed)
+    found: list[tuple[Equilibrium, Equilibrium]] = []
+    drawn = 0
+    while len(found) < count:
+        pair = random_equilibrium(space, random), random_equilibrium(space, random)
+        drawn += 1
+        if straight_snaps(*pair):
+            found.append(pair)
+    return found, drawn
+
+
+def run_queries(robot: ConcentricRobot, count: int, seed: int, options: PlanOptions) -> None:
+    """Plan all of them, and print what came of it."""
+    pairs, drawn = queries(robot, count, seed)
+    safe = drawn - count
+    print(f"{drawn} random pairs: the straight joint path of {safe} ({safe / drawn:.0%}) does not snap")
+    plans: list[Trajectory] = []
+    for k, (start, goal) in enumerate(pairs):
+        began = time.perf_counter()
+        try:
+            plan = plan_trajectory(robot, start, goal, min_margin=MARGIN, options=options)
+        except SolveError as error:
+            print(f"{k:3d} {time.perf_counter() - began:6.2f} s  {error}", flush=True)
+            continue
+        plans.append(plan)
+        s = plan.statistics
+        print(
+            f"{k:3d} {s.seconds:6.2f} s  {s.how:8s} {s.smoothed or 'rests':8s} "
+            f"length {s.raw_length:6.2f} -> {s.length:6.2f}  margin {plan.proof.least_margin:.4f}  "
+            f"proved {plan.proof.holds}",
+            flush=True,
+        )
+    seconds = np.array([plan.statistics.seconds for plan in plans])
+    shorter = np.array([1 - plan.statistics.length / plan.statistics.raw_length for plan in plans])
+    print(
+        f"solved {len(plans)} of {count}, all proved: {all(plan.proof.holds for plan in plans)}; "
+        f"median {np.median(seconds):.2f} s, worst {seconds.max():.2f} s; "
+        f"joint path shorter by {np.median(shorter):.0%} (median); "
+        f"smoothed {sum(bool(plan.statistics.smoothed) for plan in plans)}"
+    )
+
+
+def corridor_scene(robot: ConcentricRobot, seed: int) -> tuple[Equilibrium, Equilibrium, Corridor]:
+    """A vessel around a random advanced arm, and the arm withdrawn into its beginning."""
+    space, random = joint_space(robot), np.random.default_rng(seed)
+    while True:
+        goal = random_equilibrium(space, random)
+        length = goal.arc_length[-1]
+        if length < 0.15:
+            continue
+        ahead = goal.tip_position + 0.02 * goal.tip_rotation[:, 2]
+        places = np.linspace(0, length, 16)
+        line = np.column_stack([np.interp(places, goal.arc_length, goal.position[:, k]) for k in range(3)])
+        vessel = Corridor(tuple(map(tuple, np.vstack([[[0, 0, -0.03]], line, ahead[None]]).tolist())), 0.012)
+        shift = -0.85 * np.array([tube.curved_length for tube in robot.tubes])
+        rotations = goal.rotations + random.uniform(-0.6, 0.6, robot.n_tubes)
+        q = space.join(rotations, shift)
+        if not space.admissible(q):
+            continue
+        start = tubeopt.forward_kinematics(robot, rotations, shift)
+        if vessel.signed_distance(start.position).min() > 0.003:
+            return start, goal, vessel
+
+
+def surface_clearance(plan: Trajectory, vessel: Corridor) -> float:
+    """Least distance of points of the arm's surface from the wall, m, by code of its own.
+
+    Waypoints four times as dense, followed by `follow`; 12 points around and 600 along; distances from the segments of
+    the centreline written out here.
+    """
+    rows = np.linspace(0, len(plan.time) - 1, 4 * len(plan.time))
+    at = np.arange(len(plan.time))
+    alpha, shift = (
+        np.column_stack([np.interp(rows, at, column) for column in table.T])
+        for table in (plan.rotations, plan.translations)
+    )
+    walked = tubeopt.follow(plan.robot, alpha, shift, start=plan.start)
+    assert not walked.snaps
+    line = np.array(vessel.centreline)
+    a, along = line[:-1], np.diff(line, axis=0)
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)[:, None, None]
+    least = np.inf
+    for e in walked.equilibria:
+        s = np.linspace(0, e.arc_length[-1], 600)
+        centre = np.column_stack([np.interp(s, e.arc_length, e.position[:, k]) for k in range(3)])
+        x, y = (np.column_stack([np.interp(s, e.arc_length, e.frame[:, k, c]) for k in range(3)]) for c in (0, 1))
+        size = np.zeros(len(s))
+        for tube, end in zip(plan.robot.tubes, e.tube_end, strict=True):
+            size = np.where(s <= end, np.maximum(size, tube.outer_diameter / 2), size)
+        points = (centre + size[:, None] * (np.cos(angle) * x + np.sin(angle) * y)).reshape(-1, 1, 3)
+        share = np.clip(((points - a) * along).sum(2) / (along**2).sum(1), 0, 1)
+        apart = np.linalg.norm(points - a - share[..., None] * along, axis=2).min(1)
+        least = min(least, vessel.radius - float(apart.max()))
+    return least
+
+
+def run_corridors(robot: ConcentricRobot, count: int, seed: int) -> None:
+    """Plan into vessels, and print what came of it."""
+    for k in range(count):
+        start, goal, vessel = corridor_scene(robot, seed + k)
+        began = time.perf_counter()
+        try:
+            plan = plan_trajectory(
+                robot, start, goal, obstacles=[vessel], options=PlanOptions(clearance=1e-3, time_limit=60.0)
+            )
+        except SolveError as error:
+            print(f"corridor {k}: {time.perf_counter() - began:.2f} s  {error}", flush=True)
+            continue
+        s = plan.statistics
+        print(
+            f"corridor {k}: {s.seconds:6.2f} s  {s.how:8s} {s.smoothed or 'rests':8s} "
+            f"length {s.raw_length:6.2f} -> {s.length:6.2f}  "
+            f"clearance {plan.proof.least_clearance * 1e3:.3f} mm (bound {plan.proof.clearance_bound * 1e3:.3f}, "
+            f"sampled independently {surface_clearance(plan, vessel) * 1e3:.3f})  "
+            f"proved {plan.proof.holds}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--queries", type=int, default=50)
+    parser.add_argument("--corridors", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--search", default="auto")
+    chosen = parser.parse_args()
+    thesis = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+    assert isinstance(thesis, ConcentricRobot)
+    if chosen.queries:
+        run_queries(thesis, chosen.queries, chosen.seed, PlanOptions(search=chosen.search))
+    run_corridors(thesis, chosen.corridors, chosen.seed)

@@ -1,0 +1,67 @@
+"""`tubeopt plan` and `tubeopt verify`, trajectory files, and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tubeopt.corridors import Corridor, MeshObstacle
+from tubeopt.study.trajectory_file import load_trajectory
+
+from ..command_line import ROOT, THESIS, Run, answer, refused
+
+STUDY = ROOT / "configs" / "studies" / "plan_thesis_turn.yaml"
+
+
+def test_a_plan_is_saved_drawn_and_verified(run: Run, tmp_path: Path) -> None:
+    data = answer(run("plan", str(STUDY), "--json", "--out", str(tmp_path)))
+    assert data["proof"]["proved"]
+    assert data["proof"]["least_margin"] >= 0.05
+    assert data["goal"]["rotations_deg"] == [270.0, 0.0, 0.0]
+    for name in ("trajectory.png", "trajectory.gif"):
+        with Image.open(tmp_path / name) as image:
+            image.verify()
+    table = tmp_path / "trajectory.csv"
+    joints = load_trajectory(table)
+    assert joints.rotations[-1, 0] == 1.5 * np.pi
+    again = answer(run("verify", str(table), "--json", "--study", str(STUDY)))
+    assert again["proved"]
+    assert abs(again["least_margin"] - data["proof"]["least_margin"]) < 1e-6
+
+
+def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "naive.csv"
+    path.write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n10,270,0,0\n")
+    outcome = run("verify", str(path), "--robot", THESIS)
+    assert outcome.code == 3
+    assert "the robot snaps" in outcome.err
+    assert "names no robot" in refused(run("verify", str(path)))[0]
+    path.write_text("rotation_1_deg,rotation_2_deg,rotation_4_deg\n0,0,0\n")
+    told = refused(run("verify", str(path), "--robot", THESIS))
+    assert any("column time_s is missing" in line for line in told)
+    assert any("rotation_4_deg is not known" in line for line in told)
+
+
+def test_wrong_studies_are_refused(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(f"kind: plan\nrobot: {THESIS}\n")
+    assert "one goal must be given" in refused(run("plan", str(path)))[0]
+    path.write_text(f"kind: plan\nrobot: {THESIS}\ngoal_deg: [500, 0, 0]\n")
+    assert "goal is out of range: rotation of tube 1 is 500 deg" in refused(run("plan", str(path)))[0]
+    snap = ROOT / "configs" / "studies" / "thesis_snap.yaml"
+    assert "it must be 'plan'" in refused(run("plan", str(snap)))[0]
+
+
+def test_distances_from_a_corridor_and_a_mesh() -> None:
+    vessel = Corridor(((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.1, 0.0, 0.1)), 0.01)
+    points = np.array([[0.0, 0.0, 0.05], [0.004, 0.0, 0.05], [0.05, 0.02, 0.1], [0.0, 0.0, -0.02]])
+    np.testing.assert_allclose(vessel.signed_distance(points), [0.01, 0.006, -0.01, -0.01], atol=1e-12)
+    np.testing.assert_allclose(vessel.distance(*points.T), vessel.signed_distance(points), atol=1e-5)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.02
+    sides = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    sides += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    cube = MeshObstacle(tuple(map(tuple, corners.tolist())), tuple(sides))
+    for point, distance in (((0.01, 0.01, 0.03), 0.01), ((0.01, 0.01, 0.012), -0.008), ((0.2, 0.01, 0.01), 0.18)):
+        assert abs(float(cube.signed_distance(np.array([point]))[0]) - distance) < 1e-9

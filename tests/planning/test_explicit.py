@@ -1,0 +1,53 @@
+"""The explicit equilibrium agrees with forward kinematics, and tells branches apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tubeopt import SolveError, find_equilibria, forward_kinematics
+from tubeopt.inverse.joints import joint_space
+from tubeopt.planning.chart import Chart
+from tubeopt.robots.robot import Robot
+
+from ..examples import CRL, THESIS, TWO_TUBE, eccentric_robot
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
+def test_tips_give_the_joints_the_shape_and_the_margin(robot: Robot) -> None:
+    space = joint_space(robot)
+    chart = Chart(space)
+    checked = 0
+    for q in space.sample(12):
+        rotations, shift = space.split(q)
+        try:
+            e = forward_kinematics(robot, rotations, shift)
+        except SolveError:
+            continue
+        z = chart.of(e)[None]
+        arms = chart.arms(z, e.margin - 2e-3)
+        assert np.abs(arms.rotations[0] - rotations).max() < 2e-4
+        assert np.abs(arms.tip[0] - e.tip_position).max() < 1e-4 * space.length
+        assert arms.stable[0]
+        if e.margin < 0.9:  # beyond, softened tubes are stiff equations for the steps of the integrator
+            assert not chart.arms(z, e.margin + 2e-3).stable[0]
+        checked += 1
+    assert checked >= 6
+
+
+def test_equal_joint_values_on_two_branches_are_two_points() -> None:
+    chart = Chart(joint_space(THESIS))
+    found = [e for e in find_equilibria(THESIS, [np.radians(200.0), 0.0, 0.0]) if e.stable]
+    assert len(found) == 2
+    points = np.array([chart.of(e) for e in found])
+    assert np.abs(points[0] - points[1]).max() > 1.0
+    arms = chart.arms(points, 0.0)
+    assert np.abs(arms.rotations - [np.radians(200.0), 0.0, 0.0]).max() < 1e-4
+    assert arms.stable.all()
+
+
+def test_unstable_equilibria_are_told() -> None:
+    chart = Chart(joint_space(THESIS))
+    (saddle,) = [e for e in find_equilibria(THESIS, [np.pi, 0.0, 0.0]) if e.margin < -0.9]
+    assert not chart.arms(chart.of(saddle)[None], 0.0).stable[0]
+    assert chart.arms(chart.of(saddle)[None], saddle.margin - 0.01).stable[0]

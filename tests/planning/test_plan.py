@@ -1,0 +1,209 @@
+"""Plans: safe where the straight way snaps, clear of obstacles, told early where there are none."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from tubeopt import (
+    InputError,
+    JointLimits,
+    PlanOptions,
+    RateLimits,
+    SolveError,
+    TipGoal,
+    Trajectory,
+    find_snap,
+    follow,
+    follow_the_leader,
+    follow_tip_path,
+    forward_kinematics,
+    plan_trajectory,
+    verify_trajectory,
+)
+from tubeopt.corridors import Corridor
+from tubeopt.obstacles import Sphere, nearest_distance
+
+from ..examples import DEG, THESIS, TWO_TUBE, eccentric_robot
+
+HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def turn() -> Trajectory:
+    return plan_trajectory(THESIS, HOME, TURNED)
+
+
+def test_the_turn_that_snaps_is_planned(turn: Trajectory) -> None:
+    assert find_snap(THESIS, HOME, TURNED) is not None
+    assert turn.proof.holds
+    assert turn.margin.min() >= 0.05
+    np.testing.assert_allclose(turn.rotations[[0, -1]], [HOME[0], TURNED[0]], atol=1e-12)
+    np.testing.assert_allclose(turn.translations[[0, -1]], 0.0, atol=1e-12)
+    # The library's own follower, which knows snaps, meets none.
+    walked = follow(THESIS, turn.rotations, turn.translations)
+    assert not walked.snaps
+    np.testing.assert_allclose([e.tip_position for e in walked.equilibria], turn.tip_position, atol=1e-8)
+    np.testing.assert_allclose([e.margin for e in walked.equilibria], turn.margin, atol=1e-6)
+
+
+def test_rates_and_accelerations_are_kept(turn: Trajectory) -> None:
+    h = np.diff(turn.time)
+    np.testing.assert_allclose(h, h[0])
+    rates = RateLimits()
+    for values, rate, acceleration in (
+        (turn.rotations, rates.rotation, rates.rotation_acceleration),
+        (turn.translations, rates.translation, rates.translation_acceleration),
+    ):
+        assert np.abs(np.diff(values, axis=0) / h[0]).max() <= rate * (1 + 1e-6)
+        assert np.abs(np.diff(values, 2, axis=0) / h[0] ** 2).max() <= acceleration * (1 + 1e-3)
+
+
+def test_smoothing_shortens_the_path(turn: Trajectory) -> None:
+    assert turn.statistics.smoothed == "length"
+    assert turn.statistics.length < 0.9 * turn.statistics.raw_length
+
+
+def test_the_naive_turn_is_refuted_at_the_exact_snap() -> None:
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], TURNED[0]])
+    assert not proof.holds
+    assert proof.snap == pytest.approx(214.222 / 270, abs=0.01)
+    assert "snaps" in proof.faults[0]
+
+
+def test_every_fault_is_told() -> None:
+    limits = RateLimits(rotation=0.5)
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [1.0, 0.0, 0.0]], rate_limits=limits, min_margin=0.99)
+    assert any("rotation of tube 1 reaches 57.3 deg/s" in fault for fault in proof.faults)
+    near = Sphere((0.0, -0.06, 0.13), 0.005)
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [0.1, 0.0, 0.0]], obstacles=[near], clearance=1.0)
+    assert any("must keep" in fault for fault in proof.faults)
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], [0.1, 0.0, 0.0]], [[0.0] * 3, [0.0, -0.1, 0.05]])
+    assert any("order" in fault for fault in proof.faults)
+    with pytest.raises(InputError, match="increase"):
+        verify_trajectory(THESIS, [0.0, 0.0], [HOME[0], [1.0, 0.0, 0.0]])
+
+
+def test_random_search_alone_finds_a_way() -> None:
+    start, goal = ([0.0, 0.0], None), ([300 * DEG, 0.0], None)
+    assert find_snap(TWO_TUBE, start, goal) is not None
+    options = PlanOptions(search="rrt_connect", objective="none")
+    plan = plan_trajectory(TWO_TUBE, start, goal, options=options)
+    assert plan.statistics.how == "search"
+    assert plan.proof.holds
+
+
+def test_a_goal_modulo_turns_tells_how_many() -> None:
+    plan = plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(modulo_turns=True, objective="none"))
+    assert plan.turns == (-1, 0, 0)
+    assert plan.rotations[-1, 0] == pytest.approx(-90 * DEG)
+    assert plan.proof.holds
+
+
+@pytest.mark.parametrize("objective", ["time", "effort", "margin"])
+def test_objectives(objective: str) -> None:
+    goal = ([150 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
+    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=objective))
+    assert plan.proof.holds
+    if objective == "time":
+        assert plan.time[-1] < 150 / 90 + 1.5
+
+
+def test_obstacles_are_kept_clear_of_by_the_surface() -> None:
+    start = forward_kinematics(THESIS, [-90 * DEG, -30 * DEG, 0.0])
+    goal = forward_kinematics(THESIS, [110 * DEG, 0.0, 0.0])
+    body = Sphere(tuple(forward_kinematics(THESIS, [0.0, 0.0, 0.0]).tip_position.tolist()), 0.02)
+    plan = plan_trajectory(THESIS, start, goal, obstacles=[body], options=PlanOptions(clearance=1e-3))
+    assert plan.proof.holds
+    here, least = start, np.inf
+    for alpha, shift in zip(plan.rotations, plan.translations, strict=True):
+        here = forward_kinematics(THESIS, alpha, shift, guess=here)
+        s = np.linspace(0, here.arc_length[-1], 500)
+        line = np.column_stack([np.interp(s, here.arc_length, here.position[:, k]) for k in range(3)])
+        radius = np.select([s <= end for end in here.tube_end[::-1]], [7e-4, 6e-4, 5e-4])
+        least = min(least, float((nearest_distance([body], line) - radius).min()))
+    assert least >= 1e-3 - 5e-6
+    assert plan.proof.least_clearance == pytest.approx(least, abs=1e-4)
+
+
+def test_a_vessel_is_stayed_inside_of() -> None:
+    inside = forward_kinematics(THESIS, [60 * DEG, 20 * DEG, 0.0], [-0.08, -0.06, -0.04])
+    bend = inside.position[:: max(1, len(inside.position) // 10)]
+    beyond = inside.tip_position + 0.02 * inside.tip_rotation[:, 2]
+    line = np.vstack([[0.0, 0.0, -0.03], bend, beyond])
+    vessel = Corridor(tuple(map(tuple, line.tolist())), 0.012)
+    outside = ([-60 * DEG, 0.0, 0.0], [-0.17, -0.13, -0.085])
+    plan = plan_trajectory(THESIS, outside, inside, obstacles=[vessel], options=PlanOptions(objective="none"))
+    assert plan.proof.holds
+    assert 0 <= plan.proof.clearance_bound <= plan.proof.least_clearance
+
+
+def test_no_plan_is_told_before_searching() -> None:
+    goal = forward_kinematics(THESIS, [1.0, 0.5, 0.0])
+    body = Sphere(tuple(goal.tip_position.tolist()), 0.01)
+    with pytest.raises(SolveError, match=r"no plan exists: the arm at the goal is inside an obstacle"):
+        plan_trajectory(THESIS, HOME, goal, obstacles=[body])
+    weak = forward_kinematics(THESIS, [0.0, np.pi / 2, np.pi])
+    with pytest.raises(SolveError, match=r"no plan exists: the goal has margin 0\.9267"):
+        plan_trajectory(THESIS, HOME, weak, min_margin=0.95)
+    with pytest.raises(InputError, match=r"goal is out of range: rotation of tube 1 is 401"):
+        plan_trajectory(THESIS, HOME, ([7.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="order"):
+        plan_trajectory(THESIS, HOME, ([0.0, 0.0, 0.0], [-0.19, 0.0, 0.0]))
+    with pytest.raises(InputError, match="min_margin"):
+        plan_trajectory(THESIS, HOME, TURNED, min_margin=1.0)
+
+
+def test_the_time_limit_ends_a_search_with_what_it_found() -> None:
+    fixed = JointLimits(((-5.0, 5.0),) * 3, ((0.0, 0.0),) * 3)
+    plan_trajectory(THESIS, HOME, ([0.1, 0.0, 0.0], None), options=PlanOptions(objective="none"))
+    began = time.perf_counter()
+    with pytest.raises(SolveError, match="no plan was found within 3 s") as told:
+        plan_trajectory(THESIS, HOME, TURNED, limits=fixed, options=PlanOptions(time_limit=3.0))
+    assert time.perf_counter() - began < 30
+    partial = told.value.solution
+    assert partial is None or partial.proof.holds
+
+
+def test_poses_of_the_tip_are_goals() -> None:
+    there = forward_kinematics(THESIS, [1.0, 0.5, 0.0], [-0.02, -0.02, 0.0])
+    options = PlanOptions(objective="none")
+    plan = plan_trajectory(THESIS, HOME, there.tip_position, options=options)
+    np.testing.assert_allclose(plan.tip_position[-1], there.tip_position, atol=1e-6)
+    pose = TipGoal(there.tip_position, there.tip_rotation[:, 2])
+    plan = plan_trajectory(THESIS, HOME, pose, options=options)
+    np.testing.assert_allclose(plan.end.tip_rotation[:, 2], there.tip_rotation[:, 2], atol=1e-6)
+
+
+def test_eccentric_robots_are_planned_for() -> None:
+    robot = eccentric_robot(0.05)
+    plan = plan_trajectory(
+        robot, ([0.0, 0.0, 0.0], None), ([1.0, 2.0, 0.5], None), options=PlanOptions(objective="none")
+    )
+    assert plan.proof.holds
+
+
+def test_the_tip_follows_a_curve() -> None:
+    x = np.linspace(0, 2 * np.pi, 30)
+    circle = np.column_stack([0.01 * np.cos(x), 0.01 * np.sin(x) - 0.03, np.full(30, 0.13)])
+    plan = follow_tip_path(THESIS, circle, tolerance=3e-4)
+    assert plan.deviation is not None
+    assert plan.deviation.max() <= 3e-4
+    assert plan.proof.holds
+    np.testing.assert_allclose(plan.tip_position[[0, -1]], circle[[0, -1]], atol=1e-6)
+    with pytest.raises(SolveError, match="of the curve"):
+        follow_tip_path(THESIS, [circle[0], [0.0, -0.03, 0.6]])
+    with pytest.raises(InputError, match="at least 2 points"):
+        follow_tip_path(THESIS, [[0.0, 0.0, 0.1]])
+
+
+def test_the_arm_follows_its_leader() -> None:
+    goal = forward_kinematics(THESIS, [0.3, 1.0, -0.5], [-0.06, -0.06, -0.04])
+    plan = follow_the_leader(THESIS, goal)
+    assert plan.proof.holds
+    assert plan.deviation is not None
+    assert plan.deviation.max() < 2e-3
+    assert plan.start.arc_length[-1] == pytest.approx(0.2 * goal.arc_length[-1], rel=1e-6)

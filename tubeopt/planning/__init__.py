@@ -1,0 +1,22 @@
+"""Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
+
+from .goals import TipGoal
+from .leader import follow_the_leader
+from .motion import RateLimits
+from .plan import PlanOptions, plan_trajectory
+from .proof import Proof, verify_trajectory
+from .tip_path import follow_tip_path
+from .trajectory import PlanStatistics, Trajectory
+
+__all__ = [
+    "PlanOptions",
+    "PlanStatistics",
+    "Proof",
+    "RateLimits",
+    "TipGoal",
+    "Trajectory",
+    "follow_the_leader",
+    "follow_tip_path",
+    "plan_trajectory",
+    "verify_trajectory",
+]

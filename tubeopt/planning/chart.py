@@ -1,0 +1,133 @@
+"""The space in which plans are searched: one point per equilibrium, so that no point has two branches.
+
+Joint values do not tell in which of several equilibria a robot is. The rotations of the tubes at their own ends do,
+together with the translations: see `transcription.explicit`. A straight line of such points is a continuous motion of
+the robot; if every point on it is stable, moving the joints accordingly makes the robot follow it without a snap.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..inverse.joints import JointSpace
+from ..robots.assembly import Array, Mask
+from ..transcription.buffered import Buffered
+from ..transcription.explicit import explicit_arm, explicit_parameters
+
+BATCH = 8
+"""Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
+
+FINE = 128
+"""Points along the arm at which clearance is measured during the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """N equilibria. rotations (N, n) of the joints, rad; stable (N,) whether the margin is above the one asked for;
+    points, tangents (N, p, 3) and arc_length (N, p) of the centrelines, m; tube_end (N, n), m."""
+
+    rotations: Array
+    stable: Mask
+    points: Array
+    tangents: Array
+    arc_length: Array
+    tube_end: Array
+
+    @property
+    def tip(self) -> Array:
+        """(N, 3) m."""
+        return self.points[:, -1]
+
+    def fine(self) -> tuple[Array, Array]:
+        """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points, by cubic interpolation."""
+        s = np.linspace(0.0, 1.0, FINE) * self.arc_length[:, -1:]
+        k = np.clip((self.arc_length[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, self.arc_length.shape[1] - 2)
+        row = np.arange(len(s))[:, None]
+        start = self.arc_length[row, k]
+        h = self.arc_length[row, k + 1] - start
+        x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
+        p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
+        ends = p * (1 + 2 * x) * (1 - x) ** 2 + q * x**2 * (3 - 2 * x)
+        return s, ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x))
+
+
+@lru_cache(maxsize=64)
+def _mapped(n: int, eccentric: bool, count: int, thread: int) -> Buffered:
+    return Buffered(explicit_arm(n, eccentric).map(count))
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space."""
+
+    space: JointSpace
+
+    @cached_property
+    def parameters(self) -> Array:
+        """(7n,) the robot as numbers."""
+        return explicit_parameters(self.space.robot)
+
+    @cached_property
+    def eccentric(self) -> bool:
+        """Whether tubes run off the centreline."""
+        robot = self.space.robot
+        return bool(robot.assembly(np.array(self.space.split(self.space.inside())[1])).eccentric)
+
+    @cached_property
+    def radius(self) -> Array:
+        """(n,) radius of the arm where tube i is the outermost, m."""
+        robot = self.space.robot
+        offset = robot.assembly(np.array(self.space.split(self.space.inside())[1])).offset
+        return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
+
+    @cached_property
+    def size(self) -> int:
+        """Operations that one equilibrium takes."""
+        return int(explicit_arm(self.space.robot.n_tubes, self.eccentric).n_instructions())
+
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """The point of an equilibrium."""
+        return self.space.join(equilibrium.tip_rotations, equilibrium.translations)
+
+    def translations(self, z: Array) -> Array:
+        """(N, n) translations of points (N, m)."""
+        n = self.space.robot.n_tubes
+        shift: Array = z @ self.space.spread[n:].T + self.space.offset[n:]
+        return shift
+
+    def joints(self, z: Array, arms: Arms) -> Array:
+        """(N, m) independent joint values of points and their arms."""
+        return np.concatenate([arms.rotations, z[:, self.space.robot.n_tubes :]], axis=1)
+
+    def arms(self, z: Array, margin: float) -> Arms:
+        """The equilibria of points z (N, m), and whether their margin is above `margin`."""
+        n = self.space.robot.n_tubes
+        shift = self.translations(z)
+        parts = [self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], margin) for k in range(0, len(z), BATCH)]
+        rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
+        tubes = self.space.robot.tubes
+        end = shift + np.array([tube.length - tube.straight_length for tube in tubes])
+        return Arms(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
+
+    def _batch(self, tip: Array, shift: Array, margin: float) -> list[Array]:
+        n, count = len(tip[0]), len(tip)
+        size = BATCH if count > 1 else 1
+        function = _mapped(n, self.eccentric, size, threading.get_ident())
+        pad = size - count
+        if pad:
+            tip, shift = np.pad(tip, ((0, pad), (0, 0)), mode="edge"), np.pad(shift, ((0, pad), (0, 0)), mode="edge")
+        out = function(tip, shift, margin, self.parameters)
+        width = out[2].shape[0] // size
+        rotations, fields, points, tangents, s = (array.copy() for array in out)
+        return [
+            rotations[:count],
+            fields[:count],
+            points.reshape(size, width, 3)[:count],
+            tangents.reshape(size, width, 3)[:count],
+            s.reshape(size, width)[:count],
+        ]

@@ -1,0 +1,22 @@
+"""How much time is left."""
+
+from __future__ import annotations
+
+import time
+
+
+class Clock:
+    """Time that is left of a limit."""
+
+    def __init__(self, limit: float) -> None:
+        self.began, self.limit = time.perf_counter(), limit
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the start."""
+        return time.perf_counter() - self.began
+
+    @property
+    def over(self) -> bool:
+        """Whether the limit is reached."""
+        return self.seconds >= self.limit

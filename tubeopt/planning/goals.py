@@ -1,0 +1,206 @@
+"""Where a plan begins and where it may end, as equilibria; and what can be said before any search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+from typing import Any
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, vector
+from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
+from ..inverse.joints import JointSpace, configuration
+from ..inverse.posture import posture_of
+from ..kinematics import forward_kinematics
+from ..robots.assembly import Array
+from ..stability.equilibria import find_equilibria
+from .task import Task
+from .walk import clearances
+
+MOST_GOALS = 12
+"""Goals that are tried, the nearest to the start first."""
+
+FINISHED = 1e-6
+"""Margin by which an end may fall short: round-off of forward kinematics."""
+
+
+@dataclass(frozen=True, eq=False)
+class TipGoal:
+    """A pose of the tip: position (3,), m, and the direction (3,) along which it points; None is free."""
+
+    position: Array
+    direction: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """An equilibrium at which a plan may end, its point in the chart, and whole turns added to the goal as given."""
+
+    point: Array
+    joints: Array
+    turns: tuple[int, ...]
+
+
+def start_equilibrium(space: JointSpace, start: Any) -> Equilibrium:
+    """The equilibrium that a plan begins with; raises InputError and SolveError where there is none."""
+    known = start.equilibrium if isinstance(start, InverseSolution) else start
+    if isinstance(known, Equilibrium):
+        if known.robot != space.robot:
+            raise InputError("start is an equilibrium of another robot")
+        return known
+    q = configuration(space, "start", start)
+    rotations, shift = space.split(q)
+    return forward_kinematics(space.robot, rotations, shift)
+
+
+def check_start(task: Task, start: Equilibrium) -> None:
+    """Raise where a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
+    _in_range(task.chart.space, "start", start.rotations, start.translations)
+    _allowed(task, "start", start)
+
+
+def ends(task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = False) -> list[End]:
+    """The equilibria that meet a goal, the nearest first.
+
+    Raises:
+        InputError: a goal that is none, or out of range.
+        SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
+    """
+    found = _equilibria(task, start, goal)
+    reasons, good = [], []
+    for e in found:
+        try:
+            _allowed(task, "goal", e)
+        except SolveError as error:
+            reasons.append(str(error))
+        else:
+            good.append(e)
+    if not good:
+        raise SolveError(reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium")
+    out = [end for e in good for end in _turned(task, e, modulo_turns)]
+    if not out:
+        raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
+    here = task.chart.of(start)
+    out.sort(key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
+    return out[:MOST_GOALS]
+
+
+def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
+    space = task.chart.space
+    if isinstance(goal, InverseSolution):
+        goal = goal.equilibrium
+    if isinstance(goal, Equilibrium):
+        if goal.robot != space.robot:
+            raise InputError("goal is an equilibrium of another robot")
+        return [goal]
+    if isinstance(goal, TipGoal):
+        return _posed(task, start, goal)
+    pair = isinstance(goal, (tuple, list)) and len(goal) == 2
+    if not pair:
+        return _posed(task, start, TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m")))
+    q = configuration(space, "goal", goal)
+    rotations, shift = space.split(q)
+    try:
+        found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
+    except SolveError:
+        found = []
+    if not found:
+        found = [forward_kinematics(space.robot, rotations, shift)]
+    # The margin tells best whether the branch is the one that the robot can be brought to.
+    return sorted(found, key=lambda e: -e.margin)
+
+
+def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
+    """Equilibria whose tip has a pose: the nearest to the start and others, by inverse kinematics."""
+    answers = inverse_kinematics(
+        task.chart.space.robot,
+        goal.position,
+        direction=goal.direction,
+        seed=start,
+        min_margin=task.min_margin + 2 * FINISHED,
+        limits=_limits(task.chart.space),
+        obstacles=task.obstacles,
+        options=InverseOptions(clearance=task.clearance),
+    )
+    return [answers.equilibrium]
+
+
+def _limits(space: JointSpace) -> Any:
+    from ..robots.limits import JointLimits
+
+    n = space.robot.n_tubes
+    low, high = space.lower, space.upper
+    shift = np.empty((n, 2))
+    for k, tubes in enumerate(space.carriages):
+        for i in tubes:
+            shift[i] = low[n + k] + space.offset[n + i], high[n + k] + space.offset[n + i]
+    return JointLimits(
+        tuple((float(a), float(b)) for a, b in zip(low[:n], high[:n], strict=True)),
+        tuple((float(a), float(b)) for a, b in shift),
+    )
+
+
+def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:
+    n = space.robot.n_tubes
+    q = space.join(rotations, translations)
+    for k, (value, low, high) in enumerate(zip(q, space.lower, space.upper, strict=True)):
+        if not low - 1e-6 * space.scale[k] <= value <= high + 1e-6 * space.scale[k]:
+            turn = k < n
+            what = f"rotation of tube {k + 1}" if turn else f"translation of tube {space.carriages[k - n][0] + 1}"
+            factor, unit = (180 / np.pi, "deg") if turn else (1e3, "mm")
+            raise InputError(
+                f"{name} is out of range: {what} is {value * factor:.6g} {unit}; "
+                f"it must be from {low * factor:.6g} to {high * factor:.6g} {unit}"
+            )
+    if len(space.least):
+        gap = space.rows @ q - space.least
+        worst = int(np.argmin(gap))
+        if gap[worst] < -1e-9 * space.length:
+            raise InputError(
+                f"{name} is out of range: the tubes leave their order by {-gap[worst] * 1e3:.4g} mm, "
+                f"beyond {space.row_names[worst]}"
+            )
+
+
+def _allowed(task: Task, name: str, e: Equilibrium) -> None:
+    if e.margin < task.min_margin - FINISHED:
+        raise SolveError(
+            f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}", e
+        )
+    clear = float(clearances(task, [e])[0])
+    if clear < task.clearance:
+        where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
+        raise SolveError(
+            f"no plan exists: the arm at the {name} {where} (least distance {clear * 1e3:.4g} mm); "
+            f"it must keep {task.clearance * 1e3:g} mm",
+            e,
+        )
+
+
+def _turned(task: Task, e: Equilibrium, modulo: bool) -> list[End]:
+    """The same equilibrium with whole turns added to its rotations, where asked for; within the limits."""
+    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    if not modulo:
+        _in_range(space, "goal", e.rotations, e.translations)
+        return [_end(task, e, (0,) * n)]
+    ranges = []
+    for i in range(n):
+        least = int(np.ceil((space.lower[i] - e.rotations[i]) / (2 * np.pi) - 1e-6))
+        most = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
+        ranges.append(range(least, most + 1))
+    _in_range(space, "goal", np.clip(e.rotations, space.lower[:n], space.upper[:n]), e.translations)
+    return [_end(task, e, turns) for turns in islice(product(*ranges), 4096)]
+
+
+def _end(task: Task, e: Equilibrium, turns: Sequence[int]) -> End:
+    whole = 2 * np.pi * np.array(turns)
+    q = posture_of(task.chart.space, e).q
+    n = len(whole)
+    return End(
+        task.chart.of(e) + np.append(whole, np.zeros(len(q) - n)),
+        q + np.append(whole, np.zeros(len(q) - n)),
+        tuple(turns),
+    )

@@ -1,0 +1,193 @@
+"""Follow the leader: the arm extends along the path of its own tip, as far as tubes allow.
+
+The curve to lie on is the arm at the goal. From there it is withdrawn step by step: at every length the points of the
+chart are found (Gauss-Newton, constrained) whose arm is closest, in the mean square along the arm, to the part of the
+curve of that length. Forth in time, that is the deployment. How far the arm is from the path of its tip is measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, finite
+from ..kinematics import forward_kinematics
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from ..solvers.least_squares import constrained_least_squares
+from .clock import Clock
+from .goals import End, ends, start_equilibrium
+from .motion import DEFAULT_RATES, RateLimits
+from .plan import DEFAULT_PLAN, PlanOptions, build, make_task
+from .task import Task
+from .tip_path import distance_from, timed
+from .trajectory import PlanStatistics, Trajectory
+from .walk import walk
+
+STEPS = 60
+"""Lengths at which the arm is fitted."""
+
+ITERATIONS = 6
+"""Most Gauss-Newton steps per length."""
+
+DIFFERENCE = 1e-5
+"""Step of the differences, in units of the scales."""
+
+DAMPING = 2e-2
+"""Weight of a change of the joints beside the distance over the robot's length: what the shape does not decide."""
+
+LONGEST = 0.15
+"""Largest change of a coordinate per step of Gauss-Newton, in units of the scales."""
+
+
+def follow_the_leader(
+    robot: Robot,
+    goal: Any,
+    *,
+    begin: float = 0.2,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    rate_limits: RateLimits = DEFAULT_RATES,
+    limits: JointLimits | None = None,
+    options: PlanOptions = DEFAULT_PLAN,
+) -> Trajectory:
+    """Deployment to a goal in which the arm stays close to the path of its own tip.
+
+    Args:
+        goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
+        begin: share of the arm's length at the goal with which the deployment begins, in (0, 1).
+        obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
+
+    Returns:
+        The trajectory, `.deviation` (T,): the largest distance of a point of the arm from the path of the tip (the arm
+        as it is at the beginning, then the tip's positions), m.
+
+    Raises:
+        InputError: numbers that make no sense, a goal out of range.
+        SolveError: no equilibrium meets the goal, or the deployment found cannot be proved.
+    """
+    if not 0 < finite("begin", begin) < 1:
+        raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
+    clock = Clock(options.time_limit)
+    task = make_task(robot, obstacles, min_margin, limits, options)
+    last = _goal(task, goal)
+    length = float(last.arc_length[-1])
+    z, points = task.chart.of(last), []
+    for share in np.linspace(1.0, begin, STEPS + 1):
+        points.append(_fit(task, z, last, share * length) if share < 1 else z)
+        z = points[-1]
+    path = np.array(points[::-1])
+    q = task.chart.joints(path, task.arms(path))
+    q[-1] = task.chart.space.join(last.rotations, last.translations)
+    first = _first(task, last, q[::-1])
+    motion = timed(q, task.scale, rate_limits.of(task.chart.space))
+    end = End(path[-1], q[-1], (0,) * robot.n_tubes)
+    searched = clock.seconds
+    built, proof = build(task, first, end, motion, rate_limits)
+    if built is None:
+        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(proof.faults)}")
+    walked = walk(task, first, built.joints)
+    way = np.concatenate([first.position, walked.tip[1:]])
+    deviation = np.array([distance_from(way, e.position).max() for e in walked.equilibria])
+    moved = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
+    done = clock.seconds
+    statistics = PlanStatistics("leader", "", 0, moved, moved, 0, len(q), searched, 0.0, done - searched, done)
+    return built.trajectory(task, first, end, rate_limits, statistics, deviation)
+
+
+def _goal(task: Task, goal: Any) -> Equilibrium:
+    """The equilibrium at the end."""
+    space = task.chart.space
+    if isinstance(goal, Equilibrium):
+        ends(task, goal, goal)
+        return goal
+    home = start_equilibrium(space, space.split(space.middle()))
+    end = ends(task, home, goal)[0]
+    rotations, shift = space.split(end.joints)
+    tip = task.chart.of(forward_kinematics(space.robot, rotations, shift))
+    if np.abs(tip - end.point).max() > 1e-6:
+        raise InputError("goal has several equilibria; give the Equilibrium that is meant")
+    return forward_kinematics(space.robot, rotations, shift)
+
+
+def _first(task: Task, last: Equilibrium, q: Array) -> Equilibrium:
+    """The equilibrium at the beginning, on the branch of the goal: followed backwards."""
+    walked = walk(task, last, q)
+    if walked.lost:
+        raise SolveError("the arm snaps while it is withdrawn")
+    return walked.equilibria[-1]
+
+
+def _fit(task: Task, z: Array, last: Equilibrium, length: float) -> Array:
+    """The point of the chart of an arm of a given length that lies closest to the arm at the goal."""
+    space = task.chart.space
+    m = len(z)
+    z = _withdrawn(task, z, length)
+    for _ in range(ITERATIONS):
+        moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(task.scale)])
+        arms = task.arms(z + moves)
+        s, line = arms.fine()
+        target = np.column_stack([np.interp(s[0], last.arc_length, last.position[:, k]) for k in range(3)])
+        gap = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
+        matrix = ((gap[1:] - gap[0]) / DIFFERENCE).T
+        rotation = ((arms.rotations[1:] - arms.rotations[0]) / DIFFERENCE).T
+        rows, bounds = _constraints(task, z, arms.rotations[0], rotation)
+        weights = np.vstack([matrix, DAMPING * 0.1 * np.eye(m)])
+        found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
+        if found is None:
+            break
+        step = found.x * task.scale
+        share = 1.0
+        while share > 0.05 and not task.holds((z + share * step)[None])[0]:
+            share /= 2
+        if share <= 0.05:
+            break
+        z = z + share * step
+        if np.abs(found.x).max() < 1e-3:
+            break
+    return z
+
+
+def _withdrawn(task: Task, z: Array, length: float) -> Array:
+    """The carriages moved back as far as an arm of a given length asks, the others with them where order asks."""
+    space = task.chart.space
+    n = space.robot.n_tubes
+    out = z.copy()
+    curved = np.array([tube.curved_length for tube in space.robot.tubes])
+    longest = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    for k, tubes in enumerate(space.carriages):
+        if longest in tubes:
+            out[n + k] = np.clip(
+                length - curved[longest] - space.offset[n + longest], space.lower[n + k], space.upper[n + k]
+            )
+            rows = np.vstack([space.inequalities(out)[0], np.eye(len(z))[n + k], -np.eye(len(z))[n + k]])
+            bounds = np.concatenate([space.inequalities(out)[1], [0.0, 0.0]])
+            rows, bounds = _translations_only(rows, bounds, n)
+            found = constrained_least_squares(np.eye(len(z) - n), np.zeros(len(z) - n), rows, bounds)
+            if found is not None:
+                out[n:] += found.x
+    return out
+
+
+def _translations_only(rows: Array, bounds: Array, n: int) -> tuple[Array, Array]:
+    kept = np.abs(rows[:, n:]).sum(1) > 0
+    return rows[kept][:, n:], bounds[kept]
+
+
+def _constraints(task: Task, z: Array, rotations: Array, slope: Array) -> tuple[Array, Array]:
+    """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and not too far."""
+    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
+    unit = np.eye(m)
+    curved = np.array([tube.curved_length for tube in space.robot.tubes])
+    longest = int(np.argmax(task.chart.translations(z[None])[0] + curved))
+    held = next(k for k, tubes in enumerate(space.carriages) if longest in tubes)
+    rows = [slope, -slope, unit[n:], -unit[n:], space.rows * task.scale, unit, -unit, unit[n + held], -unit[n + held]]
+    low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
+    bounds = [low, high, (space.lower - z)[n:] / task.scale[n:], (z - space.upper)[n:] / task.scale[n:]]
+    bounds += [space.least - space.rows @ z, np.full(2 * m, -LONGEST), np.zeros(2)]
+    return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)

@@ -1,0 +1,313 @@
+"""Planning a trajectory: goal, search, smoothing, proof."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, choice, finite, positive
+from ..inverse.question import prepared
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from .chart import Chart
+from .clock import Clock
+from .goals import End, check_start, ends, start_equilibrium
+from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
+from .proof import Proof, verify_trajectory
+from .search import SEARCHES, Way, find_way, shorten
+from .smooth import OBJECTIVES, joint_curves, smooth
+from .task import Task
+from .trajectory import PlanStatistics, Trajectory
+from .walk import walk
+
+FOR_SEARCH = 0.9
+"""Share of the time limit after which the search ends, so that what was found can be reported in time."""
+
+ATTEMPTS = 3
+"""Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
+
+SMOOTHING = 20.0
+"""Most seconds of smoothing."""
+
+Progress = Callable[[str, float], object]
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Details of a plan.
+
+    Args:
+        search: "auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or
+            "optimal": BIT* (OMPL), which goes on improving until `search_seconds`.
+        objective: of smoothing: "length" (of the path in joint space), "time", "effort" (int of the squares of the
+            accelerations), "margin" (largest least margin), or "none".
+        time_limit: s, for everything.   search_seconds: of "optimal", s.
+        clearance: least distance of the surface of the arm from obstacles, m.
+        carriage_gap, section_length: as in `InverseOptions`, m.
+        modulo_turns: a goal rotation may be reached with any number of whole turns; the plan tells how many.
+        seed: of the random numbers.
+
+    Raises:
+        InputError: a value that is not allowed.
+    """
+
+    search: str = "auto"
+    objective: str = "length"
+    time_limit: float = 60.0
+    search_seconds: float = 5.0
+    clearance: float = 0.0
+    carriage_gap: float = 0.0
+    section_length: float = 0.0
+    modulo_turns: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        choice("search", self.search, SEARCHES)
+        choice("objective", self.objective, (*OBJECTIVES, "none"))
+        positive("time_limit", self.time_limit)
+        positive("search_seconds", self.search_seconds)
+        for name in ("clearance", "carriage_gap", "section_length"):
+            positive(name, getattr(self, name), zero=True)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise InputError(f"seed is {self.seed!r}; it must be a whole number of at least 0")
+
+
+DEFAULT_PLAN = PlanOptions()
+
+
+def plan_trajectory(
+    robot: Robot,
+    start: Any,
+    goal: Any,
+    *,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    rate_limits: RateLimits = DEFAULT_RATES,
+    limits: JointLimits | None = None,
+    options: PlanOptions = DEFAULT_PLAN,
+) -> Trajectory:
+    """A motion from one equilibrium to another that stays on one stable branch all the way, and the proof of it.
+
+    Args:
+        start: an Equilibrium, an InverseSolution, or a pair (rotations, translations), of which the equilibrium is that
+            of `forward_kinematics`.
+        goal: an Equilibrium or InverseSolution (joint values with their branch); a pair (rotations, translations), on
+            any branch; a tip position (3,), m; or a `TipGoal`.
+        obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
+        min_margin: least margin all the way, in [0, 1).
+        rate_limits: of the actuators.   limits: range of every joint; by default `robot.limits`.
+        options: search, objective of smoothing, time limit, and the like.
+
+    Raises:
+        InputError: start or goal out of range, or numbers that make no sense.
+        SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
+            trajectory that comes closest to the goal, or None, and the message says why it ends there.
+    """
+    clock = Clock(options.time_limit)
+    task = make_task(robot, obstacles, min_margin, limits, options)
+    rates = rate_limits.of(task.chart.space)
+    first = start_equilibrium(task.chart.space, start)
+    check_start(task, first)
+    goals = ends(task, first, goal, modulo_turns=options.modulo_turns)
+    faults: tuple[str, ...] = ()
+    for attempt in range(ATTEMPTS):
+        search = Clock(max(0.0, FOR_SEARCH * options.time_limit - clock.seconds))
+        way = find_way(
+            task, task.chart.of(first), [end.point for end in goals], search, options, seed=options.seed + attempt
+        )
+        if way.points is None:
+            raise _not_found(task, first, goals, way, (rate_limits, rates), clock)
+        reached = way.points[-1]
+        end = min(goals, key=lambda each: float(np.abs(each.point - reached).max()))
+        made = _make(task, first, end, way, (rate_limits, rates), options, clock)
+        if isinstance(made, Trajectory):
+            return made
+        faults = made.faults
+        task = roomier(task)
+        if clock.over:
+            break
+    raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
+
+
+def make_task(
+    robot: Robot,
+    obstacles: Sequence[Obstacle],
+    min_margin: float,
+    limits: JointLimits | None,
+    options: PlanOptions,
+) -> Task:
+    """What must hold, checked."""
+    floor = finite("min_margin", min_margin)
+    if not 0 <= floor < 1:
+        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
+    space = prepared(robot, limits, options.carriage_gap, options.section_length)
+    return Task(Chart(space), tuple(obstacles), floor, options.clearance)
+
+
+def roomier(task: Task) -> Task:
+    """The same with more room between what is checked and what must hold."""
+    return Task(
+        task.chart, task.obstacles, task.min_margin, task.clearance, 3 * task.margin_room, 2 * task.clearance_room
+    )
+
+
+def _make(
+    task: Task,
+    first: Equilibrium,
+    end: End,
+    way: Way,
+    rates: tuple[RateLimits, tuple[Array, Array]],
+    options: PlanOptions,
+    clock: Clock,
+) -> Trajectory | Proof:
+    """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
+    assert way.points is not None
+    searched = clock.seconds
+    points = shorten(task, way.points, Clock(min(2.0, 0.3 * (clock.limit - clock.seconds))), seed=options.seed)
+    raw = task.length(way.points)
+    motions: list[tuple[Motion, str, int, int]] = []
+    left = min(SMOOTHING, 0.8 * (clock.limit - clock.seconds))
+    if options.objective != "none" and left > 0.2 and raw > 1e-9:
+        best = smooth(task, first, points, rates[1], objective=options.objective, seconds=left)
+        if best is not None:
+            motions.append((best.motion, options.objective, best.iterations, len(best.points)))
+    motions.append((stopping_at(joint_curves(task, points), *rates[1]), "", 0, len(points)))
+    smoothed = clock.seconds
+    proof: Proof | None = None
+    for motion, how, iterations, knots in motions:
+        built, proof = build(task, first, end, motion, rates[0])
+        if built is None:
+            continue
+        length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
+        done = clock.seconds
+        numbers = (way.motions, raw, length, iterations, knots)
+        seconds = (searched, smoothed - searched, done - smoothed, done)
+        return built.trajectory(task, first, end, rates[0], PlanStatistics(way.how, how, *numbers, *seconds))
+    assert proof is not None
+    return proof
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A sampled motion that is proved, its equilibria walked through."""
+
+    time: Array
+    joints: Array
+    tip: Array
+    margin: Array
+    clearance: Array
+    proof: Proof
+
+    def trajectory(
+        self,
+        task: Task,
+        first: Equilibrium,
+        end: End,
+        rates: RateLimits,
+        statistics: PlanStatistics,
+        deviation: Array | None = None,
+    ) -> Trajectory:
+        """The answer."""
+        table = np.array([task.chart.space.joint(q) for q in self.joints])
+        rotations, translations = np.split(table, 2, axis=1)
+        return Trajectory(
+            robot=first.robot,
+            time=self.time,
+            rotations=rotations,
+            translations=translations,
+            tip_position=self.tip,
+            margin=self.margin,
+            clearance=self.clearance,
+            start=first,
+            end=self.proof.end,
+            turns=end.turns,
+            obstacles=task.obstacles,
+            min_margin=task.min_margin,
+            min_clearance=task.clearance,
+            rate_limits=rates,
+            proof=self.proof,
+            statistics=statistics,
+            deviation=deviation,
+        )
+
+
+def build(
+    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits
+) -> tuple[Built | None, Proof]:
+    """Sample a motion, make its ends exact, and prove it; None where the proof finds a fault."""
+    space = task.chart.space
+    t, q = motion.sampled(task.scale)
+    begin = space.join(first.rotations, first.translations)
+    last = q[-1] if end is None else end.joints
+    x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
+    blend = x * x * (3 - 2 * x)
+    q = q + (begin - q[0]) * (1 - blend) + (last - q[-1]) * blend
+    q[0], q[-1] = begin, last
+    q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
+    table = np.array([space.joint(row) for row in q])
+    n = space.robot.n_tubes
+    proof = verify_trajectory(
+        space.robot,
+        t,
+        table[:, :n],
+        table[:, n:],
+        start=first,
+        obstacles=task.obstacles,
+        min_margin=task.min_margin - 1e-6,
+        clearance=task.clearance,
+        rate_limits=rates,
+        limits=None if space.robot.limits is None else _own_limits(task),
+    )
+    if proof.holds and end is not None:
+        missed = float(np.abs(task.chart.of(proof.end) - end.point).max())
+        if missed > 1e-3:
+            proof = _with_fault(proof, "the motion ends on another branch than that of the goal")
+    if not proof.holds:
+        return None, proof
+    walked = walk(task, first, q)
+    if walked.lost:
+        return None, _with_fault(proof, "the branch is lost between samples")
+    return Built(t, q, walked.tip, walked.margin, walked.clearance, proof), proof
+
+
+def _own_limits(task: Task) -> JointLimits:
+    from .goals import _limits
+
+    limits: JointLimits = _limits(task.chart.space)
+    return limits
+
+
+def _with_fault(proof: Proof, fault: str) -> Proof:
+    from dataclasses import replace
+
+    return replace(proof, faults=(*proof.faults, fault))
+
+
+def _not_found(
+    task: Task,
+    first: Equilibrium,
+    goals: Sequence[End],
+    way: Way,
+    rates: tuple[RateLimits, tuple[Array, Array]],
+    clock: Clock,
+) -> SolveError:
+    """What to say where the search ended without a way: how close it came, and with what."""
+    partial, distance = None, float("nan")
+    if way.closest is not None and len(way.closest) > 1:
+        motion = stopping_at(joint_curves(task, way.closest), *rates[1])
+        end = End(way.closest[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
+        built, _ = build(task, first, None, motion, rates[0])
+        distance = min(float(np.linalg.norm((end.point - each.point) / task.scale)) for each in goals)
+        if built is not None:
+            numbers = (way.motions, 0.0, task.length(way.closest), 0, len(way.closest))
+            seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
+            statistics = PlanStatistics("partial", "", *numbers, *seconds)
+            partial = built.trajectory(task, first, end, rates[0], statistics)
+    near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
+    return SolveError(f"no plan was found within {clock.limit:g} s: {way.motions} motions were tried{near}", partial)

@@ -1,0 +1,235 @@
+"""Finding a way: straight, by way of translations at which nothing can snap, and by RRT-Connect (OMPL)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import Array
+from ..stability.certificate import snap_free_certificate
+from .clock import Clock
+from .task import Task
+
+SEARCHES = ("auto", "rrt_connect", "optimal")
+"""Ways of searching."""
+
+CANDIDATES = 160
+"""Translations sampled in the search for those at which the robot cannot snap."""
+
+DETOURS = 24
+"""Detours tried, the shortest first."""
+
+REACH = 1.2
+"""Longest motion that RRT-Connect tries at once, in units of the joints' scales."""
+
+
+class Search(Protocol):
+    """How to search: one of `SEARCHES`, and for how long (s) "optimal" improves what it finds."""
+
+    @property
+    def search(self) -> str:
+        """Which."""
+
+    @property
+    def search_seconds(self) -> float:
+        """How long."""
+
+
+@dataclass(frozen=True)
+class PlainSearch:
+    """A search as it is by default."""
+
+    search: str = "auto"
+    search_seconds: float = 5.0
+
+
+DEFAULT_SEARCH = PlainSearch()
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Points (k, m) of the chart whose straight motions hold, and how they were found: "straight", "detour", "search".
+
+    motions: how many motions were checked.   closest: without a way, what came closest to the goal (points).
+    """
+
+    points: Array | None
+    how: str
+    motions: int
+    closest: Array | None = None
+
+
+def find_way(
+    task: Task, start: Array, goals: Sequence[Array], clock: Clock, search: Search = DEFAULT_SEARCH, *, seed: int = 0
+) -> Way:
+    """A way from a point to the first goal that is found, the nearest ones tried first.
+
+    Raises:
+        InputError: the search needs OMPL, which is not installed.
+    """
+    tried = 0
+    for goal in goals:
+        tried += 1
+        if task.motion(start, goal):
+            return Way(np.stack([start, goal]), "straight", tried)
+    if search.search == "auto":
+        for goal in goals:
+            for points in detours(task, start, goal):
+                if clock.over:
+                    break
+                tried += len(points) - 1
+                if task.path(points):
+                    return Way(np.stack(points), "detour", tried)
+    return by_sampling(task, start, goals, clock, search, seed=seed, tried=tried)
+
+
+def detours(task: Task, start: Array, goal: Array) -> Iterator[list[Array]]:
+    """Ways that change translations, turn the tips where the certificate excludes any snap, and go on from there."""
+    n = task.chart.space.robot.n_tubes
+    for shift in certified_translations(task, start, goal)[:DETOURS]:
+        away, back = np.append(start[:n], shift), np.append(goal[:n], shift)
+        yield [start, away, back, goal]
+
+
+def certified_translations(task: Task, start: Array, goal: Array) -> list[Array]:
+    """Carriages (G,) where no rotation can snap by the margin to keep, nearest to start and goal first."""
+    space = task.chart.space
+    n = space.robot.n_tubes
+    ends = start[n:], goal[n:]
+    drawn = space.sample(CANDIDATES)[:, n:]
+    # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
+    table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
+    far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
+    found: list[Array] = []
+    for shift in table[np.argsort(far, kind="stable")]:
+        known = any(np.linalg.norm((shift - other) / task.scale[n:]) < 0.08 for other in found)
+        if not known and _certificate(task, shift) >= task.min_margin + task.margin_room:
+            found.append(shift)
+        if len(found) >= DETOURS:
+            break
+    return found
+
+
+def _certificate(task: Task, shift: Array) -> float:
+    space = task.chart.space
+    q = np.append(np.zeros(space.robot.n_tubes), shift)
+    return snap_free_certificate(space.robot, space.split(q)[1])
+
+
+def by_sampling(
+    task: Task,
+    start: Array,
+    goals: Sequence[Array],
+    clock: Clock,
+    search: Search = DEFAULT_SEARCH,
+    *,
+    seed: int = 0,
+    tried: int = 0,
+) -> Way:
+    """RRT-Connect of OMPL between a point and goals until the clock is over, or BIT* for the time that it is given.
+
+    Raises:
+        InputError: OMPL is not installed.
+    """
+    try:
+        from ompl import base, geometric, util
+    except ImportError:
+        raise InputError("planning needs OMPL: pip install 'tubeopt[planning]'") from None
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    util.RNG.setSeed(seed + 1)
+    scale, count = task.scale, [tried]
+
+    class Motions(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:
+            if clock.over:
+                return False
+            count[0] += 1
+            return task.motion(*(np.array([state[i] for i in range(len(start))]) * scale for state in (one, other)))
+
+    space = base.RealVectorStateSpace(len(start))
+    bounds = base.RealVectorBounds(len(start))
+    for i, (low, high) in enumerate(zip(*_bounds(task, [start, *goals]), strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    information.setMotionValidator(Motions(information))
+    information.setStateValidityChecker(lambda state: True)  # motions check their ends
+    information.setup()
+    problem = base.ProblemDefinition(information)
+    problem.addStartState(_state(space, start / scale))
+    wanted = base.GoalStates(information)
+    for goal in goals:
+        wanted.addState(_state(space, goal / scale))
+    problem.setGoal(wanted)
+    if search.search == "optimal":
+        clock = Clock(min(search.search_seconds, clock.limit - clock.seconds))
+        problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
+        planner = geometric.BITstar(information)
+    else:
+        planner = geometric.RRTConnect(information)
+        planner.setRange(REACH)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
+    return _way(problem, scale, (start, goals), count[0])
+
+
+def _state(space: Any, values: Array) -> Any:
+    """A state of OMPL."""
+    state = space.allocState()
+    for i, value in enumerate(values):
+        state[i] = float(value)
+    return state
+
+
+def _way(problem: Any, scale: Array, ends: tuple[Array, Sequence[Array]], motions: int) -> Way:
+    """What OMPL found."""
+    start, goals = ends
+    if not problem.hasSolution():
+        return Way(None, "search", motions)
+    states = problem.getSolutionPath().getStates()
+    points = np.array([[state[i] for i in range(len(start))] for state in states]) * scale
+    if not problem.hasExactSolution():
+        return Way(None, "search", motions, points)
+    # The ends exactly: they went through the units of the search.
+    points[0] = start
+    points[-1] = min(goals, key=lambda goal: float(np.linalg.norm((goal - points[-1]) / scale)))
+    return Way(points, "search", motions)
+
+
+def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:
+    """Box of the search, in units of the scales: half a turn about the ends' tip rotations, all translations."""
+    space = task.chart.space
+    n = space.robot.n_tubes
+    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    low[:n], high[:n] = low[:n] - np.pi, high[:n] + np.pi
+    low[n:], high[n:] = np.minimum(space.lower, low)[n:], np.maximum(space.upper, high)[n:]
+    return low / task.scale, np.maximum(high, low + 1e-9) / task.scale
+
+
+def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0, rounds: int = 60) -> Array:
+    """The way with corners cut: random places on it joined straight where that holds and is shorter in joint space."""
+    random = np.random.default_rng(seed)
+    way = [np.array(point) for point in points]
+    for _ in range(rounds):
+        if clock.over or len(way) < 3:
+            break
+        lengths = np.array([np.linalg.norm((b - a) / task.scale) for a, b in pairwise(way)])
+        marks = np.concatenate([[0.0], np.cumsum(lengths)])
+        a, b = np.sort(random.uniform(0, marks[-1], 2))
+        i, j = (int(np.searchsorted(marks, x, side="right") - 1) for x in (a, b))
+        i, j = min(i, len(way) - 2), min(j, len(way) - 2)
+        if i == j:
+            continue
+        first = way[i] + (a - marks[i]) / max(lengths[i], 1e-12) * (way[i + 1] - way[i])
+        last = way[j] + (b - marks[j]) / max(lengths[j], 1e-12) * (way[j + 1] - way[j])
+        old = [first, *way[i + 1 : j + 1], last]
+        if task.length([first, last]) < task.length(old) and task.motion(first, last):
+            way = [*way[: i + 1], first, last, *way[j + 1 :]]
+    return np.stack(way)

@@ -1,0 +1,270 @@
+"""Smoothing: the way that was found becomes the best motion nearby, by direct collocation over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..robots.assembly import Array, Mask
+from ..transcription.path_program import PathProgram, PathQuestion, parameter_values, path_program
+from .clock import Clock
+from .motion import Motion
+from .task import Task
+from .walk import LEFT, walk
+
+OBJECTIVES = ("length", "time", "effort", "margin")
+"""Weights of length, time, effort and margin follow from these."""
+
+WEIGHTS = {
+    "length": (1.0, 0.1, 0.0, 0.0),
+    "time": (0.02, 1.0, 0.0, 0.0),
+    "effort": (0.02, 0.05, 1e-2, 0.0),
+    "margin": (0.02, 0.05, 0.0, 1.0),
+}
+
+UNHURRIED = ("length", "margin")
+"""Objectives that do not ask for a time; it is made as short as the motion allows."""
+
+INTERVALS = 24
+"""Intervals between knots at first."""
+
+REFINEMENTS = 3
+"""Times that knots are added where the motion between them is not allowed."""
+
+LARGEST = 150_000
+"""Operations of one equilibrium beyond which derivatives take too long to be built: robots of about six tubes."""
+
+UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
+
+ROUND_OFF = 1e-9
+"""Excess over ranges that is none, in units of the scales."""
+
+LARGEST_TWIST = 0.3
+"""Change (rad) of a tip rotation between knots that is always allowed."""
+
+EXTRA = 3e-3
+"""Margin beyond that of the search which knots keep at first, for what is between them."""
+
+ROOM = 1e-3
+"""Least determinant of the Jacobi fields, which begin as 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A smoothed motion, its knots (K, m) in the chart, and how many iterations and knots it took."""
+
+    motion: Motion
+    points: Array
+    iterations: int
+
+
+def densify(task: Task, points: Array) -> list[Array]:
+    """Every straight motion of a way as evenly spaced points of the chart (k, m), close enough to check it."""
+    out = []
+    for a, b in pairwise(points):
+        ends = np.stack([a, b])
+        inner = task.between(a, b, task.arms(ends))
+        out.append(np.concatenate([a[None], inner, b[None]]))
+    return out
+
+
+def joint_curves(task: Task, points: Array) -> list[Array]:
+    """The same as joint values."""
+    return [task.chart.joints(line, task.arms(line)) for line in densify(task, points)]
+
+
+def resample(task: Task, points: Array, count: int) -> Array:
+    """(count, m) points of a way, evenly spaced by the length of joint motion."""
+    lines = densify(task, points)
+    z = np.concatenate([lines[0][:1], *(line[1:] for line in lines)])
+    q = task.chart.joints(z, task.arms(z)) / task.scale
+    # Both metrics count: where the joints hardly move, the arm may.
+    step = np.linalg.norm(np.diff(q, axis=0), axis=1) + 0.3 * np.linalg.norm(np.diff(z / task.scale, axis=0), axis=1)
+    mark = np.concatenate([[0.0], np.cumsum(step)])
+    at = np.linspace(0, mark[-1], count)
+    out = np.column_stack([np.interp(at, mark, column) for column in z.T])
+    out[0], out[-1] = points[0], points[-1]
+    return out
+
+
+def smooth(
+    task: Task,
+    start: Equilibrium,
+    points: Array,
+    limits: tuple[Array, Array],
+    *,
+    objective: str = "length",
+    seconds: float = 20.0,
+) -> Smoothed | None:
+    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one."""
+    if task.chart.size > LARGEST:
+        return None
+    z = resample(task, points, INTERVALS + 1)
+    share = np.full(INTERVALS, 1 / INTERVALS)
+    iterations, clock = 0, Clock(seconds)
+    room = np.array([task.margin_room + EXTRA, task.clearance_room])
+    for _ in range(REFINEMENTS + 1):
+        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1]), seconds - clock.seconds))
+        if solved is None:
+            return None
+        motion, found, count = solved
+        iterations += count
+        bad, short = _violated(task, start, motion)
+        if not bad.any():
+            return Smoothed(motion, found, iterations)
+        if clock.over:
+            return None
+        z, share = _split(found, share, bad)
+        room += 1.5 * short
+    return None
+
+
+def _solve(
+    task: Task,
+    z: Array,
+    share: Array,
+    limits: tuple[Array, Array],
+    objective: str,
+    room: tuple[float, float, float],
+) -> tuple[Motion, Array, int] | None:
+    """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
+
+    `room`: above the margin and the clearance (m) to keep, at knots; seconds left.
+    """
+    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    scale, (rate, acceleration) = task.scale, limits
+    question = PathQuestion(
+        n, space.carriages, task.chart.eccentric, len(share), len(space.least), task.obstacles, space.length
+    )
+    program = path_program(question)
+    q = task.chart.joints(z, task.arms(z))
+    time = np.concatenate([[0.0], np.cumsum(share)])
+    unit = _duration(q, time, rate, acceleration)
+    length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
+    weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
+    p = parameter_values(
+        robot=task.chart.parameters,
+        offset=space.offset[n:],
+        scale=scale,
+        rate=rate / scale * unit,
+        acceleration=acceleration / scale * unit**2,
+        weights=weights,
+        order=space.rows,
+        step=share,
+        twist=np.maximum(LARGEST_TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
+        radius=task.chart.radius,
+        clearance=task.clearance + room[1],
+    )
+    floor = min(task.min_margin + room[0], 0.998)
+    x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
+    solver = program.solver(room[2])
+    result = solver(x0=x, p=p, **_bounds(task, program, (q, z), objective, floor))
+    stats = solver.stats()
+    # What ran out of time or steps may still be allowed: following it tells.
+    if not (stats["success"] or stats["return_status"] in UNFINISHED):
+        return None
+    x = np.asarray(result["x"]).ravel()
+    size = q.size
+    joints, rates = (x[k * size : (k + 1) * size].reshape(q.shape) * scale for k in (0, 1))
+    tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
+    duration = float(np.sqrt(x[-2])) * unit
+    if objective in UNHURRIED:
+        # The way does not depend on the time that it takes: as fast as it can be passed.
+        duration = _shortest(time, joints, rates, limits)
+    motion = Motion(time * duration, joints, rates / duration)
+    return motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"])
+
+
+def _shortest(time: Array, joints: Array, rates: Array, limits: tuple[Array, Array]) -> float:
+    """Seconds that a cubic motion over the time 0 to 1 needs within limits of rate and acceleration."""
+    h = np.diff(time)[:, None]
+    delta, a, b = np.diff(joints, axis=0) / h, rates[:-1], rates[1:]
+    early, late = (6 * delta - 4 * a - 2 * b) / h, (2 * a + 4 * b - 6 * delta) / h
+    speed = np.abs(np.vstack([rates, 3 * delta - a - b])) / limits[0]
+    force = np.abs(np.vstack([early, late])) / limits[1]
+    return float(1.01 * max(speed.max(), np.sqrt(force.max()), 1e-3))
+
+
+def begin_rates(q: Array, time: Array) -> Array:
+    """(K, m) rates of knots by differences, at rest at both ends."""
+    v = np.gradient(q, time, axis=0)
+    v[0], v[-1] = 0.0, 0.0
+    return np.asarray(v)
+
+
+def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
+    """Seconds in which knots of joint values are passed without haste."""
+    v, step = begin_rates(q, time), np.diff(time)[:, None]
+    speed = (np.abs(np.diff(q, axis=0)) / step / rate).max()
+    hard = (np.abs(np.diff(v, axis=0)) / step / acceleration).max()
+    return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
+
+
+def _bounds(
+    task: Task, program: PathProgram, start: tuple[Array, Array], objective: str, floor: float
+) -> dict[str, Array]:
+    """Bounds of unknowns and constraints; both ends, which were checked before, are as they are."""
+    (q, z), space, inf = start, task.chart.space, np.inf
+    n, (knots, m) = space.robot.n_tubes, q.shape
+    low, high = (np.tile(value / task.scale, (knots, 1)) for value in (space.lower, space.upper))
+    low[[0, -1]] = high[[0, -1]] = (q / task.scale)[[0, -1]]
+    rate, tip = np.full((knots, m), inf), np.full((knots, n), inf)
+    rate[[0, -1]] = 0.0
+    lowest = -tip
+    lowest[[0, -1]] = tip[[0, -1]] = z[[0, -1], :n]
+    most = 0.999 if objective == "margin" else floor
+    rows = program.rows
+    lower = {name: np.full(size, -inf) for name, size in rows.items()}
+    upper = {name: np.full(size, inf) for name, size in rows.items()}
+    for name in ("speed", "force", "twist"):
+        upper[name][:] = 0.0
+    inside = np.repeat((np.arange(knots) > 0) & (np.arange(knots) < knots - 1), 1)[:, None]
+    lower["order"] = np.tile(space.least / space.length - ROUND_OFF, 2 * (knots - 1))
+    ends = q[[0, -1]] / task.scale
+    lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
+    upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
+    limits = {"fields": ROOM, "clearance": 0.0}
+    for name, value in limits.items():
+        if rows.get(name):
+            lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
+    # The ends' equations hold to the accuracy of the integration; there is nothing to solve.
+    free = np.where(inside, 0.0, np.full((knots, n), inf)).ravel()
+    lower["equilibrium"], upper["equilibrium"] = -free, free
+    return {
+        "lbx": np.concatenate([low.ravel(), -rate.ravel(), lowest.ravel(), [1e-6, floor]]),
+        "ubx": np.concatenate([high.ravel(), rate.ravel(), tip.ravel(), [4.0, most]]),
+        "lbg": np.concatenate([lower[name] for name in rows]),
+        "ubg": np.concatenate([upper[name] for name in rows]),
+    }
+
+
+def _violated(task: Task, start: Equilibrium, motion: Motion) -> tuple[Mask, Array]:
+    """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
+    and clearance (m) fall short."""
+    time, q = motion.sampled(task.scale)
+    walked = walk(task, start, q)
+    bad = np.zeros(len(motion.time) - 1, dtype=bool)
+    allowed = walked.allowed(task)
+    wrong = time[: len(allowed)][~allowed]
+    if walked.lost:
+        wrong = np.append(wrong, time[len(allowed)])
+    at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
+    bad[at] = True
+    short = [task.min_margin + LEFT - walked.margin, task.clearance + LEFT - walked.clearance]
+    return bad, np.array([max(0.0, float(each.max(initial=0.0))) for each in short])
+
+
+def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:
+    """Knots and shares of the time with a knot in the middle of each bad interval."""
+    points, parts = [z[0]], []
+    for k, part in enumerate(share):
+        if bad[k]:
+            points.append((z[k] + z[k + 1]) / 2)
+            parts += [part / 2, part / 2]
+        else:
+            parts.append(part)
+        points.append(z[k + 1])
+    return np.array(points), np.array(parts)

@@ -1,0 +1,218 @@
+"""Following a curve with the tip, within a tolerance, on one stable branch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from ..equilibrium import Equilibrium
+from ..errors import InputError, SolveError, positive
+from ..inverse import IkSession, InverseOptions, inverse_kinematics
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from .clock import Clock
+from .goals import End, check_start, start_equilibrium
+from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
+from .plan import DEFAULT_PLAN, PlanOptions, build, make_task
+from .task import Task
+from .trajectory import PlanStatistics, Trajectory
+
+SPACING = 0.008
+"""Distance of the points at which the tip is solved for, at first, as a share of the robot's length."""
+
+REFINEMENTS = 3
+"""Times that the spacing is halved where the tip leaves the curve in between."""
+
+MOST_STARTS = 8
+"""Configurations from which the curve is tried."""
+
+DENSE = 40
+"""Points per piece at which a curve is sampled."""
+
+
+def follow_tip_path(
+    robot: Robot,
+    path: ArrayLike,
+    *,
+    start: Any = None,
+    tolerance: float = 5e-4,
+    spline: bool = False,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    rate_limits: RateLimits = DEFAULT_RATES,
+    limits: JointLimits | None = None,
+    options: PlanOptions = DEFAULT_PLAN,
+) -> Trajectory:
+    """A motion in which the tip runs along a curve; what the curve leaves free goes towards larger margin.
+
+    Args:
+        path: (k, 3) points, m: a polyline, or, with `spline`, points of a smooth curve.
+        start: equilibrium or joint values whose tip is at the first point; by default configurations found by inverse
+            kinematics, until one is found from which the whole curve can be followed.
+        tolerance: largest distance of the tip from the curve, m.
+        obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
+
+    Returns:
+        The trajectory; `.deviation` (T,) is the distance of the tip from the curve.
+
+    Raises:
+        InputError: fewer than two points, a start whose tip is elsewhere, numbers that make no sense.
+        SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
+    """
+    positive("tolerance", tolerance)
+    clock = Clock(options.time_limit)
+    curve = _curve(path, spline)
+    task = make_task(robot, obstacles, min_margin, limits, options)
+    furthest, reason = 0.0, "the first point is out of reach"
+    for first in _starts(task, curve, start, tolerance, limits, options):
+        spacing = SPACING * task.chart.space.length
+        for _ in range(REFINEMENTS + 1):
+            places = _spaced(curve, spacing)
+            try:
+                equilibria = _track(task, first, places, limits, options)
+            except _StuckError as stuck:
+                if stuck.share >= furthest:
+                    furthest, reason = stuck.share, str(stuck)
+                break
+            made = _make(task, equilibria, curve, rate_limits, clock)
+            if isinstance(made, Trajectory) and made.deviation is not None and made.deviation.max() <= tolerance:
+                return made
+            reason = "between its points the tip leaves the curve" if isinstance(made, Trajectory) else "; ".join(made)
+            furthest, spacing = 1.0, spacing / 2
+            if clock.over:
+                break
+        if clock.over:
+            reason += f"; the time limit of {clock.limit:g} s is reached"
+            break
+    raise SolveError(f"the tip can follow {100 * furthest:.1f} % of the curve: {reason}")
+
+
+class _StuckError(Exception):
+    """Where tracking ends: share of the curve, and why."""
+
+    def __init__(self, share: float, reason: str) -> None:
+        super().__init__(reason)
+        self.share = share
+
+
+def _curve(path: ArrayLike, spline: bool) -> Array:
+    """(k, 3) dense points of the curve."""
+    try:
+        points = np.array(path, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("path must be a table of numbers, x, y, z in m, one row per point") from None
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+        raise InputError(f"path has shape {points.shape}; it must be x, y, z of at least 2 points")
+    if not np.isfinite(points).all():
+        raise InputError("path has a number that is not finite")
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if (step <= 0).any():
+        raise InputError(f"path has the same point twice in a row, at {int(np.argmin(step)) + 1}")
+    if not spline or len(points) < 3:
+        return points
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    fine = np.interp(np.linspace(0, len(points) - 1, DENSE * (len(points) - 1) + 1), np.arange(len(points)), along)
+    dense: Array = CubicSpline(along, points)(fine)
+    return dense
+
+
+def _spaced(curve: Array, spacing: float) -> Array:
+    """Points of a polyline at most `spacing` (m) apart, its corners among them."""
+    out = [curve[:1]]
+    for a, b in pairwise(curve):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
+        out.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(out)
+
+
+def _starts(
+    task: Task, curve: Array, start: Any, tolerance: float, limits: JointLimits | None, options: PlanOptions
+) -> Iterator[Equilibrium]:
+    if start is not None:
+        first = start_equilibrium(task.chart.space, start)
+        check_start(task, first)
+        off = float(np.linalg.norm(first.tip_position - curve[0]))
+        if off > tolerance:
+            raise InputError(
+                f"start has its tip {off * 1e3:.4g} mm from the first point of the path; it must be within "
+                f"{tolerance * 1e3:g} mm (plan_trajectory with a TipGoal leads there)"
+            )
+        yield first
+        return
+    how = InverseOptions(
+        clearance=options.clearance, carriage_gap=options.carriage_gap, section_length=options.section_length
+    )
+    question: dict[str, Any] = {"min_margin": task.min_margin, "limits": limits, "obstacles": task.obstacles}
+    found = inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, options=how, **question)
+    for answer in found[:MOST_STARTS]:
+        yield answer.equilibrium
+
+
+def _track(
+    task: Task, first: Equilibrium, places: Array, limits: JointLimits | None, options: PlanOptions
+) -> list[Equilibrium]:
+    """Equilibria with their tips at all places, each followed from the last; raises _StuckError."""
+    how = InverseOptions(
+        clearance=options.clearance, carriage_gap=options.carriage_gap, section_length=options.section_length
+    )
+    floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
+    try:
+        session = IkSession(
+            first.robot, seed=first, min_margin=floor, limits=limits, obstacles=task.obstacles, options=how
+        )
+    except InputError as error:
+        raise _StuckError(0.0, str(error)) from None
+    out = [first]
+    for k, place in enumerate(places[1:], start=1):
+        try:
+            out.append(session.solve(place).equilibrium)
+        except SolveError as error:
+            raise _StuckError(k / len(places), str(error)) from None
+    return out
+
+
+def _make(
+    task: Task, equilibria: Sequence[Equilibrium], curve: Array, rates: RateLimits, clock: Clock
+) -> Trajectory | tuple[str, ...]:
+    """Time the joint values, prove them, and measure the tip's distance from the curve; else what is wrong."""
+    space = task.chart.space
+    q = np.array([space.join(e.rotations, e.translations) for e in equilibria])
+    searched = clock.seconds
+    motion = timed(q, task.scale, rates.of(space))
+    end = End(task.chart.of(equilibria[-1]), q[-1], (0,) * space.robot.n_tubes)
+    built, proof = build(task, equilibria[0], end, motion, rates)
+    if built is None:
+        return proof.faults
+    length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
+    done = clock.seconds
+    statistics = PlanStatistics("tip path", "", len(q), length, length, 0, len(q), searched, 0.0, done - searched, done)
+    return built.trajectory(task, equilibria[0], end, rates, statistics, distance_from(curve, built.tip))
+
+
+def timed(q: Array, scale: Array, limits: tuple[Array, Array]) -> Motion:
+    """The motion through joint values (k, m), smooth in between, as fast as limits allow, at rest at both ends."""
+    step = np.linalg.norm(np.diff(q / scale, axis=0), axis=1)
+    if not step.sum() > 1e-9:
+        return Motion(np.zeros(1), q[:1], np.zeros_like(q[:1]))
+    mark = np.concatenate([[0.0], np.cumsum(step)])
+    even = np.linspace(0, mark[-1], max(50, 2 * len(q)))
+    return stopping_at([np.column_stack([np.interp(even, mark, column) for column in q.T])], *limits)
+
+
+def distance_from(curve: Array, points: Array) -> Array:
+    """(T,) distance of points (T, 3) from a polyline (k, 3), m."""
+    a, b = curve[:-1], curve[1:]
+    along = b - a
+    square = np.maximum((along**2).sum(1), 1e-300)
+    out = np.empty(len(points))
+    for k, p in enumerate(points):
+        x = np.clip(((p - a) * along).sum(1) / square, 0.0, 1.0)
+        out[k] = np.linalg.norm(p - a - x[:, None] * along, axis=1).min()
+    return out

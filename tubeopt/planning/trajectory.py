@@ -1,0 +1,76 @@
+"""What planning answers with: plain tables over time, with their proof."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+from ..equilibrium import Equilibrium
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.robot import Robot
+from .motion import RateLimits
+from .proof import Proof
+
+
+@dataclass(frozen=True)
+class PlanStatistics:
+    """How a plan was found.
+
+    how: "straight", "detour" or "search"; smoothed: by which objective, "" where the smoothed motion was not allowed or
+    not asked for.   motions: that the search checked.   raw_length, length: of the path in joint space as found and as
+    it is, in units of the joints' scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
+    search_seconds, smooth_seconds, proof_seconds, seconds.
+    """
+
+    how: str
+    smoothed: str
+    motions: int
+    raw_length: float
+    length: float
+    iterations: int
+    knots: int
+    search_seconds: float
+    smooth_seconds: float
+    proof_seconds: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
+
+    Attributes:
+        time: (T,) s, evenly spaced.   rotations (T, n) rad, translations (T, n) m, not wrapped.
+        tip_position: (T, 3) m.   margin: (T,).   clearance: (T,) m, infinite without obstacles.
+        start, end: equilibria at both ends.
+        turns: (n,) whole turns by which the rotations at the end differ from the goal as given.
+        obstacles, min_margin, min_clearance (m), rate_limits: what is kept.
+        proof: of all of this, by other code.   statistics: how it was found.
+        deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
+            from the path of its tip, m; None for other plans.
+    """
+
+    robot: Robot
+    time: Array
+    rotations: Array
+    translations: Array
+    tip_position: Array
+    margin: Array
+    clearance: Array
+    start: Equilibrium
+    end: Equilibrium
+    turns: tuple[int, ...]
+    obstacles: tuple[Obstacle, ...]
+    min_margin: float
+    min_clearance: float
+    rate_limits: RateLimits
+    proof: Proof
+    statistics: PlanStatistics
+    deviation: Array | None = None
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
+        from ..study.trajectory_file import save_trajectory
+
+        save_trajectory(self, path)
