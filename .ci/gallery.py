@@ -1,0 +1,167 @@
+"""A page of the site for every script in `problems/`: what is asked, what one learns, the pictures, the code.
+
+A hook of MkDocs. Pages are made from the scripts whenever the site is built, so that they cannot drift from them. Where
+TUBEOPT_GALLERY names a directory in which `tests/test_problems.py` has left what every script printed and drew, the
+page shows that, and a script without its record is an error; elsewhere it shows the pictures in `docs/images`.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PROBLEMS, IMAGES = ROOT / "problems", ROOT / "docs" / "images"
+LEARNED = "One learns: "
+
+GROUPS = {
+    "thesis_": "From the thesis",
+    "inverse_": "Inverse kinematics",
+    "plan_": "Motion planning",
+    "design_": "Design",
+    "mold_": "Fabrication",
+    "heat": "Fabrication",
+    "fabricat": "Fabrication",
+    "": "Stability and more robots",
+}
+"""Heading of the scripts whose names begin so; the first that fits."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A script: what its docstring says, its pictures, and what it printed, "" where nobody knows."""
+
+    name: str
+    asked: str
+    more: str
+    learned: str
+    code: str
+    pictures: tuple[Path, ...]
+    printed: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name of the script in words."""
+        words = re.sub(r"fig_(\d+)_(\d+)", r"Figure \1.\2", self.name).replace("_", " ")
+        words = re.sub(r"\b(crl|etr|ctr)\b", lambda match: match[0].upper(), words)
+        return words[0].upper() + words[1:]
+
+
+def read_problem(script: Path, records: Path | None) -> Problem:
+    """A script and what is known of its run.
+
+    Raises:
+        ValueError: no docstring, none of what one learns, no pictures, or no record where records are kept.
+    """
+    code = script.read_text(encoding="utf-8")
+    paragraphs = [" ".join(part.split()) for part in (ast.get_docstring(ast.parse(code)) or "").split("\n\n")]
+    learned = [part.removeprefix(LEARNED) for part in paragraphs if part.startswith(LEARNED)]
+    if not paragraphs[0] or len(learned) != 1:
+        raise ValueError(f"{script.name}: its docstring must say what is asked and, after '{LEARNED}', what one learns")
+    more = [part for part in paragraphs[1:] if not part.startswith(LEARNED)]
+    pictures, printed = _record(script, records) if records else (_drawn(code), "")
+    if not pictures:
+        raise ValueError(f"{script.name}: no picture of it was found")
+    learned_text = learned[0][0].upper() + learned[0][1:]
+    return Problem(script.stem, paragraphs[0], "\n\n".join(more), learned_text, code, tuple(pictures), printed)
+
+
+def _record(script: Path, records: Path) -> tuple[list[Path], str]:
+    """Pictures and text that the run of the tests left; of a map that was run coarsely, the picture in the docs."""
+    path = records / f"{script.stem}.json"
+    if not path.is_file():
+        raise ValueError(f"{script.name}: its run has left no record in {records}")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    coarse = record["coarse"]
+    return [(IMAGES if coarse else records) / name for name in record["pictures"]], "" if coarse else record["printed"]
+
+
+def _drawn(code: str) -> list[Path]:
+    """Pictures in the docs under the names that a script gives to its own."""
+    names = re.findall(r"[\w{}.\-]+\.png", code)
+    found = [path for name in names for path in sorted(IMAGES.glob(re.sub(r"\{[^}]*\}", "*", name)))]
+    return list(dict.fromkeys(found))
+
+
+def all_problems(records: Path | None = None) -> list[Problem]:
+    """Every script, by name."""
+    return [read_problem(script, records) for script in sorted(PROBLEMS.glob("*.py"))]
+
+
+def page(problem: Problem) -> str:
+    """A page in Markdown."""
+    parts = [f"# {problem.title}", problem.asked]
+    parts += [problem.more] if problem.more else []
+    parts += [f"![{problem.title}](images/{path.name})" for path in problem.pictures]
+    parts += ["## What one learns", problem.learned]
+    if problem.printed.strip():
+        parts += ["## What it prints", f"```text\n{problem.printed.rstrip()}\n```"]
+    run = f"    python -m problems.{problem.name}"
+    parts += ["## The script", f"From the root of the repository it runs as\n\n{run}", f"```python\n{problem.code}```"]
+    return "\n\n".join(parts) + "\n"
+
+
+def group(problem: Problem) -> str:
+    """Under which heading a problem stands."""
+    return next(heading for start, heading in GROUPS.items() if problem.name.startswith(start))
+
+
+def index(problems: list[Problem]) -> str:
+    """The page with all of them."""
+    parts = [
+        "# Gallery",
+        "Each page is a script of `problems/` that poses one problem with the public interface: what is asked, the "
+        "picture, what one learns, the code.",
+    ]
+    for heading in dict.fromkeys(GROUPS.values()):
+        mine = [problem for problem in problems if group(problem) == heading]
+        if mine:
+            parts += [
+                f"## {heading}",
+                '<div class="grid cards" markdown>',
+                "\n\n".join(_card(each) for each in mine),
+                "</div>",
+            ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _card(problem: Problem) -> str:
+    picture = f"[![]({f'images/{problem.pictures[0].name}'}){{ loading=lazy }}]({problem.name}.md)"
+    return f"-   {picture}\n\n    **[{problem.title}]({problem.name}.md)**\n\n    {problem.asked}"
+
+
+# --- what MkDocs calls -----------------------------------------------------------------------------------------------
+
+
+def _records() -> Path | None:
+    directory = os.environ.get("TUBEOPT_GALLERY")
+    return Path(directory) if directory else None
+
+
+def on_config(config: Any) -> Any:
+    """Enter all pages below "Gallery" in the navigation."""
+    pages = ["gallery/index.md", *(f"gallery/{script.stem}.md" for script in sorted(PROBLEMS.glob("*.py")))]
+    config.nav = [{"Gallery": pages} if "Gallery" in entry else entry for entry in config.nav]
+    return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages and their pictures to the site."""
+    from mkdocs.exceptions import PluginError
+    from mkdocs.structure.files import File
+
+    try:
+        problems = all_problems(_records())
+    except ValueError as error:
+        raise PluginError(f"gallery: {error}") from None
+    files.append(File.generated(config, "gallery/index.md", content=index(problems)))
+    for problem in problems:
+        files.append(File.generated(config, f"gallery/{problem.name}.md", content=page(problem)))
+        for path in problem.pictures:
+            files.append(File.generated(config, f"gallery/images/{path.name}", abs_src_path=str(path)))
+    return files

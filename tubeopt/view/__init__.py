@@ -1,0 +1,21 @@
+"""The interactive viewer: a robot under somebody's hands, in a browser.
+
+`session` holds what the robot does and how it came there, as plain data; the modules that know viser only show it.
+"""
+
+from __future__ import annotations
+
+from .server import View, serve
+from .session import Event, Session, go_home, move, move_joint, open_session, other_equilibria
+
+__all__ = [
+    "Event",
+    "Session",
+    "View",
+    "go_home",
+    "move",
+    "move_joint",
+    "open_session",
+    "other_equilibria",
+    "serve",
+]

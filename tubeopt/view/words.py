@@ -1,0 +1,79 @@
+"""The readout in HTML: tip, margin, energy, certificate, what happened. Everything from files is escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from .session import Event, Session
+from .surfaces import margin_colour
+
+SHOWN_EVENTS = 12
+"""The latest events are shown, the others counted."""
+
+BOX = "font:12px/1.45 sans-serif;padding:2px 10px 6px"
+BADGE = {"stable": "#009660", "close to a snap": "#b8860b", "snapped": "#c81e1e"}
+
+
+def readout(session: Session, certificate: float | None) -> str:
+    """Where the robot is and how it is. `certificate` None: not computed yet."""
+    e = session.equilibrium
+    tip = ", ".join(f"{x + 0.0:.4f}" for x in np.round(e.tip_position * 1e3, 4))
+    red, green, blue = margin_colour(e.margin)
+    share = 100 * min(max(e.margin, 0.0), 1.0)
+    state = session.verdict
+    bar = (
+        '<div style="height:9px;border-radius:4px;background:#8883;overflow:hidden">'
+        f'<div style="width:{share:.1f}%;height:100%;background:rgb({red},{green},{blue})"></div></div>'
+    )
+    badge = (
+        f'<b data-testid="state" style="background:{BADGE[state]};color:white;border-radius:4px;padding:1px 7px">'
+        f"{state}</b>"
+    )
+    return (
+        f'<div style="{BOX}" data-testid="readout">'
+        f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
+        f'tip (<span data-testid="tip">{tip}</span>) mm<br>'
+        f'margin <span data-testid="margin">{e.margin:.4f}</span> {bar}'
+        f'energy <span data-testid="energy">{e.energy * 1e3:.4f}</span> mJ<br>'
+        f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
+    )
+
+
+def certificate_words(certificate: float | None) -> str:
+    """What is proved at these translations."""
+    if certificate is None:
+        return "certificate: …"
+    if certificate > 0:
+        return f"certificate {certificate:.3f}: cannot snap at any rotation here"
+    return f"certificate {_signed(certificate)}: not proved free of snaps"
+
+
+def _signed(value: float) -> str:
+    return f"{value:.3f}".replace("-", "\N{MINUS SIGN}")
+
+
+def log_words(log: Sequence[Event]) -> str:
+    """What happened, the latest first."""
+    rows = [
+        f'<li data-testid="event" value="{event.number}" style="{"color:#c81e1e" if event.snap else ""}">'
+        f"{escape(event.text)}</li>"
+        for event in reversed(log[-SHOWN_EVENTS:])
+    ]
+    more = len(log) - len(rows)
+    rows += [f"<li value='{more}'>and earlier ones</li>"] if more > 0 else []
+    body = f'<ol reversed style="margin:0;padding-left:22px">{"".join(rows)}</ol>' if rows else "<i>nothing yet</i>"
+    return f'<div style="{BOX};max-height:220px;overflow-y:auto" data-testid="log">{body}</div>'
+
+
+def message_words(text: str, *, bad: bool = False) -> str:
+    """One sentence to the user; an empty one takes no room."""
+    if not text:
+        return '<div data-testid="message"></div>'
+    colour = "#c81e1e" if bad else "#3b6fb5"
+    return (
+        f'<div data-testid="message" role="status" style="{BOX};border-left:4px solid {colour};margin:2px 8px 8px">'
+        f"{escape(text)}</div>"
+    )
