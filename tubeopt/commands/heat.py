@@ -1,0 +1,205 @@
+"""`tubeopt heat`: heating schedules for a tube on a rig, and the rig's calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from decimal import Decimal
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from ..errors import InputError
+from ..fabrication.heating import plan_heating
+from ..fabrication.heating_calibration import FACTORS, calibrate
+from ..fabrication.heating_plan import HeatingPlan
+from ..fabrication.heating_robust import CHARGES, Uncertainty, assess, charge_tables, most_likely
+from ..fabrication.heating_spec import HeatingSpec
+from ..fabrication.heating_trials import calibrate_from_trials
+from ..fabrication.mold_materials import mold_material
+from ..fabrication.rig import Rig
+from ..study.rig_file import load_heating_log, load_heating_trials, load_rig
+from ..study.robot_file import load_robot
+from ..tubes import Tube
+from .heat_report import FitReport, HeatReport, TrialReport
+from .options import JsonOption, OutOption, PlotOption, numbers
+from .progress import working
+from .report import can_be_saved, present
+
+
+class _PlanByDefault(TyperGroup):
+    """`tubeopt heat RIG.yaml` is short for `tubeopt heat plan RIG.yaml`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put `plan` in front of arguments that name no command."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = ["plan", *args]
+        rest: list[str] = super().parse_args(ctx, args)
+        return rest
+
+
+app = typer.Typer(cls=_PlanByDefault, help="Heating schedules for setting the shape of tubes.", no_args_is_help=True)
+
+RigArgument = Annotated[str, typer.Argument(metavar="RIG.yaml", help="Rig file.", show_default=False)]
+RobotOption = Annotated[
+    str | None,
+    typer.Option("--robot", metavar="ROBOT.yaml", help="Robot whose tube is heated; by default the rig's own tube."),
+]
+TubeOption = Annotated[int, typer.Option("--tube", metavar="N", help="Which tube of the robot, from 1.")]
+
+
+def chosen_tube(rig: Rig, robot: str | None, number: int) -> Tube:
+    """The tube that is heated; raises InputError where neither rig nor robot has it."""
+    if robot is None:
+        if rig.tube is None:
+            raise InputError("the rig file names no tube; --robot ROBOT.yaml must name the robot whose tube is heated")
+        return rig.tube
+    tubes = load_robot(robot).tubes
+    if not 1 <= number <= len(tubes):
+        raise InputError(f"--tube is {number}; it must lie in 1 to {len(tubes)}")
+    return tubes[number - 1]
+
+
+def _floats(name: str, text: str) -> tuple[float, ...]:
+    values = numbers(text) or []
+    if not all(isinstance(value, Decimal) for value in values):
+        raise InputError(f"{name} is {text!r}; it must be numbers with commas between")
+    return tuple(float(value) for value in values)
+
+
+@app.command(epilog="Example: tubeopt heat configs/rigs/thesis_calcium_silicate.yaml --out results")
+def plan(
+    rig: RigArgument,
+    robot: RobotOption = None,
+    tube: TubeOption = 1,
+    window_degc: Annotated[
+        str, typer.Option("--window-degC", metavar="A,B", help="Of the curved part during the hold.")
+    ] = "500,550",
+    limit_degc: Annotated[
+        float | None, typer.Option("--limit-degC", help="For every point at all times; by default B.")
+    ] = None,
+    hold_s: Annotated[float, typer.Option(help="Length of the hold.")] = HeatingSpec.hold_time,
+    ramp_k_per_s: Annotated[float, typer.Option("--ramp-K-per-s", help="Greatest rate of warming.")] = HeatingSpec.ramp,
+    objective: Annotated[
+        str, typer.Option(help="time: soonest done; energy: least charge; margin: farthest from the window's ends.")
+    ] = "time",
+    slot_s: Annotated[float, typer.Option(help="For how long a duty is kept.")] = HeatingSpec.slot,
+    longest_s: Annotated[float, typer.Option(help="Longest heating before the hold.")] = HeatingSpec.longest_heating,
+    quench: Annotated[str, typer.Option(help="water or air.")] = HeatingSpec.quench,
+    free: Annotated[str, typer.Option(metavar="NAME,..", help="Choose these of the rig: clearance, lead, vents.")] = "",
+    material: Annotated[str | None, typer.Option(help="Mold material in place of the rig's.")] = None,
+    voltage: Annotated[
+        float | None, typer.Option("--battery-V", help="Of the battery at rest, as read; by default the rig file's.")
+    ] = None,
+    charges_percent: Annotated[
+        str, typer.Option(metavar="A,B,..", help="Also tables for these states of charge; 'none' for no tables.")
+    ] = ",".join(f"{100 * c:g}" for c in CHARGES),
+    loss_percent: Annotated[
+        float, typer.Option(help="Half-width of what is not known of the heat loss; 0 for no band.")
+    ] = 100 * Uncertainty.loss,
+    robust: Annotated[bool, typer.Option("--robust", help="Scale the duties to the most likely success.")] = False,
+    samples: Annotated[int, typer.Option(help="Uncertain rigs in the ensemble.")] = 64,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files."""
+    made = _with(load_rig(rig), material, voltage)
+    heated = chosen_tube(made, robot, tube)
+    window = _floats("--window-degC", window_degc)
+    spec = HeatingSpec(
+        window_degC=window,  # type: ignore[arg-type]
+        hold_time=hold_s,
+        limit_degC=limit_degc,
+        ramp=ramp_k_per_s,
+        objective=objective,
+        longest_heating=longest_s,
+        slot=slot_s,
+        quench=quench,
+        free=tuple(part.strip() for part in free.split(",") if part.strip()),
+    )
+    charges = () if charges_percent == "none" else tuple(c / 100 for c in _floats("--charges-percent", charges_percent))
+    uncertainty = Uncertainty(loss=loss_percent / 100)
+    can_be_saved(out)
+    with working("planning the heating") as progress:
+        answer = heat_report(
+            made, heated, spec, charges, (uncertainty, samples if loss_percent else 0, robust), progress
+        )
+    present(answer, out=out, as_json=as_json, plot=plot)
+
+
+def heat_report(
+    rig: Rig,
+    tube: Tube,
+    spec: HeatingSpec,
+    charges: tuple[float, ...],
+    ensemble: tuple[Uncertainty, int, bool],
+    progress: Any = None,
+) -> HeatReport:
+    """The plan with its tables by charge and its band; `ensemble`: uncertainty, samples (0: none), whether to scale."""
+    uncertainty, samples, robust = ensemble
+    steps = 1 + len(charges) + bool(samples)
+    tell = progress or (lambda done, total: None)
+    tell(0, steps)
+    planned = plan_heating(tube, rig, spec)
+    tell(1, steps)
+    band, scale = None, 1.0
+    if samples:
+        if robust:
+            better = most_likely(planned, uncertainty, samples=samples)
+            planned, band, scale = better.plan, better.band, better.scale
+        else:
+            band = assess(planned, uncertainty, samples=samples)
+    tables: list[HeatingPlan] = []
+    for k, charge in enumerate(charges):
+        tables += charge_tables(planned, [charge])
+        tell(2 + k, steps)
+    tell(steps, steps)
+    return HeatReport(planned, tuple(tables), band, uncertainty, scale)
+
+
+def _with(rig: Rig, material: str | None, voltage: float | None) -> Rig:
+    if material is not None:
+        rig = replace(rig, mold=replace(rig.mold, material=mold_material(material)))
+    if voltage is not None:
+        rig = rig.with_charge(rig.battery.charge_at(voltage))
+    return rig
+
+
+@app.command("calibrate", epilog="Example: tubeopt heat calibrate configs/experiments/heating_log.csv "
+             "--rig configs/rigs/thesis_calcium_silicate.yaml --out results")  # fmt: skip
+def calibrate_command(
+    log: Annotated[
+        str,
+        typer.Argument(
+            metavar="LOG.csv",
+            help="time_s, duty, and any of temperature_degC, voltage_V, current_A; or trials: duty, time_s, ramp_s, "
+            "and result or spring_back_percent.",
+            show_default=False,
+        ),
+    ],
+    rig: Annotated[str, typer.Option("--rig", metavar="RIG.yaml", help="Rig file.", show_default=False)],
+    robot: RobotOption = None,
+    tube: TubeOption = 1,
+    parameters: Annotated[
+        str, typer.Option("--fit", metavar="NAME,..", help=f"Of {', '.join(FACTORS)}.")
+    ] = "loss,gap,contact_resistance,resistivity",
+    position_mm: Annotated[float, typer.Option(help="Of the thermometer from the middle of the curved part.")] = 0.0,
+    trials: Annotated[bool, typer.Option("--trials", help="The file holds outcomes of trials, not a log.")] = False,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Loss and contacts of a rig from a logged heating, or from trials without a thermometer."""
+    given = load_rig(rig)
+    heated = chosen_tube(given, robot, tube)
+    can_be_saved(out)
+    with working("calibrating the rig") as progress:
+        progress(0, 0)
+        answer: FitReport | TrialReport
+        if trials:
+            answer = TrialReport(calibrate_from_trials(heated, given, load_heating_trials(log)))
+        else:
+            names = [name.strip() for name in parameters.split(",")]
+            answer = FitReport(calibrate(heated, given, load_heating_log(log, position_mm / 1e3), names))
+    present(answer, out=out, as_json=as_json, plot=plot)

@@ -1,0 +1,164 @@
+"""How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
+
+The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and integrated by
+SciPy on a grid of three times as many cells and shells. Where that misses the window, the program's bounds are
+shifted by the difference between the two grids, and it is solved again (deferred correction): what holds in the end
+holds on the fine grid, for the schedule that is returned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..materials import ZERO_CELSIUS
+from ..robots.assembly import Array
+from ..tubes import Tube
+from .heating_cures import find_cures
+from .heating_ideal import Ideal, Shift, solve_ideal
+from .heating_plan import HeatingPlan, outcome_of
+from .heating_spec import HeatingSpec
+from .rig import COUNTS, Rig
+from .schedule import Counts, sum_up_rounding
+from .thermal import COARSE, FINE, PROGRAM, ThermalModel, cross_section, thermal_data, thermal_model
+from .thermal_simulation import History, integrate, simulate
+
+COOLING = 10.0
+"""Time for which the simulation goes on after the hold, the tube still in the mold, s."""
+
+ROUNDS = 4
+TRIMS = 8
+NEAR = 0.3
+"""Change of the shift, K, below which another round would change nothing."""
+
+HOPELESS = 5.0
+"""Miss of the window, K, for which a second round is enough: no third one lets it be held."""
+
+FIRST_ERROR = 0.004
+"""Mesh error that is expected before it is known, as a fraction of the rise in temperature."""
+
+LEAST_RESERVE = 0.3
+"""Kept from the window's ends beyond rounding and mesh error, K."""
+
+
+def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> HeatingPlan:
+    """The schedule of whole counts that holds the curved part of a tube in the window, and no point above the limit.
+
+    Where that is impossible, the plan is the one that misses the window by least: `feasible` is False, `shortfall` says
+    by how much, and `cures` which changes would help.
+
+    Args:
+        tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
+        rig: battery, circuit, clamps, mold.
+        spec: window, hold and limits; by default 500-550 degC for 60 s.
+
+    Raises:
+        InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
+        SolveError: the optimal control problem did not converge.
+    """
+    spec = spec or HeatingSpec()
+    check_inputs(tube, rig, spec)
+    shift: Shift | None = None
+    ideal: Ideal | None = None
+    swing = ripple(tube, rig, spec)
+    error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    reserve = (swing + error, swing + error)
+    for round_ in range(ROUNDS):
+        # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
+        asked, on = (spec, rig) if ideal is None else (replace(spec, free=()), ideal.rig)
+        ideal = solve_ideal(tube, on, asked, reserve=reserve, shift=shift, guess=ideal)
+        model = thermal_model(tube, ideal.rig, FINE)
+        schedule = slots(ideal, spec)
+        counts = sum_up_rounding(schedule)
+        exact = simulate(model, spec.slot, schedule)
+        checked = integrate(model, spec.slot, counts / COUNTS)
+        error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, schedule, exact)
+        outcome = outcome_of(model, spec, checked, hold_start(ideal, spec), error)
+        # The margin is that of the fine grid only after a correction.
+        if outcome.kept and (spec.objective != "margin" or round_):
+            break
+        before, shift = shift, Shift.between(ideal, tube, model, spec.slot)
+        if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
+            break
+        low, high = _rounded(model, exact, checked, spec, ideal)
+        reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
+    assert ideal is not None
+    if outcome.hottest + error > spec.limit:
+        counts, checked = trimmed(model, spec, schedule, error)
+        outcome = outcome_of(model, spec, checked, hold_start(ideal, spec), error)
+    cures = () if outcome.kept else find_cures(tube, rig, spec, ideal, shift, reserve)
+    return HeatingPlan.of(
+        tube=tube, rig=ideal.rig, spec=spec, start=hold_start(ideal, spec), model=model, schedule=(counts, schedule),
+        histories=(checked, exact), mesh_error=error, cures=cures, iterations=ideal.iterations,
+    )  # fmt: skip
+
+
+def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:
+    """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
+    other = simulate(coarse, spec.slot, schedule)
+    heated = int(np.flatnonzero(schedule)[-1]) + 2
+    hottest = np.abs(other.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
+    return float(hottest.max()) / 3
+
+
+def trimmed(model: ThermalModel, spec: HeatingSpec, schedule: Array, error: float) -> tuple[Counts, History]:
+    """Counts of the schedule scaled down until no point is above the limit less `error` (K), and what they do."""
+    scale = 1.0
+    for _ in range(TRIMS):
+        counts = sum_up_rounding(scale * schedule)
+        history = integrate(model, spec.slot, counts / COUNTS)
+        excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
+        if excess <= 0:
+            break
+        # Temperatures rise nearly in proportion to the duty.
+        scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - model.ambient)
+    return counts, history
+
+
+def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
+    """Raise InputError where tube, rig and spec cannot belong together."""
+    if not isinstance(rig, Rig):
+        raise InputError(f"rig is {rig!r}; it must be a Rig")
+    thermal_data(tube)
+    if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
+        raise InputError(
+            f"ambient of the rig is {rig.ambient - ZERO_CELSIUS:g} degC; it must be below the window, which begins at "
+            f"{spec.window_degC[0]:g} degC"
+        )
+    thermal_model(tube, rig, PROGRAM)
+
+
+def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
+    """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
+    on = round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
+    levels = ideal.duty(spec.slot, on)
+    return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+
+
+def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
+    """Beginning of the first slot of the hold, s."""
+    return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
+
+
+def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
+    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
+    data = thermal_data(tube)
+    section = cross_section(tube)
+    whole = 2 * (rig.mold.lead + rig.clamps.clearance) + tube.curved_length
+    resistivity = rig.resistivity_factor * data.resistivity / section
+    ampere = rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + resistivity * whole)
+    return float(0.5 * spec.slot * ampere**2 * resistivity / COUNTS / (data.density * section * data.heat_capacity))
+
+
+def _rounded(
+    model: ThermalModel, exact: History, whole: History, spec: HeatingSpec, ideal: Ideal
+) -> tuple[float, float]:
+    """What rounding took from the window at its low end (during the hold) and at its high end (at any time), K."""
+    start = round(hold_start(ideal, spec) / spec.slot)
+    stop = start + spec.hold_slots + 1
+    change = whole.tube[:, 0] - exact.tube[:, 0]
+    low = -float(change[start:stop][:, model.curved].min())
+    return max(low, 0.0), max(float(change.max()), 0.0)

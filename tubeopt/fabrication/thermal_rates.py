@@ -1,0 +1,124 @@
+"""Rates of change of the thermal model, vectorised over members, with an account of where the energy goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import Array
+from .thermal import GRIP, LEAD, ThermalModel
+
+CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
+"""Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
+(J): drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, given off to the surroundings."""
+
+LUMPED = 6
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """cells: (B, n, 1+M) temperatures of the tube (first) and of the shells around it, K; lumped: (B, 6)."""
+
+    cells: Array
+    lumped: Array
+
+
+def at_rest(model: ThermalModel) -> State:
+    """Everything at ambient temperature, the battery rested."""
+    b, n, shells = model.shell_heat.shape
+    b = max(b, model.members)
+    lumped = np.zeros((b, LUMPED))
+    lumped[:, CLAMP] = model.ambient
+    return State(np.full((b, n, 1 + shells), model.ambient), lumped)
+
+
+@dataclass(frozen=True, eq=False)
+class Current:
+    """(B,) current while the MOSFET conducts, its part through the tube, the terminal voltage then; (B, n) ohm."""
+
+    total: Array
+    tube: Array
+    terminal_voltage: Array
+    resistance: Array
+
+
+def current(model: ThermalModel, tube: Array, lumped: Array) -> Current:
+    """The circuit at tube temperatures (B, n) and lumped states (B, 6)."""
+    ohm = model.resistance * (1 + model.resistance_slope * (tube - model.reference))
+    whole = 2 * ohm.sum(1)
+    through = 1 / (1 + whole / model.leak)
+    source = model.voltage - model.voltage_slope * lumped[:, CHARGE] - lumped[:, SAG]
+    total = source / (model.internal + model.series + whole * through)
+    return Current(total, total * through, source - model.internal * total, ohm)
+
+
+def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> tuple[Array, Array]:
+    """Rates of (cells, lumped) in K/s and per s, at a duty in [0, 1], one number or (B,)."""
+    tube, wall = cells[:, :, 0], cells[:, :, 1]
+    now = current(model, tube, lumped)
+    heat = np.zeros_like(cells)
+    power = duty * now.tube**2
+    mean = model.conduction_slope * (0.5 * (tube[:, 1:] + tube[:, :-1]) - model.reference)
+    along = model.conduction * (1 + mean) * np.diff(tube, axis=1)
+    heat[:, :-1, 0] += along
+    heat[:, 1:, 0] -= along
+    into_clamp = model.to_clamp * (tube - lumped[:, CLAMP, None])
+    to_air = model.to_air * (tube - model.ambient) + model.radiating * (tube**4 - model.ambient**4)
+    into_mold = model.to_mold * (tube - wall)
+    heat[:, :, 0] += power[:, None] * now.resistance - into_clamp - to_air - into_mold
+    heat[:, :, 1] += into_mold
+    outward = -model.radial * np.diff(cells[:, :, 1:], axis=2)
+    heat[:, :, 1:-1] -= outward
+    heat[:, :, 2:] += outward
+    sideways = model.axial * np.diff(cells[:, :, 1:], axis=1)
+    heat[:, :-1, 1:] += sideways
+    heat[:, 1:, 1:] -= sideways
+    outside = model.outer * (cells[:, :, -1] - model.ambient)
+    heat[:, :, -1] -= outside
+    # What a contact of the clamps makes goes half into the tube's end, half into the clamp.
+    contact = duty * now.total**2 * model.contact / 2
+    gripped = np.where(model.zone == GRIP, model.width, 0.0)
+    heat[:, :, 0] += 0.5 * contact[:, None] * gripped / gripped.sum()
+    stray = duty * (now.total - now.tube) * now.tube * now.resistance.sum(1)
+    covered = np.where(model.zone >= LEAD, model.width, 0.0)
+    heat[:, :, 1] += stray[:, None] * covered / covered.sum()
+    rate = heat
+    rate[:, :, 0] /= model.heat * (1 + model.heat_slope * (tube - model.reference))
+    rate[:, :, 1:] /= model.shell_heat
+    return rate, _lumped(model, lumped, duty, now, (into_clamp.sum(1) + 0.5 * contact, (to_air + outside).sum(1)))
+
+
+def _lumped(model: ThermalModel, lumped: Array, duty: Array | float, now: Current, heat: tuple[Array, Array]) -> Array:
+    """Rates of the lumped states; `heat` goes into one clamp, and from half the tube and mold to the surroundings."""
+    into_clamp, to_surroundings = heat
+    mean = duty * now.total
+    cooling = model.clamp_loss * (lumped[:, CLAMP] - model.ambient)
+    rate = np.empty_like(lumped)
+    rate[:, CLAMP] = (into_clamp - cooling) / model.clamp_heat
+    rate[:, CHARGE] = mean / model.capacity
+    rate[:, SAG] = (mean * model.sag - lumped[:, SAG]) / model.sag_time
+    rate[:, DRAWN] = mean * (model.voltage - model.voltage_slope * lumped[:, CHARGE])
+    outside_tube = model.internal + model.series - model.contact
+    rate[:, CIRCUIT] = mean * (lumped[:, SAG] + now.total * outside_tube)
+    rate[:, LOST] = 2 * (to_surroundings + cooling)
+    return rate
+
+
+def stored(model: ThermalModel, state: State) -> Array:
+    """(B,) heat in the whole tube, mold and both clamps above ambient, J."""
+    tube, reference, slope = state.cells[:, :, 0], model.reference, model.heat_slope
+    rise = tube - model.ambient
+    curve = 0.5 * slope * ((tube - reference) ** 2 - (model.ambient - reference) ** 2)
+    half = (model.heat * (rise + curve)).sum(1)
+    half = half + (model.shell_heat * (state.cells[:, :, 1:] - model.ambient) * (model.to_mold > 0)[:, :, None]).sum(
+        (1, 2)
+    )
+    return np.asarray(2 * (half + model.clamp_heat * (state.lumped[:, CLAMP] - model.ambient)))
+
+
+def imbalance(model: ThermalModel, state: State) -> Array:
+    """(B,) energy that is not accounted for, as a fraction of what was drawn from the battery."""
+    lumped = state.lumped
+    missing = lumped[:, DRAWN] - lumped[:, CIRCUIT] - lumped[:, LOST] - stored(model, state)
+    return np.asarray(np.abs(missing) / np.maximum(lumped[:, DRAWN], 1e-12))
