@@ -1,4 +1,8 @@
-"""Where the robot of the CRL data set is close to snapping: its margin over the rotations of the two inner tubes."""
+"""Where the robot of the CRL data set is close to snapping: its margin over the rotations of the two inner tubes.
+
+One learns: a snap belongs to a way, not to a place. The line of first snaps ends in a cusp, and around it leads a way
+to the same shapes on which nothing snaps.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The thesis' Figure 2.11: rotation and torsion along the tubes in the two configurations of Figure 2.9."""
+"""The thesis' Figure 2.11: rotation and torsion along the tubes in the two configurations of Figure 2.9.
+
+One learns: torsion vanishes at each tube's own end and is largest at the plate; what tubes wind up behind it counts for
+more than what they do in front.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,9 @@
 
 At 135 deg there is one minimum. Before 150 deg a second one has appeared, at 180 deg both are equally deep, and by
 225 deg the first one is gone: a robot that came from home in it has snapped into the other, at 214.22 deg.
+
+One learns: a snap is no mystery of dynamics: it is the disappearance of a minimum, and can be computed to any number of
+digits.
 """
 
 from __future__ import annotations

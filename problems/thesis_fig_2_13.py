@@ -1,4 +1,8 @@
-"""The thesis' Figure 2.13: its three-tube robot before and after a snap, when only the inner tube is turned."""
+"""The thesis' Figure 2.13: its three-tube robot before and after a snap, when only the inner tube is turned.
+
+One learns: the tip jumps by 98 mm, half the length of the arm, at an input of 214.22 deg. At 213 deg nothing is to be
+seen of it, except the margin.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The thesis' Figure 2.9: its three-tube robot at home, and with the tubes turned by 0, 1 and 2 rad."""
+"""The thesis' Figure 2.9: its three-tube robot at home, and with the tubes turned by 0, 1 and 2 rad.
+
+One learns: turned against one another, tubes settle on a shape in between, which lies in no plane. No tube keeps the
+rotation that it was given.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The thesis' Figure 3.4: its eccentric robot straight, with its tubes 120 deg apart, and beside it fully bent."""
+"""The thesis' Figure 3.4: its eccentric robot straight, with its tubes 120 deg apart, and beside it fully bent.
+
+One learns: three equal tubes 120 deg apart cancel each other and the arm is straight. Bent, they slide on one another,
+since the one inside of the bend is shorter.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The thesis' Figure 3.6: contours of the workspace, each the path of the tip when a bend of one size turns around."""
+"""The thesis' Figure 3.6: contours of the workspace, each the path of the tip when a bend of one size turns around.
+
+One learns: paths of the tip at one separation are round to 0.014 mm: direction and separation are nearly polar
+coordinates.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The thesis' Figure 3.8: workspace of its eccentric robot under mirror actuation, by direction and separation."""
+"""The thesis' Figure 3.8: workspace of its eccentric robot under mirror actuation, by direction and separation.
+
+One learns: a direction and a separation say all that three rotations can do to the tip, in terms that a person can
+think in.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 The thesis measures a largest distance between the tips of about 0.36 mm, "less than 0.04 %" of the robot's length (it
 is 0.38 %). Its own equations give less by a factor of 26.
+
+One learns: it hardly matters which tube does what: the six ways differ by 0.014 mm at most, 0.015 % of the length.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""A full turn of the inner tube of the thesis' robot, forth and back: it snaps once each way, at different angles."""
+"""A full turn of the inner tube of the thesis' robot, forth and back: it snaps once each way, at different angles.
+
+One learns: between the two snaps, at 145.78 and 214.22 deg, joint values alone do not say where the tip is: history
+does. And the margin, which falls like a square root, warns late.
+"""
 
 from __future__ import annotations
 

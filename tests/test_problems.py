@@ -1,9 +1,15 @@
-"""Every problem runs and saves the pictures that it promises."""
+"""Every problem runs and saves the pictures that it promises; the gallery of the site shows what came of it.
+
+Where TUBEOPT_GALLERY names a directory, pictures and what was printed are left there for the pages of the site.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import inspect
+import json
+import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,7 +19,7 @@ PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"
 
 
 @pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
-def test_problem(script: Path, tmp_path: Path) -> None:
+def test_problem(script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec = importlib.util.spec_from_file_location(script.stem, script)
     assert spec is not None
     assert spec.loader is not None
@@ -26,3 +32,15 @@ def test_problem(script: Path, tmp_path: Path) -> None:
     for picture in pictures:
         with Image.open(picture) as image:
             image.verify()
+    gallery = os.environ.get("TUBEOPT_GALLERY")
+    if gallery:
+        keep_for_gallery(Path(gallery), script.stem, pictures, capsys.readouterr().out, coarse=bool(coarse))
+
+
+def keep_for_gallery(gallery: Path, name: str, pictures: list[Path], printed: str, *, coarse: bool) -> None:
+    """Leave what the gallery's page of a problem shows; `coarse` pictures are not for showing."""
+    gallery.mkdir(parents=True, exist_ok=True)
+    for picture in () if coarse else pictures:
+        shutil.copy(picture, gallery / picture.name)
+    record = {"pictures": [picture.name for picture in pictures], "printed": printed, "coarse": coarse}
+    (gallery / f"{name}.json").write_text(json.dumps(record), encoding="utf-8")

@@ -13,7 +13,22 @@ import typer
 from rich.console import Console
 
 from . import __version__
-from .commands import kinematics, robot, stability, study, validation
+from .commands import (
+    design,
+    fabricate,
+    heat,
+    inverse,
+    kinematics,
+    mold,
+    plan,
+    robot,
+    stability,
+    study,
+    sweep,
+    validation,
+    view,
+    workspace,
+)
 from .errors import InputError, SolveError
 
 BAD_INPUT, NO_SOLUTION = 2, 3
@@ -27,6 +42,9 @@ app = typer.Typer(
 app.command(
     epilog="Example: tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0"
 )(kinematics.fk)
+app.command(epilog="Example: tubeopt ik configs/robots/thesis_ctr.yaml --target-mm 50,30,150 --all --out results")(
+    inverse.ik
+)
 app.command(epilog="Example: tubeopt equilibria configs/robots/two_tube.yaml --rotations-deg 190,0")(
     stability.equilibria
 )
@@ -45,6 +63,22 @@ app.command(
     epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv "
     "--fit curvature"
 )(validation.validate)
+app.command(epilog="Example: tubeopt design configs/studies/design_thesis_snap_free.yaml --out results")(design.design)
+app.command(epilog="Example: tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")(sweep.sweep)
+app.command(epilog="Example: tubeopt workspace configs/robots/crl_ctr.yaml --samples 20000 --out results")(
+    workspace.workspace
+)
+app.command(
+    epilog="Example: tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
+    "--out results"
+)(fabricate.fabricate)
+app.add_typer(heat.app, name="heat")
+app.command(epilog="Example: tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv")(
+    view.view
+)
+app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")(plan.plan)
+app.command(epilog="Example: tubeopt verify results/trajectory.csv --min-margin 0.05")(plan.verify)
+app.add_typer(mold.app, name="mold")
 app.add_typer(robot.app, name="robot")
 
 

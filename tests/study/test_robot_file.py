@@ -125,7 +125,7 @@ def test_every_file_names_its_schema_and_its_source(path: Path) -> None:
     schema = first.removeprefix("# yaml-language-server: $schema=")
     assert (path.parent / schema).is_file()
     header = itertools.takewhile(lambda line: line.startswith("#"), rest)
-    assert any(line.startswith("# Source: ") for line in header)
+    assert any(line.startswith(("# Source: ", "# Sources:")) for line in header)
 
 
 # --- ways to write the same -------------------------------------------------------------------------------------------

@@ -28,7 +28,14 @@ def test_they_are_written_where_asked(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)
 def test_every_file_passes_its_schema(path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    name = "study" if path.parent.name == "studies" else "robot"
+    name = {
+        "studies": "study",
+        "molds": "mold",
+        "rigs": "rig",
+        "tubes": "tubes",
+        "joints": "joints",
+        "obstacles": "obstacles",
+    }.get(path.parent.name, "robot")
     schema: Any = json.loads(schemas()[f"{name}.schema.json"])
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(yaml.safe_load(path.read_text(encoding="utf-8")), schema)

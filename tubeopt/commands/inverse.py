@@ -164,7 +164,7 @@ def _rows(s: InverseSolution) -> list[tuple[str, str]]:
         ("rotations", degrees(s.rotations, ".6f")),
         ("translations", millimetres(s.translations, ".6f")),
         ("tip position", millimetres(e.tip_position, ".6f")),
-        ("misses by", f"{s.position_error * MM:.1e} mm"),
+        ("misses by", f"{s.position_error * MM:{'.1e' if s.reached else '.4f'}} mm"),
         ("pointing along", row(e.tip_rotation[:, 2], ".4f")),
     ]
     if s.target_direction is not None:

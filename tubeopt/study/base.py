@@ -19,6 +19,8 @@ Progress = Callable[[int, int], object]
 
 
 def _load(value: object, info: ValidationInfo) -> AnyRobot:
+    if isinstance(value, AnyRobot):  # of a sweep, which has loaded or changed it
+        return value
     if not isinstance(value, str):
         raise ValueError(f"is {shown(value)}; it must be the path of a robot file")
     return load_robot(info.context["directory"] / value if info.context else value)

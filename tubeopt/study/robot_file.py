@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..errors import InputError
-from ..materials import NITINOL, Material
+from ..materials import NITINOL, ZERO_CELSIUS, Material, ThermalData
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.limits import JointLimits
@@ -42,6 +42,36 @@ def _percent(strain: float) -> Decimal:
     return Decimal(str(in_unit(strain, PERCENT)))
 
 
+class ThermalEntry(Part):
+    """Constants for heating; slopes are relative changes per K from the reference temperature."""
+
+    density_kg_per_m3: Positive
+    heat_capacity_J_per_kg_K: Positive
+    conductivity_W_per_m_K: Positive
+    resistivity_ohm_m: Positive
+    expansion_per_K: Positive
+    emissivity: Positive
+    heat_capacity_slope_per_K: Number = Decimal(0)
+    conductivity_slope_per_K: Number = Decimal(0)
+    resistivity_slope_per_K: Number = Decimal(0)
+    reference_degC: Number = Decimal(25)
+
+    def build(self) -> ThermalData:
+        """The constants in SI."""
+        return ThermalData(
+            density=float(self.density_kg_per_m3),
+            heat_capacity=float(self.heat_capacity_J_per_kg_K),
+            conductivity=float(self.conductivity_W_per_m_K),
+            resistivity=float(self.resistivity_ohm_m),
+            expansion=float(self.expansion_per_K),
+            emissivity=float(self.emissivity),
+            heat_capacity_slope=float(self.heat_capacity_slope_per_K),
+            conductivity_slope=float(self.conductivity_slope_per_K),
+            resistivity_slope=float(self.resistivity_slope_per_K),
+            reference_temperature=float(self.reference_degC + Decimal(str(ZERO_CELSIUS))),
+        )
+
+
 class MaterialEntry(Part):
     """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
 
@@ -51,6 +81,7 @@ class MaterialEntry(Part):
     poisson_ratio: NotNegative | None = None
     working_strain_percent: Positive = _percent(Material.working_strain)
     superelastic_strain_percent: Positive = _percent(Material.superelastic_strain)
+    thermal: ThermalEntry | None = Field(None, description="for heating; by default known only of nitinol")
 
     def build(self) -> Material:
         """The material in SI."""
@@ -61,11 +92,14 @@ class MaterialEntry(Part):
             material = Material(self.name, modulus, to_si(self.shear_modulus_GPa, GPA))
         else:
             material = Material.from_poisson_ratio(self.name, modulus, float(self.poisson_ratio or 0))
-        return replace(
+        material = replace(
             material,
             working_strain=to_si(self.working_strain_percent, PERCENT),
             superelastic_strain=to_si(self.superelastic_strain_percent, PERCENT),
+            thermal=None if self.thermal is None else self.thermal.build(),
         )
+        # Nitinol by its constants is the nitinol that has a name.
+        return NITINOL if material == replace(NITINOL, thermal=None) else material
 
 
 def _one_of(key: str, other: str, *, both: bool) -> str:
@@ -231,17 +265,17 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     """
     data: dict[str, Any]
     if isinstance(robot, ConcentricRobot):
-        data = {"kind": "concentric", "name": robot.name, "tubes": [_tube(tube) for tube in robot.tubes]}
+        data = {"kind": "concentric", "name": robot.name, "tubes": [tube_to_dict(tube) for tube in robot.tubes]}
     elif isinstance(robot, EccentricRobot):
         data = {
             "kind": "eccentric",
             "name": robot.name,
-            "tube": _tube(robot.tube),
+            "tube": tube_to_dict(robot.tube),
             "offset_mm": in_unit(robot.distance, MM),
             "transmission_length_mm": in_unit(robot.transmission_length, MM),
         }
     elif isinstance(robot, SegmentedEccentricRobot):
-        segments = [_tube(tube) for tube in robot.segments]
+        segments = [tube_to_dict(tube) for tube in robot.segments]
         offset = in_unit(robot.distance, MM)
         data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments, "offset_mm": offset}
     else:
@@ -254,7 +288,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     return data
 
 
-def _tube(tube: Tube) -> dict[str, Any]:
+def tube_to_dict(tube: Tube) -> dict[str, Any]:
+    """`tube` with the keys and units of a robot file."""
     return {
         "outer_diameter_mm": in_unit(tube.outer_diameter, MM),
         "inner_diameter_mm": in_unit(tube.inner_diameter, MM),
@@ -266,10 +301,26 @@ def _tube(tube: Tube) -> dict[str, Any]:
 
 
 def _material(material: Material) -> dict[str, Any]:
-    return {
+    data = {
         "name": material.name,
         "youngs_modulus_GPa": in_unit(material.youngs_modulus, GPA),
         "shear_modulus_GPa": in_unit(material.shear_modulus, GPA),
         "working_strain_percent": in_unit(material.working_strain, PERCENT),
         "superelastic_strain_percent": in_unit(material.superelastic_strain, PERCENT),
+    }
+    return data if material.thermal is None else data | {"thermal": _thermal(material.thermal)}
+
+
+def _thermal(data: ThermalData) -> dict[str, Any]:
+    return {
+        "density_kg_per_m3": data.density,
+        "heat_capacity_J_per_kg_K": data.heat_capacity,
+        "conductivity_W_per_m_K": data.conductivity,
+        "resistivity_ohm_m": data.resistivity,
+        "expansion_per_K": data.expansion,
+        "emissivity": data.emissivity,
+        "heat_capacity_slope_per_K": data.heat_capacity_slope,
+        "conductivity_slope_per_K": data.conductivity_slope,
+        "resistivity_slope_per_K": data.resistivity_slope,
+        "reference_degC": Decimal(repr(data.reference_temperature)) - Decimal(str(ZERO_CELSIUS)),
     }

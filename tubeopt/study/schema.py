@@ -17,8 +17,14 @@ from pydantic_core import core_schema
 
 from .checked import Entry
 from .files import write_text
+from .mold_file import MOLD_KINDS
+from .obstacle_file import ObstacleFile
+from .rig_file import RIG_KINDS
 from .robot_file import ROBOT_KINDS
+from .stock_file import STOCK_KINDS
 from .study_file import STUDY_KINDS
+from .sweep_file import SweepEntry
+from .target_file import JointsFile
 
 
 class _Numbers(GenerateJsonSchema):
@@ -47,8 +53,13 @@ def _schema(kinds: Mapping[str, type[Entry]], title: str) -> str:
 def schemas() -> dict[str, str]:
     """File name -> JSON Schema, as text."""
     return {
+        "joints.schema.json": _schema({"joints": JointsFile}, "tubeopt joint values"),
+        "obstacles.schema.json": _schema({"obstacles": ObstacleFile}, "tubeopt obstacles"),
+        "mold.schema.json": _schema(MOLD_KINDS, "tubeopt mold"),
+        "rig.schema.json": _schema(RIG_KINDS, "tubeopt rig"),
         "robot.schema.json": _schema(ROBOT_KINDS, "tubeopt robot"),
-        "study.schema.json": _schema(STUDY_KINDS, "tubeopt study"),
+        "study.schema.json": _schema({**STUDY_KINDS, "sweep": SweepEntry}, "tubeopt study"),
+        "tubes.schema.json": _schema(STOCK_KINDS, "tubeopt stock of tubes"),
     }
 
 

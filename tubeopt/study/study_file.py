@@ -16,6 +16,9 @@ from ..equilibrium import Equilibrium
 from ..kinematics import forward_kinematics
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .checked import Positive, check_kind
+from .design_study import DesignStudy
+from .inverse_study import InverseStudy
+from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
 from .validation_study import ValidationStudy
 from .yaml_file import load_yaml
@@ -46,12 +49,15 @@ class ForwardKinematicsStudy(Study):
 
 STUDY_KINDS: dict[str, type[Study]] = {
     "forward_kinematics": ForwardKinematicsStudy,
+    "inverse_kinematics": InverseStudy,
     "equilibria": EquilibriaStudy,
     "snap": SnapStudy,
     "follow": FollowStudy,
     "certify": CertifyStudy,
     "stability_map": StabilityMapStudy,
     "validation": ValidationStudy,
+    "design": DesignStudy,
+    "plan": PlanStudy,
 }
 """What the key `kind` of a study file may say."""
 
