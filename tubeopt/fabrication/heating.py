@@ -81,6 +81,8 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         if outcome.kept and (spec.objective != "margin" or round_):
             break
         before, shift = shift, Shift.between(ideal, tube, model, spec.slot)
+        if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and outcome.hottest + error <= spec.limit:
+            break
         if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
             break
         low, high = _rounded(model, exact, checked, spec, ideal)

@@ -236,11 +236,10 @@ def program(s: Structure) -> Program:
     steps[mesh.heating] = 0
     middle = 0.5 * (w["low"] + w["high"])
     smooth = w["w_centre"] * ca.sumsqr((held - middle) / BAND) / held.numel() + w["w_drive"] * ca.sumsqr(steps)
-    # Of clearances, leads and vents that do as well, the least; squares, which damp the steps of what is bilinear. Vents
-    # that change fast from place to place would even out the coarse grid's own errors.
-    smooth += (
-        LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:]) + UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
-    )
+    # Of clearances, leads and vents that do as well, the least; squares, which damp the steps of what is bilinear.
+    # Vents that change fast from place to place would even out the coarse grid's own errors.
+    smooth += LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:])
+    smooth += UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
     objective = smooth + w["w_time"] * x.durations[0] + w["w_energy"] * energy / ENERGY + w["w_miss"] * x.misses[0]
     problem = {
         "x": x.column,
