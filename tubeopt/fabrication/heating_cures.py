@@ -45,7 +45,7 @@ def find_cures(
     """
     found: list[Cure] = []
     plain = replace(spec, objective="time")
-    for words, other_rig, other_spec in _candidates(rig, plain, ideal)[:TRIES]:
+    for words, other_rig, other_spec in _candidates(rig, plain, ideal, shift)[:TRIES]:
         part = other_spec.slot / spec.slot
         try:
             answer = solve_ideal(
@@ -63,10 +63,10 @@ def find_cures(
     return tuple(sorted(found, key=lambda cure: cure.shortfall))
 
 
-def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal) -> list[tuple[str, Rig, HeatingSpec]]:
+def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) -> list[tuple[str, Rig, HeatingSpec]]:
     """The changes that fit the reason: the whole tube too cold, its ends too cold, or a window too narrow."""
     low, high = spec.window_degC
-    last = ideal.held[-1] - ZERO_CELSIUS
+    last = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1])
     if last.max() < low:
         return _for_power(rig, spec)
     if last.max() - last.min() > 0.5 * (high - low):

@@ -142,15 +142,7 @@ def solve_ideal(
     p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, rig, reserve)])
     x = np.clip(x, lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
-    first = made.design if spec.free else made.solver
-    solver, start = first, {}
-    if guess is not None and not spec.free:
-        solver, start = made.again, {"lam_x0": guess.multipliers[0], "lam_g0": guess.multipliers[1]}
-    found = solver(x0=x, **start, **bounds)
-    if solver is made.again and not solver.stats()["success"]:
-        solver = first
-        found = solver(x0=x, **bounds)
-    stats = solver.stats()
+    found, stats = _solved(made, spec, x, bounds, guess)
     g = found["g"].full().ravel()
     violation = np.maximum(lbg - g, g - ubg)
     if not stats["success"] and violation.max() > 1e-5:
@@ -159,6 +151,23 @@ def solve_ideal(
     multipliers = found["lam_x"].full().ravel(), found["lam_g"].full().ravel()
     answer = _read(made, tube, rig, spec, found["x"].full().ravel(), int(stats["iter_count"]))
     return replace(answer, multipliers=multipliers)
+
+
+def _solved(
+    made: Program, spec: HeatingSpec, x: Array, bounds: dict[str, Array], guess: Ideal | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Solution and statistics of the first solver that converges: from the earlier answer, convex, exact Hessian."""
+    attempts: list[tuple[Any, dict[str, Array]]] = [(made.solver, {}), (made.design, {})]
+    if spec.free:
+        attempts.reverse()
+    elif guess is not None:
+        attempts.insert(0, (made.again, {"lam_x0": guess.multipliers[0], "lam_g0": guess.multipliers[1]}))
+    for solver, start in attempts:
+        found = solver(x0=x, **start, **bounds)
+        stats = solver.stats()
+        if stats["success"]:
+            break
+    return found, stats
 
 
 def _wishes(spec: HeatingSpec, rig: Rig, reserve: tuple[float, float]) -> Array:

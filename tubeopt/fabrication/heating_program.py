@@ -44,7 +44,7 @@ IPOPT: dict[str, Any] = {
     "ipopt.sb": "yes",
     "ipopt.tol": 1e-6,
     "ipopt.constr_viol_tol": 1e-7,
-    "ipopt.max_iter": 200,
+    "ipopt.max_iter": 250,
     "ipopt.acceptable_iter": 0,
     # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
     "ipopt.mumps_pivtol": 1e-2,
