@@ -305,3 +305,11 @@ def test_a_straight_tube_gets_a_straight_groove() -> None:
     mold: Mold = plan_mold(Tube(1e-3, 0.8e-3, 0.0, 50e-3, 0.0))
     assert mold.grooves[0].radius == math.inf
     assert predict_tube(mold).curvature == 0
+
+
+def test_every_check_of_a_plan_holds() -> None:
+    for curvature in (3.0, 6.0, 9.0):
+        tubes = [
+            Tube(1.0e-3 + 0.8e-3 * k, 0.7e-3 + 0.8e-3 * k, 0.05, 0.06 + 0.04 * k, curvature / (k + 1)) for k in range(3)
+        ]
+        assert all(check.passed for check in plan_mold(tubes).checks)

@@ -19,12 +19,12 @@ from .groove import Centreline, Point, polygon
 from .mold_checks import (
     Check,
     choose_mill,
-    gap_check,
     groove_depth,
     material_remarks,
     pressing_strain,
     refuse_failed,
     tube_checks,
+    wall_check,
 )
 from .mold_heat import ColdEnd, cold_end, thermal_growth
 from .mold_holes import Hole, place_fasteners, place_vents
@@ -227,8 +227,7 @@ def plan_mold(tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None) -> Mol
     refuse_failed(checks)
     layout = nest([blank for _, blank in grooves], spec)
     if len(grooves) > 1:
-        widest = max(groove.width for groove, _ in grooves)
-        checks.append(gap_check(layout.least_gap, widest, spec))
+        checks.append(wall_check(layout.least_wall, spec))
     holes = place_fasteners(layout.size, layout.centrelines, [groove.width for groove, _ in grooves], spec)
     placed = [
         _place(groove, curve, layout.size, spec) for (groove, _), curve in zip(grooves, layout.centrelines, strict=True)

@@ -134,15 +134,15 @@ def tube_checks(
     )
 
 
-def gap_check(least_gap: float, widest: float, spec: MoldSpec) -> Check:
-    """The condition on the distance between centrelines of neighbouring grooves (m)."""
+def wall_check(least_wall: float, spec: MoldSpec) -> Check:
+    """The condition on the wall between neighbouring grooves (m)."""
     return Check(
-        "least distance between centrelines of grooves",
-        least_gap,
-        widest + spec.groove.wall,
+        "least wall between grooves",
+        least_wall,
+        spec.groove.wall,
         "m",
         False,
-        f"grooves are {least_gap * 1e3:.4g} mm apart; they must be at least {(widest + spec.groove.wall) * 1e3:.4g} mm",
+        f"the wall between grooves is {least_wall * 1e3:.4g} mm; it must be at least {spec.groove.wall * 1e3:.4g} mm",
     )
 
 

@@ -47,11 +47,11 @@ class Blank:
 
 @dataclass(frozen=True)
 class Layout:
-    """Size of the plate (m), the centreline of every groove on it, and the least distance between centrelines (m)."""
+    """Size of the plate (m), the centreline of every groove on it, and the least wall between grooves (m)."""
 
     size: Point
     centrelines: tuple[Centreline, ...]
-    least_gap: float
+    least_wall: float
 
 
 def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
@@ -71,7 +71,7 @@ def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
             layout = _arrange([blanks[k] for k in order], spec, np.array(way))
             if layout is not None:
                 curves = tuple(layout.centrelines[order.index(k)] for k in range(len(blanks)))
-                found.append(Layout(layout.size, curves, layout.least_gap))
+                found.append(Layout(layout.size, curves, layout.least_wall))
     if found:
         return min(found, key=lambda layout: layout.size[0] * layout.size[1])
     raise _why_not(blanks, spec)
@@ -124,13 +124,12 @@ def _placed(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) ->
         curves.append(leads_to_edge(blank.bend.moved((float(x), float(y))), size))
     if any(crosses_itself(c, b.width + spec.groove.wall) for c, b in zip(curves, blanks, strict=True)):
         return None
-    gap = math.inf
+    wall = math.inf
     for (first, a), (second, b) in combinations(zip(curves, blanks, strict=True), 2):
-        distance = least_distance(first, second)
-        if distance < (a.width + b.width) / 2 + spec.groove.wall:
+        wall = min(wall, least_distance(first, second) - (a.width + b.width) / 2)
+        if wall < spec.groove.wall:
             return None
-        gap = min(gap, distance)
-    return Layout(size, tuple(curves), gap)
+    return Layout(size, tuple(curves), wall)
 
 
 def _plate(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> tuple[Point, Array]:
