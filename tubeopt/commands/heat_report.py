@@ -81,6 +81,12 @@ def band_record(band: Band, uncertainty: Uncertainty) -> dict[str, Any]:
     }
 
 
+def _cold_end(plan: HeatingPlan) -> str:
+    if plan.cold_end == float("inf"):
+        return "the whole tube is below the window"
+    return f"{plan.cold_end * MM:.1f} mm from each clamp are below the window"
+
+
 def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
     """A plan as names and values for a person."""
     low, high = plan.spec.window_degC
@@ -94,7 +100,7 @@ def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
         ("heating, then hold", f"{plan.hold_start:g} s, to {plan.hold_end:g} s"),
         ("duty in the hold", f"{hold.max()} falling to {hold.min()} of 255, {plan.spec.slot:g} s each"),
         ("rounding to counts", f"changes temperatures by {plan.rounding_error:.1f} K at most"),
-        ("cold end", f"{plan.cold_end * MM:.1f} mm from each clamp are below the window"),
+        ("cold end", _cold_end(plan)),
         ("extra tube", f"{plan.extra_length * MM:.1f} mm in all, to be cut off afterwards"),
         ("growth when hot", f"{plan.growth * MM:.2f} mm"),
         ("battery", f"{plan.rig.battery.voltage:.2f} V at rest, {plan.energy / 1e3:.2f} kJ, "

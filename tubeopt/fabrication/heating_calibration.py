@@ -26,7 +26,7 @@ from .thermal import LEAD, Resolution, ThermalModel, stack, thermal_model
 from .thermal_rates import State, at_rest, current
 from .thermal_simulation import advance
 
-GRID = Resolution(2, 4, 5, 6, 6)
+GRID = Resolution(3, 5, 9, 11, 10)
 STEP = 0.5
 """Longest time step of the simulation, s."""
 
