@@ -138,11 +138,11 @@ def test_other_tubes_and_windows(tube: Tube, spec: HeatingSpec) -> None:
 
 
 def test_free_lead_and_vents_even_out_the_temperature() -> None:
-    spec = HeatingSpec(hold_time=5, objective="margin")
-    fixed = plan_heating(TUBE, with_mold(thesis_rig(), lead=12e-3), spec)
-    free = plan_heating(TUBE, with_mold(thesis_rig(), lead=12e-3), replace(spec, free=("lead", "vents")))
-    assert free.highest - free.lowest < fixed.highest - fixed.lowest
-    assert free.rig.mold.lead > fixed.rig.mold.lead
+    """With a lead of 12 mm the curved part has 11 K of difference, most of it at its ends."""
+    spec = HeatingSpec(hold_time=5, objective="margin", free=("lead", "vents"))
+    free = plan_heating(TUBE, with_mold(thesis_rig(), lead=12e-3), spec)
+    assert free.highest - free.lowest < 6.0
+    assert free.rig.mold.lead > 12e-3
     assert len(free.rig.mold.vents) == 6
     assert 0 <= min(free.rig.mold.vents) <= max(free.rig.mold.vents) <= 0.4
     assert free.feasible
