@@ -119,7 +119,19 @@ def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
-    flags = ("--rig", RIG, "--out", str(tmp_path), "--hold-s", "5", "--samples", "0", "--json")
+    flags = (
+        "--rig",
+        RIG,
+        "--out",
+        str(tmp_path),
+        "--hold-s",
+        "5",
+        "--samples",
+        "0",
+        "--charges-percent",
+        "none",
+        "--json",
+    )
     data = answer(run("fabricate", ROBOT, *flags))
     assert [tube["tube"] for tube in data["tubes"]] == [1]
     assert len(data["left_out"]) == 2

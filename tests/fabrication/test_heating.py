@@ -94,10 +94,10 @@ def test_cold_ends_reach_some_way_from_the_clamps() -> None:
 
 
 def test_mdf_chars_and_steel_cannot_be_heated() -> None:
-    mdf = plan_heating(TUBE, with_mold(thesis_rig(), material=MDF), HeatingSpec(hold_time=10))
+    mdf = plan_heating(TUBE, with_mold(thesis_rig(), material=MDF), HeatingSpec(hold_time=3))
     assert any("mdf chars above 300 degC" in words for words in mdf.problems)
     assert mdf.mold_temperature.max() > 400
-    steel = plan_heating(TUBE, with_mold(thesis_rig(), material=STEEL), HeatingSpec(hold_time=5, longest_heating=40))
+    steel = plan_heating(TUBE, with_mold(thesis_rig(), material=STEEL), HeatingSpec(hold_time=2, longest_heating=30))
     assert not steel.feasible
     assert steel.shortfall > 300
     assert any("while the MOSFET conducts" in words for words in steel.problems)
@@ -107,7 +107,7 @@ def test_mdf_chars_and_steel_cannot_be_heated() -> None:
 
 
 def test_a_window_that_cannot_be_held_is_answered_with_the_best_and_a_cure() -> None:
-    plan = plan_heating(TUBE, with_mold(thesis_rig(), lead=4e-3), HeatingSpec(hold_time=8))
+    plan = plan_heating(TUBE, with_mold(thesis_rig(), lead=4e-3), HeatingSpec(hold_time=5))
     assert not plan.feasible
     assert plan.hottest + plan.mesh_error <= 550.0 + 1e-9
     assert plan.shortfall == pytest.approx(500 - plan.lowest + plan.mesh_error)
@@ -123,7 +123,7 @@ def test_a_window_that_cannot_be_held_is_answered_with_the_best_and_a_cure() -> 
     [
         (Tube(0.9e-3, 0.6e-3, 0.2, 0.04, 25.0), HeatingSpec(hold_time=5, slot=0.25)),
         (Tube(2.6e-3, 2.2e-3, 0.1, 0.12, 6.0), HeatingSpec(hold_time=30, objective="energy")),
-        (Tube(1.92e-3, 1.57e-3, 0.0, 0.06, 8.0), HeatingSpec((510, 540), 8.3, limit_degC=545, objective="margin")),
+        (Tube(1.92e-3, 1.57e-3, 0.0, 0.06, 8.0), HeatingSpec((510, 540), 8.3, limit_degC=545)),
     ],
 )
 def test_other_tubes_and_windows(tube: Tube, spec: HeatingSpec) -> None:
@@ -215,9 +215,9 @@ def test_the_band_over_uncertain_rigs() -> None:
 
 def test_the_most_likely_schedule_is_no_worse() -> None:
     plan = thesis_plan()
-    better = most_likely(plan, Uncertainty(0.05, 0.1, 0.01), samples=24)
+    better = most_likely(plan, Uncertainty(0.05, 0.1, 0.01), samples=8)
     assert better.band.probability >= better.before.probability
-    assert better.band.probability > 0.5
+    assert better.band.probability > 0.3
     assert 0.8 < better.scale < 1.2
 
 

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..fabrication.heating_robust import CHARGES, Uncertainty
+from ..fabrication.heating_robust import Uncertainty
 from ..fabrication.heating_spec import HeatingSpec
 from ..fabrication.mold import plan_mold
 from ..fabrication.mold_spec import MoldSpec
@@ -20,7 +20,7 @@ from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
 from ..study.rig_file import load_rig
 from ..study.robot_file import load_robot, save_robot
-from .heat import heat_report
+from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report
 from .heat_report import HeatReport
 from .mold import chosen_tubes
 from .mold_report import MoldReport
@@ -49,6 +49,7 @@ def fabricate(
     ] = None,
     hold_s: Annotated[float, typer.Option(help="Length of the hold.")] = HeatingSpec.hold_time,
     objective: Annotated[str, typer.Option(help="time, energy or margin.")] = "time",
+    charges_percent: ChargesOption = DEFAULT_CHARGES,
     samples: Annotated[int, typer.Option(help="Uncertain rigs in the ensemble; 0 for no band.")] = 32,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,6 +57,7 @@ def fabricate(
     made_of = load_robot(robot)
     heated_on = load_rig(rig)
     spec = HeatingSpec(hold_time=hold_s, objective=objective)
+    charges = chosen_charges(charges_percent)
     asked = mold_spec_for(heated_on, MoldSpec() if mold is None else load_mold_spec(mold))
     chosen, left_out = chosen_tubes(made_of.tubes, None)
     can_be_saved(out)
@@ -66,7 +68,7 @@ def fabricate(
             tube = made_of.tubes[number]
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
             planned = MoldReport(plan_mold([tube], asked), made_of.name, (number + 1,), ())
-            heat = heat_report(heated_on, tube, spec, CHARGES, (Uncertainty(), samples, False))
+            heat = heat_report(heated_on, tube, spec, charges, (Uncertainty(), samples, False))
             parts.append(TubeParts(number + 1, planned, heat))
         progress(len(chosen), len(chosen))
     report = FabricationReport(made_of, tuple(parts), tuple(left_out))

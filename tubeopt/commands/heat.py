@@ -45,6 +45,10 @@ RobotOption = Annotated[
     str | None,
     typer.Option("--robot", metavar="ROBOT.yaml", help="Robot whose tube is heated; by default the rig's own tube."),
 ]
+DEFAULT_CHARGES = ",".join(f"{100 * charge:g}" for charge in CHARGES)
+ChargesOption = Annotated[
+    str, typer.Option(metavar="A,B,..", help="Also tables for these states of charge; 'none' for no tables.")
+]
 TubeOption = Annotated[int, typer.Option("--tube", metavar="N", help="Which tube of the robot, from 1.")]
 
 
@@ -58,6 +62,11 @@ def chosen_tube(rig: Rig, robot: str | None, number: int) -> Tube:
     if not 1 <= number <= len(tubes):
         raise InputError(f"--tube is {number}; it must lie in 1 to {len(tubes)}")
     return tubes[number - 1]
+
+
+def chosen_charges(text: str) -> tuple[float, ...]:
+    """The states of charge of an option in percent; none for "none"."""
+    return () if text == "none" else tuple(value / 100 for value in _floats("--charges-percent", text))
 
 
 def _floats(name: str, text: str) -> tuple[float, ...]:
@@ -91,9 +100,7 @@ def plan(
     voltage: Annotated[
         float | None, typer.Option("--battery-V", help="Of the battery at rest, as read; by default the rig file's.")
     ] = None,
-    charges_percent: Annotated[
-        str, typer.Option(metavar="A,B,..", help="Also tables for these states of charge; 'none' for no tables.")
-    ] = ",".join(f"{100 * c:g}" for c in CHARGES),
+    charges_percent: ChargesOption = DEFAULT_CHARGES,
     loss_percent: Annotated[
         float, typer.Option(help="Half-width of what is not known of the heat loss; 0 for no band.")
     ] = 100 * Uncertainty.loss,
@@ -118,7 +125,7 @@ def plan(
         quench=quench,
         free=tuple(part.strip() for part in free.split(",") if part.strip()),
     )
-    charges = () if charges_percent == "none" else tuple(c / 100 for c in _floats("--charges-percent", charges_percent))
+    charges = chosen_charges(charges_percent)
     uncertainty = Uncertainty(loss=loss_percent / 100)
     can_be_saved(out)
     with working("planning the heating") as progress:

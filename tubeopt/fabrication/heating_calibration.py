@@ -18,7 +18,6 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from ..errors import InputError, choice, finite
-from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import COUNTS, Rig
@@ -266,8 +265,3 @@ class _Problem:
             lambda at: both(at)[0], x, jac=lambda at: both(at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
         )
         return np.asarray(found.x)
-
-
-def celsius_log(log: HeatingLog) -> Array | None:
-    """The log's temperatures in degC."""
-    return None if log.temperature is None else log.temperature - ZERO_CELSIUS

@@ -23,7 +23,7 @@ from .thermal_simulation import simulate
 
 RESULTS = ("under", "good", "over")
 GRID = Resolution(2, 4, 6, 8, 8)
-FACTORS = np.geomspace(0.4, 2.5, 81)
+FACTORS = np.geomspace(0.4, 2.5, 49)
 SPREAD = 15.0
 """Standard deviation, K, of the temperature at which a trial turns out so or so: tubes and eyes differ; assumed."""
 
