@@ -92,19 +92,7 @@ def forward_kinematics(
         solution, start = follow_branch(robot, guess, alpha, shift, discretisation), "guess"
         if method != "newton":
             solution = _resolve(solution.problem, alpha, solution.arm, method)
-    before = np.inf
-    for level in range(discretisation.refinement, FINEST + 1):
-        equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
-        error = _error(equilibrium)
-        if error <= tolerance:
-            break
-        if level == FINEST or error > before / 2:
-            why = "" if level == FINEST else "; finer pieces no longer help"
-            wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
-            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", equilibrium)
-        before = error
-        finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
-        solution = _refine(robot, solution, shift, finer, method)
+    equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (method, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
 
 
@@ -113,6 +101,36 @@ def check_turn(name: str, rotations: Array) -> None:
     most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
     if abs(most) > MOST_TURN:
         raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
+
+
+def _to_tolerance(
+    robot: Robot,
+    solution: Solution,
+    shift: tuple[float, ...],
+    discretisation: Discretisation,
+    tolerance: float,
+    how: tuple[str, str, float],
+) -> Equilibrium:
+    """The equilibrium on the first mesh whose estimated error is small enough; `how` is method, start, and when begun.
+
+    Raises:
+        SolveError: no mesh is fine enough, or finer ones no longer help.
+    """
+    method, start, began = how
+    before, finest = np.inf, max(FINEST, discretisation.refinement)
+    for level in range(discretisation.refinement, finest + 1):
+        equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
+        error = _error(equilibrium)
+        if error <= tolerance:
+            return equilibrium
+        if level == finest or error > before / 2:
+            why = "" if level == finest else "; finer pieces no longer help"
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", equilibrium)
+        before = error
+        finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
+        solution = _refine(robot, solution, shift, finer, method)
+    raise AssertionError("the finest mesh either holds the tolerance or raises")
 
 
 def _error(equilibrium: Equilibrium) -> float:
