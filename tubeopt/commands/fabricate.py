@@ -11,6 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from ..errors import SolveError
 from ..fabrication.heating_robust import Uncertainty
 from ..fabrication.heating_spec import HeatingSpec
 from ..fabrication.mold import plan_mold
@@ -20,7 +21,7 @@ from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
 from ..study.rig_file import load_rig
 from ..study.robot_file import load_robot, save_robot
-from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report
+from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report, missed
 from .heat_report import HeatReport
 from .mold import chosen_tubes
 from .mold_report import MoldReport
@@ -53,7 +54,10 @@ def fabricate(
     samples: Annotated[int, typer.Option(help="Uncertain rigs in the ensemble; 0 for no band.")] = 32,
     as_json: JsonOption = False,
 ) -> None:
-    """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures."""
+    """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures.
+
+    Ends with 3 where the window cannot be held for one of them; everything is shown and saved all the same.
+    """
     made_of = load_robot(robot)
     heated_on = load_rig(rig)
     spec = HeatingSpec(hold_time=hold_s, objective=objective)
@@ -73,6 +77,9 @@ def fabricate(
         progress(len(chosen), len(chosen))
     report = FabricationReport(made_of, tuple(parts), tuple(left_out))
     present(report, out=out, as_json=as_json)
+    faults = [f"tube {part.number}: {missed(part.heat.plan)}" for part in parts if not part.heat.plan.feasible]
+    if faults:
+        raise SolveError("; ".join(faults))
 
 
 @dataclass(frozen=True)

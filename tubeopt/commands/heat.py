@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from ..errors import InputError
+from ..errors import InputError, SolveError
 from ..fabrication.heating import plan_heating
 from ..fabrication.heating_calibration import FACTORS, calibrate
 from ..fabrication.heating_plan import HeatingPlan
@@ -110,7 +110,10 @@ def plan(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files."""
+    """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
+
+    Ends with 3 where the window cannot be held; the best schedule and what would help are shown and saved all the same.
+    """
     made = _with(load_rig(rig), material, voltage)
     heated = chosen_tube(made, robot, tube)
     window = _floats("--window-degC", window_degc)
@@ -133,6 +136,17 @@ def plan(
             made, heated, spec, charges, (uncertainty, samples if loss_percent else 0, robust), progress
         )
     present(answer, out=out, as_json=as_json, plot=plot)
+    if not answer.plan.feasible:
+        raise SolveError(missed(answer.plan))
+
+
+def missed(plan: HeatingPlan) -> str:
+    """What a plan does not keep, in words."""
+    low, high = plan.spec.window_degC
+    return (
+        f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s: it is missed by "
+        f"{plan.shortfall:.1f} K"
+    )
 
 
 def heat_report(

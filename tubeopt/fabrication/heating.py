@@ -80,7 +80,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         # The margin is that of the fine grid only after a correction.
         if outcome.kept and (spec.objective != "margin" or round_):
             break
-        before, shift = shift, Shift.between(ideal, tube, model, spec.slot)
+        before, shift = shift, Shift.between(ideal, tube, model, exact, slots_on(ideal, spec))
         if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and outcome.hottest + error <= spec.limit:
             break
         if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
@@ -135,9 +135,13 @@ def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
 
 def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
-    on = round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
-    levels = ideal.duty(spec.slot, on)
+    levels = ideal.duty(spec.slot, slots_on(ideal, spec))
     return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+
+
+def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
+    """Number of slots of heating and hold."""
+    return round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
 
 
 def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,11 +95,16 @@ class Shift:
     tube: Array
 
     @classmethod
-    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, slot: float) -> Shift:
-        """From the program's answer to a simulation of the same duties with a finer model."""
-        history = simulate(model, slot, ideal.duty(slot, int(np.ceil(ideal.time[-1] / slot)) + 1))
+    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int) -> Shift:
+        """From the program's answer to a finer model; `history` is what the same duties do to it for so many slots."""
+        slot = float(history.time[1])
+        # The hold of the program may end within the slot after the last one that is heated.
+        duties = ideal.duty(slot, max(math.ceil(ideal.time[-1] / slot), slots) + 1)
+        later = simulate(model, slot, duties[slots:], start=history.state(slots))
+        temperature = np.concatenate([history.tube[: slots + 1, 0], later.tube[1:, 0]])
+        time = slot * np.arange(len(temperature))
         coarse = thermal_model(tube, ideal.rig, PROGRAM)
-        at_time = np.array([np.interp(ideal.time, history.time, column) for column in history.tube[:, 0].T]).T
+        at_time = np.array([np.interp(ideal.time, time, column) for column in temperature.T]).T
         fine = np.array([np.interp(coarse.position, model.position, row) for row in at_time])
         first = len(ideal.time) - len(ideal.held)
         edge = np.array([[np.interp(curve_start(model), model.position, row)] for row in at_time[first:]])

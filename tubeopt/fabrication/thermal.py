@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,6 +185,18 @@ class ThermalModel:
     def curved(self) -> NDArray[np.bool_]:
         """(n,) which cells belong to the curved part."""
         return np.asarray(self.zone == CURVED)
+
+    @cached_property
+    def grip_share(self) -> Array:
+        """(n,) part of the clamp that lies around each cell; sums to 1."""
+        gripped = np.where(self.zone == GRIP, self.width, 0.0)
+        return np.asarray(gripped / gripped.sum())
+
+    @cached_property
+    def cover_share(self) -> Array:
+        """(n,) part of the mold that lies around each cell; sums to 1."""
+        covered = np.where(self.zone >= LEAD, self.width, 0.0)
+        return np.asarray(covered / covered.sum())
 
     @property
     def full_position(self) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robots.assembly import Array
-from .thermal import GRIP, LEAD, ThermalModel
+from .thermal import ThermalModel
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
 """Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
@@ -55,37 +55,37 @@ def current(model: ThermalModel, tube: Array, lumped: Array) -> Current:
 
 def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> tuple[Array, Array]:
     """Rates of (cells, lumped) in K/s and per s, at a duty in [0, 1], one number or (B,)."""
-    tube, wall = cells[:, :, 0], cells[:, :, 1]
+    # Differences are written as slices: np.diff costs more than the arithmetic, and integrators call this 1e4 times.
+    tube, shells = cells[:, :, 0], cells[:, :, 1:]
     now = current(model, tube, lumped)
-    heat = np.zeros_like(cells)
+    rise = tube - model.ambient
+    rate = np.empty_like(cells)
     power = duty * now.tube**2
-    mean = model.conduction_slope * (0.5 * (tube[:, 1:] + tube[:, :-1]) - model.reference)
-    along = model.conduction * (1 + mean) * np.diff(tube, axis=1)
-    heat[:, :-1, 0] += along
-    heat[:, 1:, 0] -= along
-    into_clamp = model.to_clamp * (tube - lumped[:, CLAMP, None])
-    to_air = model.to_air * (tube - model.ambient) + model.radiating * (tube**4 - model.ambient**4)
-    into_mold = model.to_mold * (tube - wall)
-    heat[:, :, 0] += power[:, None] * now.resistance - into_clamp - to_air - into_mold
-    heat[:, :, 1] += into_mold
-    outward = -model.radial * np.diff(cells[:, :, 1:], axis=2)
-    heat[:, :, 1:-1] -= outward
-    heat[:, :, 2:] += outward
-    sideways = model.axial * np.diff(cells[:, :, 1:], axis=1)
-    heat[:, :-1, 1:] += sideways
-    heat[:, 1:, 1:] -= sideways
-    outside = model.outer * (cells[:, :, -1] - model.ambient)
-    heat[:, :, -1] -= outside
-    # What a contact of the clamps makes goes half into the tube's end, half into the clamp.
     contact = duty * now.total**2 * model.contact / 2
-    gripped = np.where(model.zone == GRIP, model.width, 0.0)
-    heat[:, :, 0] += 0.5 * contact[:, None] * gripped / gripped.sum()
+    into_clamp = model.to_clamp * (tube - lumped[:, CLAMP, None])
+    to_air = model.to_air * rise + model.radiating * (tube**4 - model.ambient**4)
+    into_mold = model.to_mold * (tube - shells[:, :, 0])
+    # What a contact of the clamps makes goes half into the tube's end, half into the clamp.
+    heat = power[:, None] * now.resistance - into_clamp - to_air - into_mold
+    heat += (0.5 * contact)[:, None] * model.grip_share
+    mean = 1 + model.conduction_slope * (0.5 * (tube[:, 1:] + tube[:, :-1]) - model.reference)
+    along = model.conduction * mean * (tube[:, 1:] - tube[:, :-1])
+    heat[:, :-1] += along
+    heat[:, 1:] -= along
+    rate[:, :, 0] = heat / (model.heat * (1 + model.heat_slope * (tube - model.reference)))
+
+    outward = model.radial * (shells[:, :, :-1] - shells[:, :, 1:])
+    outside = model.outer * (shells[:, :, -1] - model.ambient)
     stray = duty * (now.total - now.tube) * now.tube * now.resistance.sum(1)
-    covered = np.where(model.zone >= LEAD, model.width, 0.0)
-    heat[:, :, 1] += stray[:, None] * covered / covered.sum()
-    rate = heat
-    rate[:, :, 0] /= model.heat * (1 + model.heat_slope * (tube - model.reference))
-    rate[:, :, 1:] /= model.shell_heat
+    warming = rate[:, :, 1:]
+    warming[:, :, 0] = into_mold + stray[:, None] * model.cover_share
+    warming[:, :, 1:] = outward
+    warming[:, :, :-1] -= outward
+    warming[:, :, -1] -= outside
+    sideways = model.axial * (shells[:, 1:] - shells[:, :-1])
+    warming[:, :-1] += sideways
+    warming[:, 1:] -= sideways
+    warming /= model.shell_heat
     return rate, _lumped(model, lumped, duty, now, (into_clamp.sum(1) + 0.5 * contact, (to_air + outside).sum(1)))
 
 

@@ -43,6 +43,10 @@ class History:
     final: State
     imbalance: Array
 
+    def state(self, k: int) -> State:
+        """Temperatures and lumped states at time k."""
+        return State(np.concatenate([self.tube[k][..., None], self.walls[k]], axis=-1), self.lumped[k])
+
 
 def _history(model: ThermalModel, slot: float, states: Sequence[State]) -> History:
     tube = np.array([s.cells[:, :, 0] for s in states])
