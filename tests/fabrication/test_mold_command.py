@@ -33,7 +33,7 @@ def test_plan_saves_all_files(run: Run, tmp_path: Path) -> None:
     assert groove["predicted"]["curvature_per_m"] == pytest.approx(1 / 0.12)
     assert all(check["passed"] for check in out["checks"])
     assert "tube 2 is equal to tube 1 and is set in its groove" in out["remarks"]
-    assert json.loads((tmp_path / "mold.json").read_text())["size_mm"] == out["size_mm"] == [160, 50]
+    assert json.loads((tmp_path / "mold.json").read_text())["size_mm"] == out["size_mm"] == [155, 50]
 
 
 def test_plan_and_its_short_form_say_the_same(run: Run) -> None:

@@ -17,6 +17,7 @@ from ..fabrication.heating_spec import HeatingSpec
 from ..fabrication.mold import plan_mold
 from ..fabrication.mold_spec import MoldSpec
 from ..fabrication.rig import Rig
+from ..fabrication.thermal import gap_transfer
 from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
 from ..study.rig_file import load_rig
@@ -33,10 +34,11 @@ MM = 1e3
 
 
 def mold_spec_for(rig: Rig, spec: MoldSpec) -> MoldSpec:
-    """The mold's specification brought in line with the rig on which it is heated: material, clamps, length of tube."""
+    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, length of tube."""
     clamps = replace(spec.clamps, gap=rig.clamps.clearance, grip=rig.clamps.grip)
     cold = rig.clamps.clearance + rig.mold.lead
-    return replace(spec, material=rig.mold.material, clamps=clamps, cold_length=cold)
+    heat = replace(spec.heat, ambient=rig.ambient, contact_conductance=gap_transfer(rig))
+    return replace(spec, material=rig.mold.material, clamps=clamps, cold_length=cold, heat=heat)
 
 
 def fabricate(

@@ -21,6 +21,9 @@ from ..materials import NITINOL, ZERO_CELSIUS, ThermalData
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .mold_materials import MoldMaterial
+from .rig import MoldBed, gap_conductance
+
+AMBIENT = 20.0 + ZERO_CELSIUS
 
 TALBOT_POINTS = 24
 """Points of the contour: more gains nothing in double precision."""
@@ -39,7 +42,8 @@ class HeatSpec:
         hold_time: s, for which it is held.
         ambient: K.
         clamp_temperature: K, of the clamps at the end of the hold; they are massive, and None is ambient.
-        contact_conductance: W/(m^2 K) between tube and mold, over the tube's whole surface; assumed, calibrate.
+        contact_conductance: W/(m^2 K) between tube and mold, over the tube's whole surface; by default that of a rig's
+            gap of air, assumed, calibrate.
 
     Raises:
         InputError: a number is out of its range, or the set temperature is not above ambient and clamps.
@@ -48,9 +52,9 @@ class HeatSpec:
     set_temperature: float = 525.0 + ZERO_CELSIUS
     tolerance: float = 25.0
     hold_time: float = 60.0
-    ambient: float = 20.0 + ZERO_CELSIUS
+    ambient: float = AMBIENT
     clamp_temperature: float | None = None
-    contact_conductance: float = 300.0
+    contact_conductance: float = round(gap_conductance(MoldBed.gap, AMBIENT), 1)
 
     def __post_init__(self) -> None:
         for field in ("set_temperature", "tolerance", "hold_time", "ambient", "contact_conductance"):

@@ -23,6 +23,10 @@ COUNTS = 255
 AMPERE_HOUR = 3600.0
 """1 A h in C."""
 
+HOT = 500.0
+"""Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
+sixth root of it."""
+
 OPEN_CIRCUIT = (
     (0.1, 11.51),
     (0.2, 11.66),
@@ -258,3 +262,8 @@ def natural_convection(diameter: float, surface: float, ambient: float) -> float
 def air_conductivity(temperature: float) -> float:
     """Thermal conductivity of air, W/(m K), at a temperature in K (Sutherland's law, U.S. Standard Atmosphere 1976)."""
     return float(2.64638e-3 * temperature**1.5 / (temperature + 245.4 * 10.0 ** (-12.0 / temperature)))
+
+
+def gap_conductance(gap: float, ambient: float) -> float:
+    """Heat transfer, W/(m^2 K), through a gap of air (m) between a hot tube and a mold near `ambient` (K)."""
+    return air_conductivity(ambient + 0.5 * HOT) / gap

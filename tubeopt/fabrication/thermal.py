@@ -30,7 +30,7 @@ from ..errors import InputError
 from ..materials import ThermalData
 from ..robots.assembly import Array
 from ..tubes import Tube
-from .rig import Rig, air_conductivity, natural_convection
+from .rig import HOT, Rig, gap_conductance, natural_convection
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """W/(m^2 K^4)."""
@@ -38,9 +38,6 @@ STEFAN_BOLTZMANN = 5.670374419e-8
 SURFACE_TRANSFER = 10.0
 """Heat transfer of the outer surfaces of clamps and mold, W/(m^2 K): free convection of plates and radiation near room
 temperature, assumed; they hardly warm up."""
-
-HOT = 500.0
-"""Rise over ambient, K, at which the heat transfer of bare tube is taken; it changes with the sixth root of it."""
 
 GRADED = 12e-3
 """Length, m, in which the curved part gets as many cells as it would if it were no longer."""
@@ -266,7 +263,7 @@ def bare_transfer(tube: Tube, rig: Rig) -> float:
 
 def gap_transfer(rig: Rig) -> float:
     """Heat transfer through the air between tube and groove, W/(m^2 K), without the loss factor."""
-    return air_conductivity(rig.ambient + 0.5 * HOT) / rig.mold.gap
+    return gap_conductance(rig.mold.gap, rig.ambient)
 
 
 def leak_resistance(tube: Tube, rig: Rig) -> float:
