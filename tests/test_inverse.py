@@ -8,14 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 import tubeopt
-from tubeopt import InputError, InverseOptions, InverseStatus, SolveError, forward_kinematics, inverse_kinematics
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    InverseOptions,
+    InverseStatus,
+    SolveError,
+    Tube,
+    forward_kinematics,
+    inverse_kinematics,
+)
 from tubeopt.inverse.descent import reach
 from tubeopt.inverse.eccentric import mirror_closed_form, mirror_pose
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.question import pose_question
+from tubeopt.inverse.question import pose_question, unit_vector
 from tubeopt.inverse.table import cache_directory, nearest_starts, start_table
 from tubeopt.obstacles import Sphere
 from tubeopt.robots.limits import JointLimits
@@ -236,6 +246,26 @@ class TestObstacles:
                 THESIS, TARGET, obstacles=[Sphere(tuple(TARGET), 0.01)], options=InverseOptions(starts=6)
             )
 
+    def test_a_small_one_is_seen_between_the_points_of_the_measurement(self) -> None:
+        at = posture_of(joint_space(THESIS), forward_kinematics(THESIS, [0.0, 1.0, 2.0]))
+        e = at.equilibrium
+        s = np.linspace(0, e.arc_length[-1], 40001)
+        line = CubicHermiteSpline(e.arc_length, e.position, e.frame[:, :, 2])(s)
+        reach = np.where(s[:, None] <= e.tube_end, [t.outer_diameter / 2 for t in THESIS.tubes], 0.0).max(1)
+        for place in np.linspace(0.103, 0.107, 9) * e.arc_length[-1] / 0.2:
+            k = int(np.searchsorted(s, place))
+            body = Sphere(tuple(line[k] + 1.2 * MM * e.frame[0, :, 0]), 0.2 * MM)
+            assert at.clearance(body) == pytest.approx((body.signed_distance(line) - reach).min(), abs=2e-6)
+
+    def test_the_closest_pose_is_clear_too(self) -> None:
+        body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
+        target = np.array([10.4, 38.2, 103.6]) * MM
+        options = InverseOptions(clearance=MM, starts=4, method="gauss_newton")
+        closest = inverse_kinematics(THESIS, target, obstacles=[body], on_failure="closest", options=options)
+        assert closest.clearance >= MM
+        assert closest.margin >= 0.05
+        assert inside(THESIS, closest.rotations, closest.translations)
+
 
 class TestOutOfReach:
     def test_the_message_says_by_how_far_and_why(self) -> None:
@@ -254,6 +284,15 @@ class TestOutOfReach:
         with pytest.raises(SolveError) as failure:
             inverse_kinematics(ETR, [0.0, 0.0, 0.2], options=InverseOptions(starts=6))
         assert failure.value.solution.position_error == pytest.approx(closest.position_error, abs=1e-4)
+
+    def test_the_closest_pose_keeps_order_and_margin(self) -> None:
+        inner = Tube(1.0 * MM, 0.7 * MM, 62.6 * MM, 186.2 * MM, 4.24)
+        robot = ConcentricRobot([inner, Tube(1.4 * MM, 1.1 * MM, 35.4 * MM, 149.0 * MM, 9.23)])
+        for target in ([0.0, 0.0, 0.2], [0.3, 0.2, 0.05]):
+            closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=12))
+            assert not closest.reached
+            assert closest.margin >= 0.05
+            assert inside(robot, closest.rotations, closest.translations, 1e-9)
 
 
 class TestAllSolutions:
@@ -386,6 +425,11 @@ class TestInput:
             ({"seed": 3}, "seed is 3; it must be a pair"),
             ({"seed": ([0, 0], None)}, "rotations of seed has 2 numbers"),
             ({"reference": ([0, 0, 0], [1, 1, 1])}, "pulls it out of its actuator"),
+            ({"robot": None}, "robot is None; it must be a ConcentricRobot"),
+            ({"limits": 3}, "limits is 3; it must be a JointLimits"),
+            ({"obstacles": Sphere((0, 0, 1), 0.1)}, r"it must be a sequence of bodies, as \[Sphere"),
+            ({"obstacles": ["wall"]}, "obstacle 1 is 'wall'; it must be a body"),
+            ({"options": {}}, "options is {}; it must be an InverseOptions"),
             ({"weights": [1, 2, 3]}, "weights must be a pair"),
             ({"weights": ([1, 1, -1], [1, 1, 1])}, "weights must be at least 0"),
             ({"on_failure": "ignore"}, "on_failure is 'ignore'; it must be one of raise, closest"),
@@ -396,7 +440,7 @@ class TestInput:
     )
     def test_what_makes_no_sense_is_refused(self, options: dict[str, object], message: str) -> None:
         with pytest.raises(InputError, match=message):
-            inverse_kinematics(THESIS, **({"position": TARGET} | options))  # type: ignore[arg-type]
+            inverse_kinematics(**({"robot": THESIS, "position": TARGET} | options))  # type: ignore[arg-type]
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -405,12 +449,18 @@ class TestInput:
             ({"method": "guess"}, "method is 'guess'"),
             ({"clearance": -1.0}, "clearance is -1; it must be at least 0"),
             ({"starts": 0}, "starts is 0; it must be a whole number of at least 1"),
+            ({"starts": "many"}, "starts is 'many'; it must be a number"),
+            ({"starts": np.nan}, "starts is nan; it must be a finite number"),
             ({"distinct": 0.0}, "distinct is 0; it must be greater than 0"),
         ],
     )
     def test_options_too(self, options: dict[str, object], message: str) -> None:
         with pytest.raises(InputError, match=message):
             InverseOptions(**options)  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("size", [1e-200, 1e200])
+    def test_directions_have_any_length(self, size: float) -> None:
+        np.testing.assert_allclose(unit_vector("direction", [3 * size, 0.0, 4 * size]), [0.6, 0.0, 0.8], rtol=1e-15)
 
     def test_a_program_needs_as_many_joints_as_equations(self) -> None:
         with pytest.raises(InputError, match="the 3 independent joints"):

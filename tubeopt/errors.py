@@ -45,6 +45,24 @@ def finite(name: str, value: Any) -> float:
     return number
 
 
+def instance(name: str, value: Any, wanted: type) -> None:
+    """Raise InputError naming `name` unless `value` is a `wanted`."""
+    if not isinstance(value, wanted):
+        article = "an" if wanted.__name__[0] in "AEIOU" else "a"
+        raise InputError(f"{name} is {value!r}; it must be {article} {wanted.__name__}")
+
+
+def numbers(name: str, value: Any) -> tuple[float, ...]:
+    """Return `value`, one number or several, as finite floats, else raise InputError naming it."""
+    if isinstance(value, str):
+        raise InputError(f"{name} is {value!r}; it must be numbers")
+    try:
+        values = tuple(value)
+    except TypeError:
+        values = (value,)
+    return tuple(finite(name, number) for number in values)
+
+
 def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -> NDArray[np.float64]:
     """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
     try:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from ..equilibrium import Equilibrium
-from ..errors import InputError, choice, positive
+from ..errors import InputError, choice, finite, positive
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from .goal import OBJECTIVES
@@ -119,7 +119,8 @@ class InverseOptions:
         positive("distinct", self.distinct)
         if self.direction_weight is not None:
             positive("direction_weight", self.direction_weight)
-        if isinstance(self.starts, bool) or self.starts != int(self.starts) or self.starts < 1:
+        count = finite("starts", self.starts)
+        if isinstance(self.starts, bool) or count != int(count) or count < 1:
             raise InputError(f"starts is {self.starts!r}; it must be a whole number of at least 1")
 
 

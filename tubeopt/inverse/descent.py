@@ -38,6 +38,12 @@ TARGET_WEIGHT = 1e4
 ALMOST = 1e-4
 """Length of a section, as a share of the robot's, that may hold a step up as if it were closed."""
 
+POSITION_TOLERANCE = 1e-8
+"""Distance (m) at which an answer counts as on target."""
+
+DIRECTION_TOLERANCE = 1e-7
+"""Angle (rad) at which it counts as pointing there."""
+
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
 
@@ -135,7 +141,7 @@ def improve(goal: Goal, start: Posture, *, iterations: int = 60) -> Search:
     Between changes of the order of breakpoints everything is smooth. Steps end where the order changes, slide along,
     and cross where it is lower beyond.
     """
-    if goal.objective is None and goal.direction_weight is None:
+    if not goal.ranked:
         return Search(start, True, 0, 0)
     path = _Path(goal, goal.cost(start))
     here, step = start, 0.5 * FIRST_STEP
@@ -261,12 +267,23 @@ def broyden(goal: Goal, slope: Array, moved: Array, change: Array) -> Array:
     return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
 
 
+def missed_by(goal: Goal, at: Posture) -> str:
+    """In words, by how much a posture misses the target."""
+    position, direction = goal.position_error(at), goal.direction_error(at)
+    words = []
+    if position > POSITION_TOLERANCE or not goal.pointed:
+        words.append(f"{position:.3g} m short")
+    if goal.pointed and (direction > DIRECTION_TOLERANCE or not words):
+        words.append(f"{np.degrees(direction):.3g} deg off the direction")
+    return " and ".join(words)
+
+
 def held_by(goal: Goal, at: Posture) -> list[str]:
     """In words, what keeps the tip from the target at a posture where the search has ended."""
     words = goal.space.active(at.q)
     if at.margin - goal.floor < 1e-3:
         words.append(f"margin at its bound ({goal.min_margin:g})")
     for k, obstacle in enumerate(goal.obstacles):
-        if float(at.clearance(obstacle).min()) - goal.gap < 1e-5:
+        if at.clearance(obstacle) - goal.gap < 1e-5:
             words.append(f"arm at obstacle {k + 1} ({type(obstacle).__name__.lower()})")
     return words

@@ -52,6 +52,11 @@ class Goal:
         return self.direction is not None and self.direction_weight is None
 
     @property
+    def ranked(self) -> bool:
+        """Whether one answer can be better than another."""
+        return self.objective is not None or (self.direction is not None and self.direction_weight is not None)
+
+    @property
     def overdetermined(self) -> bool:
         """Whether the target has more equations than the robot has joints."""
         return len(self.space.lower) < (5 if self.pointed else 3)
@@ -98,8 +103,8 @@ class Goal:
         return self.position_error(at) <= position and not (self.pointed and self.direction_error(at) > direction)
 
     def allowed(self, at: Posture, slack: float = 0.0) -> bool:
-        """Whether margin and clearance are kept, to within `slack` (m) of clearance."""
-        return at.margin >= self.floor and self.violation(at) <= slack
+        """Whether joints, order, margin and clearance are kept, to within `slack` (m) of clearance."""
+        return self.space.admissible(at.q) and at.margin >= self.floor and self.violation(at) <= slack
 
     def violation(self, at: Posture) -> float:
         """By how much the arm is too close to the obstacle that it violates most, m; 0 where it is clear."""
@@ -116,7 +121,7 @@ class Goal:
 
     def least_clearance(self, at: Posture) -> float:
         """Least distance of the arm from any obstacle, m; infinite without obstacles."""
-        return min((float(at.clearance(each).min()) for each in self.obstacles), default=float("inf"))
+        return min((at.clearance(each) for each in self.obstacles), default=float("inf"))
 
     def inequalities(self, at: Posture) -> tuple[Array, Array]:
         """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""

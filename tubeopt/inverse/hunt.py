@@ -6,23 +6,28 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 
 from ..errors import SolveError
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
-from .descent import SLACK, Search, correct, held_by, improve, reach
+from .descent import (
+    DIRECTION_TOLERANCE,
+    POSITION_TOLERANCE,
+    SLACK,
+    Search,
+    correct,
+    held_by,
+    improve,
+    missed_by,
+    reach,
+)
 from .goal import Goal
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
-from .table import StartTable, nearest_starts, spread_starts, start_table
-
-POSITION_TOLERANCE = 1e-8
-"""Distance (m) at which an answer counts as on target."""
-
-DIRECTION_TOLERANCE = 1e-7
-"""Angle (rad) at which it counts as pointing there."""
+from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
 
 UNANIMOUS, SAME_MISS = 10, 2e-5
 """So many starts that end as far from the target, to this share of the robot's length, say that there is no better."""
@@ -31,7 +36,7 @@ ENOUGH, FAR_OFF = 24, 0.02
 """So many starts, all ending farther from the target than this share of the robot's length, say: out of reach."""
 
 COMPARED = 3
-"""Answers among which the best is taken, where there is an objective and no seed."""
+"""Answers among which the best is taken, where there is an objective, or a direction as a cost, and no seed."""
 
 COLD_DISAGREES = 4
 """Answers that a cold forward kinematics does not find, after which one of them is taken."""
@@ -42,6 +47,9 @@ NEAREST_FIRST = 12
 PROGRAM_STARTS = 4
 """Starts from which the nonlinear program tries what the fast path did not solve."""
 
+CLEAR_STARTS = 8
+"""Starts clear of the obstacles that are tried where all others ended in one."""
+
 
 @lru_cache(maxsize=32)
 def _table(space: JointSpace) -> StartTable:
@@ -50,7 +58,11 @@ def _table(space: JointSpace) -> StartTable:
 
 @dataclass
 class Hunt:
-    """One search: the question, and the best that was found so far."""
+    """One search: the question, and the best that was found so far.
+
+    `closest` is the allowed posture that misses the target least; `least` (m) what the best of all searches missed by,
+    and `agreeing` how many more missed by the same.
+    """
 
     goal: Goal
     first: Posture | None
@@ -61,13 +73,14 @@ class Hunt:
     iterations: int = 0
     solves: int = 0
     closest: Search | None = None
+    least: float = np.inf
     agreeing: int = 0
     everywhere: bool = False
 
     def one(self) -> InverseSolution | None:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = 1 if self.goal.objective is None else COMPARED
+        wanted = COMPARED if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
         for answer, from_seed in self._answers(self.options.starts):
@@ -111,7 +124,7 @@ class Hunt:
                 found = True
                 yield answer, False
         stalled: list[Posture] = []
-        for start in self._starts():
+        for start in self._starts(4 * most):
             if self.tries >= most or (not found and self._hopeless()):
                 break
             answers = list(self._from(start, "table"))
@@ -120,27 +133,33 @@ class Hunt:
             for answer in answers:
                 found = True
                 yield answer, False
-        if found or self.options.method != "auto" or not programmable(self.goal):
+        if found:
             return
-        for start in sorted(stalled, key=self.goal.position_error)[:PROGRAM_STARTS]:
-            for answer in self._finished(self._by_program(start), "table", "nlp"):
-                yield answer, False
+        if self.options.method == "auto" and programmable(self.goal):
+            for start in sorted(stalled, key=self.goal.position_error)[:PROGRAM_STARTS]:
+                for answer in self._finished(self._by_program(start), "table", "nlp"):
+                    found = True
+                    yield answer, False
+        if not found and self.closest is None:
+            # All searches ended in an obstacle. One that starts clear of them stays clear.
+            clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
+            for start in islice(clear, CLEAR_STARTS):
+                for answer in self._from(start, "table"):
+                    yield answer, False
 
     def _at_reference(self) -> Posture | None:
         """The reference itself, brought inside of the limits."""
         q = self.goal.space.nearest(self.goal.reference)
         return start_at(self.goal.space, q)
 
-    def _starts(self) -> Iterator[Posture]:
-        """Allowed postures of the table, the most promising first."""
+    def _starts(self, most: int) -> Iterator[Posture]:
+        """Stable postures of the table, the most promising first; they may be in an obstacle."""
         goal = self.goal
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
-        table = _table(goal.space)
-        near = nearest_starts(goal.space, table, target, min_margin=goal.floor, reference=reference)
-        for q in spread_starts(
-            goal.space, near, 4 * self.options.starts, first=0 if self.everywhere else NEAREST_FIRST
-        ):
+        near = nearest_starts(goal.space, _table(goal.space), target, min_margin=goal.floor, reference=reference)
+        first = 0 if self.everywhere else NEAREST_FIRST
+        for q in spread_starts(goal.space, near, most, first=first):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
@@ -156,7 +175,7 @@ class Hunt:
             return
         search = reach(self.goal, start)
         self._count(search)
-        if not search.reached or (self.goal.objective is None and self.goal.direction_weight is None):
+        if not search.reached or not self.goal.ranked:
             yield from self._finished(search, name, "gauss_newton")
             return
         program = self.options.method == "auto" and programmable(self.goal)
@@ -197,7 +216,7 @@ class Hunt:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
         if self.agreeing >= UNANIMOUS:
             return True
-        far = self.closest is not None and self._miss(self.closest) > FAR_OFF * self.goal.space.length
+        far = self.least > FAR_OFF * self.goal.space.length
         return far and self.tries >= ENOUGH
 
     def _count(self, search: Search) -> None:
@@ -205,11 +224,15 @@ class Hunt:
         self.solves += search.solves
         if search.reached:
             return
-        if self.closest is None or self._miss(search) < self._miss(self.closest) - SAME_MISS * self.goal.space.length:
+        miss, same = self._miss(search), SAME_MISS * self.goal.space.length
+        if miss < self.least - same:
             self.agreeing = 0
-        elif self._miss(search) < self._miss(self.closest) + SAME_MISS * self.goal.space.length:
+        elif miss < self.least + same:
             self.agreeing += 1
-        if self.closest is None or self._miss(search) < self._miss(self.closest):
+        self.least = min(self.least, miss)
+        # A search may end in an obstacle, and a program without an answer out of order: that is no pose to return.
+        closer = self.closest is None or miss < self._miss(self.closest)
+        if closer and self.goal.allowed(search.posture, SLACK):
             self.closest = search
 
     def _miss(self, search: Search) -> float:
@@ -267,13 +290,8 @@ class Hunt:
         closest = self._packed(at, InverseStatus.CLOSEST, ("table", "gauss_newton"))
         if on_failure == "closest":
             return closest
-        missed = []
-        if closest.position_error > POSITION_TOLERANCE or not goal.pointed:
-            missed.append(f"{closest.position_error:.3g} m short")
-        if goal.pointed and closest.direction_error > DIRECTION_TOLERANCE:
-            missed.append(f"{np.degrees(closest.direction_error):.3g} deg off the direction")
         why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
-        raise SolveError(f"no answer was found in {self.tries} starts: {' and '.join(missed)}: {why}", closest)
+        raise SolveError(f"no answer was found in {self.tries} starts: {missed_by(goal, at)}: {why}", closest)
 
 
 def _difference(one: InverseSolution, other: InverseSolution) -> float:

@@ -22,6 +22,9 @@ from .joints import JointSpace
 FINE = 400
 """Points along the arm at which its distance from obstacles is measured."""
 
+FINER = 17
+"""Points between the two neighbours of one at which it is closest."""
+
 SAME_TIP = 1e-7
 """Distance (m) of two tips at the same joint values that are one equilibrium."""
 
@@ -93,32 +96,53 @@ class Posture:
 
     @cached_property
     def fine(self) -> tuple[Array, Array, Array]:
-        """Arc length (p,), centreline (p, 3) and radius of the arm (p,) at points close enough for obstacles."""
+        """Arc length (p,), centreline (p, 3) and radius of the arm (p,) at points close enough for obstacles: evenly
+        spaced, and the ends of the tubes, where the radius falls."""
+        ends = self.equilibrium.tube_end
+        s = np.linspace(0.0, self.equilibrium.arc_length[-1], FINE)
+        return self._at(np.union1d(s, ends[(ends > 0) & (ends < s[-1])]))
+
+    def _at(self, s: Array) -> tuple[Array, Array, Array]:
         arm = self.equilibrium
-        s = np.linspace(0.0, arm.arc_length[-1], FINE)
         points = _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s)
         return s, points, arm_radius(arm, s)
 
-    def clearance(self, obstacle: Obstacle) -> Array:
-        """(p,) distance of the surface of the arm from an obstacle at the points of `fine`, m."""
-        _, points, radius = self.fine
-        return np.asarray(obstacle.signed_distance(points) - radius)
+    def contacts(self, obstacle: Obstacle) -> tuple[Array, Array, Array]:
+        """Where the arm comes closest to an obstacle: arc lengths (c,), points of the centreline (c, 3), and distances
+        of the surface of the arm from the obstacle (c,) in m, the least first."""
+        s, points, radius = self.fine
+        distance = np.asarray(obstacle.signed_distance(points) - radius)
+        padded = np.concatenate([[np.inf], distance, [np.inf]])
+        least = np.flatnonzero((distance <= padded[:-2]) & (distance <= padded[2:]))
+        chosen = least[np.argsort(distance[least], kind="stable")[:MOST_CONTACTS]]
+        # Near a small obstacle the arm comes closer between two of the points than a clearance may be off.
+        low, high = s[np.maximum(chosen - 1, 0)], s[np.minimum(chosen + 1, len(s) - 1)]
+        finer, points, radius = self._at((low + (high - low) * np.linspace(0.0, 1.0, FINER)[:, None]).T.ravel())
+        finer, points = finer.reshape(-1, FINER), points.reshape(-1, FINER, 3)
+        between = np.asarray(obstacle.signed_distance(points.reshape(-1, 3)) - radius).reshape(-1, FINER)
+        rows, best = np.arange(len(chosen)), between.argmin(1)
+        closer = between[rows, best] < distance[chosen]
+        place = np.where(closer, finer[rows, best], s[chosen])
+        centre = np.where(closer[:, None], points[rows, best], self.fine[1][chosen])
+        value = np.where(closer, between[rows, best], distance[chosen])
+        order = np.argsort(value, kind="stable")
+        return place[order], centre[order], value[order]
+
+    def clearance(self, obstacle: Obstacle) -> float:
+        """Least distance of the surface of the arm from an obstacle, m."""
+        return float(self.contacts(obstacle)[2][0])
 
     def clearance_rows(self, obstacle: Obstacle, within: float) -> tuple[Array, Array]:
         """Clearances (r,) where the arm comes closest, if closer than `within`, and their change (r, m) with q."""
-        s, points, _ = self.fine
-        distance = self.clearance(obstacle)
+        place, points, distance = self.contacts(obstacle)
+        near = distance <= within
         # The derivatives are on the default mesh, the equilibrium may be on a finer one.
-        along = arms.arc_lengths(self.solution.problem.mesh)
-        padded = np.concatenate([[np.inf], distance, [np.inf]])
-        least = (distance <= padded[:-2]) & (distance <= padded[2:]) & (distance <= within)
-        chosen = np.flatnonzero(least)
-        chosen = chosen[np.argsort(distance[chosen])[:MOST_CONTACTS]]
+        along = arms.arc_lengths(self.solution.problem.mesh) if near.any() else place
         rows = [
-            obstacle.gradient(points[k]) @ _between(along, self.along.position, s[k]) @ self.space.spread
-            for k in chosen
+            obstacle.gradient(point) @ _between(along, self.along.position, s) @ self.space.spread
+            for s, point in zip(place[near], points[near], strict=True)
         ]
-        return distance[chosen], np.reshape(rows, (-1, len(self.q)))
+        return distance[near], np.reshape(rows, (-1, len(self.q)))
 
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is

@@ -66,6 +66,8 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
     order = breakpoint_order(goal, at)
     program, question = _program(goal, at, order)
     nlp = program.nlp
+    if np.count_nonzero(nlp.bounds["lbg"] == nlp.bounds["ubg"]) > len(nlp.names):
+        return None, 0, []  # as where all tubes are withdrawn, and nothing is left to turn
     x = start_values(question.structure, problem, at.solution.arm, "equations")
     free = [min(max(at.margin - 0.01, goal.floor), 0.998)] if question.objective == "margin" else []
     x = np.concatenate([at.q, free, x])

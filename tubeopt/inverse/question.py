@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium import Equilibrium
-from ..errors import InputError, finite, vector
+from ..errors import InputError, finite, instance, vector
 from ..kinematics import forward_kinematics
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
@@ -39,6 +40,12 @@ def pose_question(
     options: InverseOptions,
 ) -> Goal:
     """The question, checked; `places` are seed and reference."""
+    if not hasattr(robot, "n_tubes") or not hasattr(robot, "assembly"):
+        raise InputError(f"robot is {robot!r}; it must be a ConcentricRobot, an EccentricRobot, or the like")
+    instance("options", options, InverseOptions)
+    if limits is not None:
+        instance("limits", limits, JointLimits)
+    bodies = _bodies(obstacles)
     target = vector("position", position, 3, "x, y, z in m")
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
@@ -55,7 +62,7 @@ def pose_question(
         direction=None if direction is None else unit_vector("direction", direction),
         direction_weight=options.direction_weight,
         min_margin=floor,
-        obstacles=tuple(obstacles),
+        obstacles=bodies,
         clearance=options.clearance,
         objective=options.objective or ("nearest" if named else None),
         reference=centre,
@@ -63,13 +70,27 @@ def pose_question(
     )
 
 
+def _bodies(obstacles: Any) -> tuple[Obstacle, ...]:
+    """Obstacles as a tuple; raises InputError where they are none."""
+    try:
+        bodies = tuple(obstacles)
+    except TypeError:
+        raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
+    for k, body in enumerate(bodies):
+        if not hasattr(body, "signed_distance"):
+            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.obstacles")
+    return bodies
+
+
 def unit_vector(name: str, value: ArrayLike) -> Array:
     """`value` (3,) over its length; raises InputError where it has none."""
     array = vector(name, value, 3, "x, y, z")
-    length = float(np.linalg.norm(array))
-    if length == 0:
+    largest = float(np.abs(array).max())
+    if largest == 0:
         raise InputError(f"{name} is (0, 0, 0); it must have a direction")
-    return np.asarray(array / length)
+    # The squares of very large and very small numbers are none.
+    array = array / largest
+    return np.asarray(array / np.linalg.norm(array))
 
 
 def seed_posture(space: JointSpace, seed: Configuration) -> Posture:

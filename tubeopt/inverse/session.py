@@ -16,7 +16,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.least_squares import constrained_least_squares
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus
-from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, reach
+from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
 from .order import Order, beyond, breakpoint_order
@@ -123,7 +123,7 @@ class IkSession:
             self._near, self._pointed = None, goal.pointed
         here, near, solves = self._here, self._near, 0
         for part in self._parts(goal, here):
-            here, near, count = self._step(part, here, near)
+            here, near, count = self._step((part, goal), here, near)
             solves += count
         return self._keep(goal, here, near, (solves, began))
 
@@ -155,8 +155,12 @@ class IkSession:
             parts = [replace(p, direction=_blend(here.direction, goal, k / count)) for k, p in enumerate(parts, 1)]
         return [*parts, goal]
 
-    def _step(self, goal: Goal, here: Posture, near: _Slopes | None) -> tuple[Posture, _Slopes | None, int]:
-        """The posture on target, derivatives for the next step, and the equilibria solved."""
+    def _step(
+        self, goals: tuple[Goal, Goal], here: Posture, near: _Slopes | None
+    ) -> tuple[Posture, _Slopes | None, int]:
+        """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
+        the equilibria solved."""
+        goal, last = goals
         if here.margin < goal.floor + CAREFUL or goal.obstacles or (near is not None and near.age >= MOST_STEPS):
             near = None
         solves = 0
@@ -169,10 +173,10 @@ class IkSession:
         if search.reached:
             return search.posture, None, solves + search.solves
         if not programmable(goal):
-            raise SolveError(_stalled(goal, search.posture))
+            raise SolveError(_stalled(last, search.posture))
         other = solve_program(replace(goal, objective="nearest", reference=here.q), here)
         if not other.reached or not same_place(here.to(other.posture.q), other.posture):
-            raise SolveError(_stalled(goal, search.posture))
+            raise SolveError(_stalled(last, search.posture))
         return other.posture, None, solves + search.solves + other.solves
 
     def _keep(self, goal: Goal, at: Posture, near: _Slopes | None, cost: tuple[int, float]) -> InverseSolution:
@@ -255,4 +259,4 @@ def _servo(goal: Goal, here: Posture, near: _Slopes, order: Order | None) -> tup
 
 def _stalled(goal: Goal, at: Posture) -> str:
     why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
-    return f"the target cannot be reached from here: {goal.position_error(at):.3g} m short: {why}"
+    return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"
