@@ -103,6 +103,10 @@ def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -
     rows = list(csv.DictReader((tmp_path / "out" / "solutions.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["REACHED", "FAILED"]
     assert "short" in rows[1]["problem"]
+    table.write_text("x_mm,y_mm,z_mm\n0,0,200\n")
+    outcome = run("ik", ETR, "--targets", str(table))
+    assert outcome.code == 3
+    assert "none of 1 targets was reached; the first: no answer was found" in outcome.err
 
 
 def test_obstacles_are_kept_clear_of(run: Run) -> None:

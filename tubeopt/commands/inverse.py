@@ -13,6 +13,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from ..errors import SolveError
 from ..inverse import InverseSolution
 from ..study.checked import check
 from ..study.csv_file import to_csv
@@ -68,7 +69,10 @@ def ik(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Inverse kinematics: stable joint values that bring the tip to a target, and point it there."""
+    """Inverse kinematics: stable joint values that bring the tip to a target, and point it there.
+
+    Ends with 3 where the target, or every one of a table, is missed; misses within a table are named in it.
+    """
     flags: dict[str, Any] = {
         "kind": "inverse_kinematics",
         "robot": robot,
@@ -93,6 +97,8 @@ def ik(
     with working("solving targets") as progress:
         answer = study.run(progress)
     present(report(answer), out=out, as_json=as_json)
+    if isinstance(answer, TargetTable) and all(row.solution is None for row in answer.rows):
+        raise SolveError(f"none of {len(answer.rows)} targets was reached; the first: {answer.rows[0].problem}")
 
 
 def solution_record(solution: InverseSolution) -> dict[str, Any]:
