@@ -9,22 +9,25 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 import yaml
 
-from tubeopt import InputError, Tube, find_snap, forward_kinematics, sweep
+from tubeopt import InputError, Tube, find_snap, forward_kinematics, sweep, workspace
 from tubeopt.robots.concentric import ConcentricRobot
-from tubeopt.study.sweep_file import load_sweep
+from tubeopt.study.sweep_file import _fingerprint, load_sweep
 from tubeopt.study.sweep_points import Axis, Points
+from tubeopt.workspaces import voxels
 
 from .command_line import ROOT, THESIS, Run, answer, refused
 from .examples import THESIS as ROBOT
-from .parallel.functions import slow_parabola
+from .parallel.functions import echo, slow_parabola
 
 MM = 1e-3
 FK = {"kind": "forward_kinematics", "robot": THESIS, "rotations_deg": [0, 0, 0]}
@@ -95,6 +98,27 @@ def test_other_kinds_of_study_sweep_too(run: Run, tmp_path: Path) -> None:
     assert set(table[0]) == {"point", *vary[0]["key"], "status", "reason", "snap.fraction", "answer"}
 
 
+def test_workspaces_and_heatings_sweep_too(run: Run, tmp_path: Path) -> None:
+    place = {"kind": "workspace", "robot": THESIS, "samples": 300, "voxel_mm": 20}
+    vary = [{"key": "robot.tubes[0].radius_mm", "values": [90, 200]}]
+    table = Path(answer(run("sweep", written(tmp_path, study=place, vary=vary), "--workers", "1", "--out",
+                            str(tmp_path / "w"), "--json"))["table"])  # fmt: skip
+    for row, radius in zip(rows(table), (90, 200), strict=True):
+        tubes = (replace(ROBOT.tubes[0], curvature=1 / (radius * MM)), *ROBOT.tubes[1:])
+        cubes = voxels(workspace(ConcentricRobot(tubes), 300), 20 * MM)
+        assert (int(row["voxels"]), row["without_equilibrium"]) == (len(cubes), "0")
+    oven = {"kind": "heating", "rig": str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml"),
+            "window_degC": [200, 260], "hold_s": 5, "slot_s": 1, "longest_s": 20}  # fmt: skip
+    vary = [{"key": "rig.ambient_degC", "values": [35, "warm"]}]
+    columns = ["feasible", "lowest_degC", "energy_kJ"]
+    data = answer(run("sweep", written(tmp_path, study=oven, vary=vary, columns=columns), "--workers", "1", "--out",
+                      str(tmp_path / "h"), "--json"))  # fmt: skip
+    assert data["failures"] == [{"point": 2, "reason": "InputError: rig: ambient_degC is 'warm'; it must be a number"}]
+    done = rows(Path(data["table"]))[0]
+    assert done["feasible"] == "true"
+    assert float(done["lowest_degC"]) > 200 - 1
+
+
 def test_a_study_in_a_file_of_its_own(run: Run, tmp_path: Path) -> None:
     path = written(tmp_path, study=str(ROOT / "configs" / "studies" / "thesis_actuated.yaml"))
     out = tmp_path / "out"
@@ -114,6 +138,17 @@ def test_the_points_of_a_grid() -> None:
     assert points[0] == {"a": 0.0, "b": True, "c": True}
     assert points[3] == {"a": 0.1, "b": "x", "c": "x"}
     assert list(points)[-1] == points[-1] == {"a": 0.3, "b": "x", "c": "x"}
+
+
+def test_points_are_made_when_they_are_asked_for() -> None:
+    points = Points((Axis(("a",), None, -1.0, 2.0, 1001), Axis(("b",), None, 0.0, 1.0, 9001)))
+    assert points[-1] == {"a": 2.0, "b": 1.0}
+    with patch("numpy.linspace", side_effect=AssertionError("all values for one point")):
+        assert points[9001 * 500 + 4500] == {"a": 0.5, "b": 0.5}
+    with pytest.raises(InputError, match="the sweep has 4000000000000 points; there must be 1 to 10000000"):
+        Points((Axis(("a",), None, 0.0, 1.0, 4 * 10**12),))
+    with pytest.raises(InputError, match="vary a: it is named 2 times"):
+        Points((Axis(("a",), (1.0,)), Axis(("b", "a"), (2.0,))))
 
 
 @pytest.mark.parametrize("method", ["random", "sobol", "latin_hypercube"])
@@ -214,6 +249,53 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
         sweep(partial(slow_parabola, 0.0), POINTS[:3], tmp_path, workers=1)
 
 
+@pytest.mark.parametrize("rubbish", [b"nonsense\n", b"\0" * 5000, b'{"index": 2}\n', b'{"index": 2, "par'])
+def test_nonsense_at_the_end_of_a_journal_is_computed_again(tmp_path: Path, rubbish: bytes) -> None:
+    whole = sweep(partial(slow_parabola, 0.0), POINTS[:3], tmp_path / "whole", workers=1)
+    content = whole.journal.read_bytes().splitlines(keepends=True)
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "journal.jsonl").write_bytes(b"".join(content[:-1]) + rubbish)
+    again = sweep(partial(slow_parabola, 0.0), POINTS[:3], tmp_path / "cut", workers=1)
+    assert again.computed == 1
+    assert again.table.read_bytes() == whole.table.read_bytes()
+
+
+def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path) -> None:
+    file = tmp_path / "journal.jsonl"
+    file.write_text("Dear diary")
+    with pytest.raises(InputError, match="line 1 is damaged; this is no journal of a sweep"):
+        sweep(partial(slow_parabola, 0.0), POINTS[:3], tmp_path, workers=1)
+    assert file.read_text() == "Dear diary"
+
+
+def test_points_and_answers_of_all_kinds(tmp_path: Path) -> None:
+    points: list[Any] = [{"x": np.float64(1.5)}, {"x": np.int64(2), "to": np.array([3.0, 4.0])}, {"x": 3}, {"x": 4}]
+    found = sweep(echo, points, tmp_path / "rows", workers=1)
+    assert [(row["x"], row["to[1]"], row["twice"]) for row in rows(found.table)] == [
+        ("1.5", "", "3.0"),
+        ("2", "4.0", "4"),
+        ("3", "", ""),
+        ("4", "", ""),
+    ]
+    assert found.failures == (
+        (2, "TypeError: the answer is 3; it must be a mapping of names to values"),
+        (3, "TypeError: the answer: z is 4j; it must be a number or text"),
+    )
+    wrong: Any
+    for wrong, problem in (
+        ([], "there are no points"),
+        ({"x": 1}, "points are dict; they must be a list"),
+        ([{"x": 1}, 2], r"points\[1\] is 2; it must be a mapping"),
+        ([{"x": 1j}], r"points\[0\]: x is 1j; it must be a number or text"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            sweep(echo, wrong, tmp_path / "wrong", workers=1)
+    wrong = 3
+    with pytest.raises(InputError, match="function is 3; it must be a function"):
+        sweep(wrong, POINTS[:1], tmp_path / "wrong", workers=1)
+    assert not (tmp_path / "wrong").exists()
+
+
 def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
     def meddle(done: int, total: int, failed: int) -> None:
         with pytest.raises(InputError, match="another run is writing here"):
@@ -239,6 +321,8 @@ def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
         ({"study": {"kind": "forward_kinematics"}}, "robot is missing"),
         ({"study": "nowhere.yaml"}, "nowhere.yaml: there is no such file"),
         ({"sample": {"count": 0}}, "sample.count is 0"),
+        ({"columns": []}, "columns has 0 items; it must have at least 1"),
+        ({"vary": [{"key": "rotations_deg[0]", "values": [1]}] * 2}, "vary rotations_deg[0]: it is named 2 times"),
         ({"colums": ["margin"]}, "colums is not a known key; did you mean 'columns'?"),
     ],
 )
@@ -247,6 +331,34 @@ def test_files_that_make_no_sweep(run: Run, tmp_path: Path, changes: dict[str, A
     assert any(problem in line for line in told), told
     assert all("sweep.yaml" in line or "nowhere.yaml" in line for line in told)
     assert not (tmp_path / "out").exists()
+
+
+def test_how_long_a_study_took_is_no_result(run: Run, tmp_path: Path) -> None:
+    rest = [-120.0, 100.0, 10.0]
+    tip = forward_kinematics(ROBOT, np.radians(rest)).tip_position / MM
+    study = {"kind": "inverse_kinematics", "robot": THESIS, "target_mm": tip.tolist()}
+    path = written(tmp_path, study=study, vary=[{"key": "target_mm[0]", "values": [float(tip[0])]}])
+    table = Path(answer(run("sweep", path, "--workers", "1", "--out", str(tmp_path / "out"), "--json"))["table"])
+    columns = list(rows(table)[0])
+    assert "solutions[0].margin" in columns
+    assert not [column for column in columns if "seconds" in column or "statistics" in column]
+
+
+def test_a_column_of_no_result_is_told(run: Run, tmp_path: Path) -> None:
+    path = written(tmp_path, vary=[{"key": "rotations_deg[1]", "values": [0, 1]}], columns=["margin", "energi_mJ"])
+    outcome = run("sweep", path, "--workers", "1", "--out", str(tmp_path / "out"))
+    assert outcome.code == 3
+    assert "columns: no result begins with 'energi_mJ'; did you mean 'energy_mJ'?" in outcome.err
+
+
+def test_reasons_name_no_directories(run: Run, tmp_path: Path) -> None:
+    path = written(tmp_path, vary=[{"key": "rotations_deg[1]", "values": [0, "x"]}])
+    data = answer(run("sweep", path, "--workers", "1", "--out", str(tmp_path / "out"), "--json"))
+    assert data["failures"] == [{"point": 2, "reason": "InputError: rotations_deg[1] is 'x'; it must be a number"}]
+
+
+def test_a_sweep_is_no_study(run: Run, tmp_path: Path) -> None:
+    assert "this is for `tubeopt sweep`" in refused(run("run", written(tmp_path)))[0]
 
 
 def test_where_every_point_fails_there_is_no_solution(run: Run, tmp_path: Path) -> None:
@@ -269,6 +381,18 @@ def test_files_named_by_the_study_tell_sweeps_apart(tmp_path: Path) -> None:
     one = load_sweep(moved).fingerprint
     robot.write_text(robot.read_text().replace("200", "201"))
     assert load_sweep(moved).fingerprint != one
+
+
+def test_files_named_by_files_tell_sweeps_apart(tmp_path: Path) -> None:
+    mesh = tmp_path / "bone.stl"
+    mesh.write_text("solid")
+    bodies = tmp_path / "bodies.yaml"
+    bodies.write_text("mesh: bone.stl\nself: bodies.yaml\n")
+    data = {"kind": "forward_kinematics", "obstacles": "bodies.yaml"}
+    one = _fingerprint(data, tmp_path / "sweep.yaml", {})
+    assert _fingerprint(data, tmp_path / "sweep.yaml", {}) == one
+    mesh.write_text("solid bone")
+    assert _fingerprint(data, tmp_path / "sweep.yaml", {}) != one
 
 
 @pytest.mark.parametrize("name", ["sweep_tips", "sweep_curvature"])

@@ -7,14 +7,18 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tubeopt import (
+    ConcentricRobot,
     InputError,
     JointLimits,
+    Material,
+    Tube,
     Workspace,
     find_equilibria,
     forward_kinematics,
@@ -27,7 +31,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.plotting.workspace import plot_workspace
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
-from tubeopt.workspaces import alpha_volume, meridian_volume, voxel_volume, voxels
+from tubeopt.workspaces import alpha_volume, meridian_volume, save_workspace, voxel_volume, voxels
 from tubeopt.workspaces.samples import METHODS, JointSamples
 from tubeopt.workspaces.shooting import from_tips
 from tubeopt.workspaces.voxels import PATCHES, patch_of
@@ -189,6 +193,24 @@ def test_flat_workspaces_have_voxels_and_no_alpha_shape() -> None:
         alpha_volume(cloud(flat))
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_the_volume_of_a_robot_that_is_known(method: str) -> None:
+    # A straight tube that does not yield, and an arc that comes out of it: x(e) = (1 - cos(kappa e)) / kappa to the
+    # side, wherever the straight one ends. Each ring of the side x is as high as the straight tube moves.
+    kappa, arc, travel = 12.0, 0.1, 0.25
+    rigid = Material("rigid", 58e16, 21.5e16)
+    robot = ConcentricRobot(
+        (Tube(1e-3, 0.8e-3, 0.25, arc, kappa), Tube(2e-3, 1.2e-3, 0.1, 0.15, 0.0, rigid)),
+    )
+    side = (1 - np.cos(kappa * arc)) / kappa
+    found = workspace(robot, 20_000, method=method)
+    assert np.hypot(*found.tip_position[:, :2].T).max() <= side + 1e-9
+    truth = np.pi * side**2 * travel
+    assert meridian_volume(found).value == pytest.approx(truth, rel=0.12)
+    by_voxels = voxel_volume(found, 0.01 if method != "grid" else 0.02)
+    assert abs(by_voxels.value - truth) < by_voxels.surface + by_voxels.unseen
+
+
 # --- what snapping takes ----------------------------------------------------------------------------------------------
 
 
@@ -261,6 +283,38 @@ def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> N
             workspace(robot, count, out=tmp_path)
     with pytest.raises(InputError, match="is of another robot"):
         load_workspace(THESIS, tmp_path)
+
+
+def test_files_that_are_no_workspace_are_left_alone(tmp_path: Path) -> None:
+    mine = tmp_path / "samples.npy"
+    mine.write_bytes(b"mine")
+    with pytest.raises(InputError, match=r"is there already, but no workspace\.json"):
+        workspace(CRL, 10, out=tmp_path)
+    assert mine.read_bytes() == b"mine"
+    for content in ("{", "[]", "{}"):
+        (tmp_path / "workspace.json").write_text(content)
+        for compute in (partial(workspace, CRL, 10, out=tmp_path), partial(load_workspace, CRL, tmp_path)):
+            with pytest.raises(InputError, match=r"workspace\.json: is damaged"):
+                compute()
+    assert mine.read_bytes() == b"mine"
+
+
+def test_two_runs_in_a_directory_at_once_are_refused(tmp_path: Path) -> None:
+    def meddle(done: int, total: int) -> None:
+        with pytest.raises(InputError, match="another run is writing here"):
+            workspace(CRL, 100, out=tmp_path)
+
+    workspace(CRL, 100, out=tmp_path, progress=meddle)
+    assert len(load_workspace(CRL, tmp_path)) == 100
+
+
+def test_a_workspace_from_memory_is_saved_and_loaded(tmp_path: Path) -> None:
+    found = workspace(CRL, 50, method="random", seed=4)
+    save_workspace(replace(found, failures=((3, "no"),)), tmp_path)
+    again = load_workspace(CRL, tmp_path)
+    assert np.array_equal(again.table, found.table)
+    assert (again.method, again.seed, again.failures) == ("random", 4, ((3, "no"),))
+    assert np.array_equal(workspace(CRL, 50, method="random", seed=4, out=tmp_path).table, found.table)
 
 
 GROWTH = """
@@ -355,4 +409,5 @@ def test_the_command(run: Run, tmp_path: Path) -> None:
     ]
     assert json.loads((Path(out) / "workspace.json").read_text())["columns"][-1] == "margin"
     assert "Example: tubeopt workspace configs/" in run("workspace", "--help").out
-    assert "--samples" in refused(run("workspace", CRL_FILE, "--samples", "0"))[0]
+    for flag, value in (("--samples", "0"), ("--voxel-mm", "0"), ("--voxel-mm", "nan"), ("--min-margin", "nan")):
+        assert flag in refused(run("workspace", CRL_FILE, flag, value))[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
@@ -10,11 +9,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from .errors import InputError
-from .parallel import using
+from .parallel import unpacked, using
 
 try:
     from distributed import Client as _Client
     from distributed import WorkerPlugin
+    from distributed.comm.registry import backends
 except ImportError as error:
     raise InputError("scheduler: Dask is not installed; python -m pip install 'tubeopt[cluster]'") from error
 
@@ -33,7 +33,7 @@ class _Common(WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         """Called by Dask on every worker once."""
-        _received[self.name] = pickle.loads(self.packed)
+        _received[self.name] = unpacked(self.packed)
 
     def teardown(self, worker: Any) -> None:
         """Called by Dask when the run is over."""
@@ -70,6 +70,11 @@ class ClusterExecutor(Executor):
 @contextmanager
 def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]:
     """An executor on the cluster of a scheduler; raises InputError where there is none, or none with workers."""
+    # Of what is no address, Dask's client says so only when it is collected, on stderr.
+    if str(scheduler).partition("://")[0] not in backends or "://" not in str(scheduler):
+        raise InputError(
+            f"scheduler is {scheduler!r}; no Dask scheduler answers there: it must be an address as tcp://host:8786"
+        )
     try:
         client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

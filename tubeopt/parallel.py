@@ -129,9 +129,35 @@ def _processes(count: int, common: object) -> ProcessPoolExecutor:
 _common: ContextVar[Any] = ContextVar("common data of the run to which the task of this thread belongs")
 
 
+class NotLoadedError(InputError):
+    """Common data arrived at a worker that cannot load them, since it does not know their module."""
+
+
+@dataclass(frozen=True)
+class _NotLoaded:
+    reason: str
+
+
+def unpacked(packed: bytes) -> Any:
+    """Common data in a worker; where they cannot be loaded, what `common_data` will say about that."""
+    try:
+        return pickle.loads(packed)
+    except Exception as error:
+        return _NotLoaded(str(error) or type(error).__name__)
+
+
 def common_data() -> Any:
-    """What `executor` was given as `common`; for functions that run in its workers."""
-    return _common.get()
+    """What `executor` was given as `common`; for functions that run in its workers.
+
+    Raises:
+        NotLoadedError: the worker cannot load them.
+    """
+    common = _common.get()
+    if isinstance(common, _NotLoaded):
+        raise NotLoadedError(
+            f"the function cannot be loaded by the workers ({common.reason}); it must be of a module they can import"
+        )
+    return common
 
 
 @contextmanager
@@ -158,7 +184,7 @@ def _begin(packed: bytes) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-    _common.set(pickle.loads(packed))
+    _common.set(unpacked(packed))
 
 
 def _end_with(sentinel: int) -> None:
@@ -184,7 +210,7 @@ def each(
         workers, scheduler: as for `executor`.
 
     Raises:
-        InputError: as `executor`; the function does not pickle.
+        InputError: as `executor`; the function does not pickle, or workers cannot load it or cannot start.
         SolveError: the connection to the cluster is lost.
     """
     numbered = enumerate(items)
@@ -194,6 +220,7 @@ def each(
             yield from run.all(numbered)
         if not run.lost:
             return
+        _require_start()
         for item in run.lost:
             yield _alone(function, item)
 
@@ -238,6 +265,8 @@ class _Run(Generic[A, B]):
         except BrokenProcessPool:
             self.lost = sorted([*self.lost, (index, item)], key=lambda lost: lost[0])
             return None
+        except NotLoadedError:
+            raise
         except CancelledError:
             raise SolveError("the connection to the cluster is lost; what was computed before is kept") from None
         except Exception as error:  # of the executor: an item that does not pickle, a worker of the cluster lost thrice
@@ -255,11 +284,24 @@ def _alone(function: Callable[[A], B], numbered: tuple[int, A]) -> Outcome[B]:
     return Outcome(numbered[0], None, Failure("WorkerLost", "the process that computed it ended without an answer"))
 
 
+def _require_start() -> None:
+    """Raise InputError where processes end before they begin: then it is not the items that end them."""
+    with _processes(1, None) as pool:
+        try:
+            pool.submit(os.getpid).result()
+        except BrokenProcessPool:
+            raise InputError(
+                "worker processes do not start; a script must begin its work under `if __name__ == '__main__':`, since "
+                "they import it, or give workers=1"
+            ) from None
+
+
 def _compute(item: Any) -> tuple[Any, Failure | None, float]:
     """Answer, failure and seconds of an item, in a worker."""
+    function = common_data()
     began = time.perf_counter()
     try:
-        value, failure = common_data()(item), None
+        value, failure = function(item), None
     except Exception as error:
         value, failure = None, Failure(type(error).__name__, str(error) or "no message")
     return value, failure, time.perf_counter() - began

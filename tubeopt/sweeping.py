@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
 
 from .errors import InputError
-from .parallel import Outcome, each
+from .parallel import Failure, Outcome, each
 from .study.sweep_journal import Journal
+from .study.sweep_points import Points
 from .study.sweep_table import flatten, write_table
 
 JOURNAL = "journal.jsonl"
@@ -59,9 +60,9 @@ def sweep(
 ) -> Sweep:
     """`function` at every point, with a journal and a table in `directory`.
 
-    A point is a mapping of names to numbers and text, an answer one to anything that JSON knows; nested answers become
-    columns such as `tip[0]` and `snap.fraction`. What raises at one point is recorded there with its reason. If the
-    directory holds the journal of an earlier run with the same points, the points that it has are not computed again.
+    Points and answers are mappings of names to anything that JSON or NumPy knows; what is nested becomes columns such
+    as `tip[0]` and `snap.fraction`. What raises at one point is recorded there with its reason. If the directory holds
+    the journal of an earlier run with the same points, the points that it has are not computed again.
 
     Args:
         function: a function of a module, or a `functools.partial` of one, sent to every worker once.
@@ -70,10 +71,13 @@ def sweep(
         retry_failed: compute the points again that have failed before.
 
     Raises:
-        InputError: the directory holds another sweep, is in use or cannot be written; workers or scheduler as in
-            `parallel.executor`.
+        InputError: no function, or no points; the directory holds another sweep, is in use or cannot be written;
+            workers or scheduler as in `parallel.executor`.
         SolveError: the connection to the cluster is lost; the journal keeps what was done.
     """
+    if not callable(function):
+        raise InputError(f"function is {function!r}; it must be a function of a point")
+    points = _checked(points)
     directory = Path(directory)
     mark = fingerprint or _fingerprint(function, points)
     with Journal(directory / JOURNAL, mark, len(points)) as journal:
@@ -89,26 +93,51 @@ def sweep(
             done.add(index)
             if progress is not None:
                 progress(len(done), len(points), len(journal.failed & done))
-        keys = list(dict.fromkeys(key for point in _first(points) for key in point))
-        table, arrays = write_table(directory, keys, journal.entries)
+        table, arrays = write_table(directory, journal.entries)
         return Sweep(len(points), len(left), tuple(_failures(journal)), table, arrays, journal.path)
 
 
+def _checked(points: Any) -> Sequence[Point]:
+    if isinstance(points, Points):  # which are checked, and made when they are asked for
+        return points
+    if isinstance(points, (str, Mapping)) or not isinstance(points, Iterable):
+        raise InputError(f"points are {type(points).__name__}; they must be a list of mappings of names to values")
+    checked = list(points)
+    if not checked:
+        raise InputError("there are no points; there must be at least one")
+    for index, point in enumerate(checked):
+        wrong = _no_row(f"points[{index}]", point)
+        if wrong:
+            raise InputError(wrong)
+    return checked
+
+
 def _entry(point: Point, outcome: Outcome[Answer]) -> dict[str, Any]:
-    entry: dict[str, Any] = {"parameters": dict(point), "seconds": outcome.seconds}
-    if outcome.failure is not None:
-        return entry | {"failure": {"kind": outcome.failure.kind, "reason": outcome.failure.reason}}
-    return entry | {"record": flatten(outcome.value or {})}
+    entry: dict[str, Any] = {"parameters": flatten(point), "seconds": outcome.seconds}
+    failure, answer = outcome.failure, outcome.value
+    if failure is None:
+        wrong = _no_row("the answer", answer)
+        failure = Failure("TypeError", wrong) if wrong else None
+    if failure is not None:
+        return entry | {"failure": asdict(failure)}
+    return entry | {"record": flatten(answer or {})}
+
+
+def _no_row(what: str, data: object) -> str:
+    """Why data make no row of a table, or nothing where they do."""
+    if not isinstance(data, Mapping):
+        return f"{what} is {data!r:.60}; it must be a mapping of names to values"
+    row: Mapping[str, Any] = flatten(data)
+    for name, value in row.items():
+        if value is not None and not isinstance(value, (str, int, float)):
+            return f"{what}: {name} is {value!r:.60}; it must be a number or text"
+    return ""
 
 
 def _failures(journal: Journal) -> Iterator[tuple[int, str]]:
     for entry in journal.entries():
         if "failure" in entry:
             yield entry["index"], f"{entry['failure']['kind']}: {entry['failure']['reason']}"
-
-
-def _first(points: Sequence[Point]) -> Iterator[Point]:
-    yield from points[:1]
 
 
 def _fingerprint(function: Callable[..., Any], points: Sequence[Point]) -> str:

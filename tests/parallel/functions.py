@@ -60,3 +60,9 @@ def slow_parabola(shift: float, point: dict[str, float]) -> dict[str, Any]:
     if point["x"] == 77:
         raise InputError("x is 77; it must be another number")
     return {"y": (point["x"] - shift) ** 2 / 7, "odd": {"x": math.nan if point["x"] % 2 else 1.0}}
+
+
+def echo(point: dict[str, Any]) -> Any:
+    """Twice the x of a point; of 3 no mapping, of 4 no number."""
+    answers: dict[Any, Any] = {3: 3, 4: {"z": 4j}}
+    return answers.get(point["x"], {"twice": 2 * point["x"]})

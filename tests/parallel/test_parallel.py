@@ -121,6 +121,31 @@ def test_a_function_that_does_not_pickle_is_named() -> None:
         list(each(lambda x: x, [1], workers=2))
 
 
+LOCAL = """
+from tubeopt import InputError
+from tubeopt.parallel import each
+
+def local(x):
+    return x
+
+try:
+    print(list(each(local, range(3), workers=2)))
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("typed", [True, False])
+def test_workers_that_cannot_begin_are_no_failure_of_the_items(tmp_path: Path, typed: bool) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(LOCAL)
+    command = [sys.executable, "-c", LOCAL] if typed else [sys.executable, str(script)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    told = "the function cannot be loaded by the workers" if typed else "a script must begin its work under"
+    assert told in done.stdout
+
+
 def test_the_executor_is_one_of_the_standard_library() -> None:
     with executor(2) as pool:
         assert list(pool.map(math.sqrt, [1.0, 4.0])) == [1.0, 2.0]

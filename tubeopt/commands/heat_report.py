@@ -18,7 +18,7 @@ from ..fabrication.heating_robust import Band, Uncertainty
 from ..fabrication.heating_trials import TrialFit
 from ..study.files import write_text
 from ..study.rig_file import rig_to_dict, save_rig
-from .report import to_text, two_columns
+from .report import report, to_text, two_columns
 
 MM = 1e3
 
@@ -290,3 +290,8 @@ class TrialReport:
     def draw(self, directory: Path) -> list[Path]:
         """There is no picture of trials."""
         return []
+
+
+@report.register
+def _(answer: HeatingPlan) -> HeatReport:
+    return HeatReport(answer, (), None, Uncertainty(), 1.0)

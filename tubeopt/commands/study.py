@@ -6,7 +6,10 @@ from typing import Annotated
 
 import typer
 
+from ..errors import SolveError
+from ..fabrication.heating_plan import HeatingPlan
 from ..study.study_file import load_study
+from .heat import missed
 from .options import JsonOption, OutOption, PlotOption
 from .progress import working
 from .report import can_be_saved, present, report
@@ -24,3 +27,5 @@ def run(
     with working("running the study") as progress:
         answer = question.run(progress)
     present(report(answer), out=out, as_json=as_json, plot=plot)
+    if isinstance(answer, HeatingPlan) and not answer.feasible:
+        raise SolveError(missed(answer))

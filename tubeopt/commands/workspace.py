@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,24 +10,15 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from ..errors import InputError
+from ..errors import InputError, positive
 from ..study.files import atomic_write
 from ..study.robot_file import load_robot
-from ..workspaces import (
-    METHODS,
-    SnappingLoss,
-    Volume,
-    Voxels,
-    Workspace,
-    alpha_volume,
-    meridian_volume,
-    snapping_loss,
-    voxels,
-)
+from ..workspaces import METHODS, SnappingLoss, examine, save_workspace
 from ..workspaces import workspace as compute
-from ..workspaces.volume import volume_of
+from ..workspaces.findings import Findings
+from ..workspaces.loss import require_centred
 from .options import JsonOption, OutOption, PlotOption, RobotArgument
-from .report import can_be_saved, present, two_columns
+from .report import can_be_saved, present, report, two_columns
 from .sweep import counting
 from .words import MM
 
@@ -41,7 +31,7 @@ def workspace(
     method: Annotated[str, typer.Option(help=f"How they are chosen: {', '.join(METHODS)}.")] = METHODS[0],
     seed: Annotated[int, typer.Option(metavar="K", help="Of random and Sobol points.")] = 0,
     voxel_mm: Annotated[
-        float | None, typer.Option(metavar="MM", help="Edge of the voxels; by default for about ten samples in each.")
+        float | None, typer.Option(metavar="MM", help="Edge of the voxels; by default for about fifty samples in each.")
     ] = None,
     min_margin: Annotated[
         float, typer.Option(metavar="MU", help="Only configurations at least as stable count.")
@@ -62,8 +52,12 @@ def workspace(
     for flag, value, least in (("samples", samples, 1), ("seed", seed, 0), ("loss", loss, 0), ("workers", workers, 0)):
         if value < least:
             raise InputError(f"--{flag} is {value}; it must be at least {least}")
-    size = None if voxel_mm is None else voxel_mm / MM
+    size = None if voxel_mm is None else positive("--voxel-mm", voxel_mm) / MM
+    if not min_margin <= 1:
+        raise InputError(f"--min-margin is {min_margin:g}; no margin is above 1")
     question = load_robot(robot)
+    if loss:
+        require_centred(question)
     can_be_saved(out)
     with counting("solving") as progress:
         found = compute(
@@ -75,76 +69,58 @@ def workspace(
             workers=workers,
             progress=lambda done, total: progress(done, total, 0),
         )
-    cubes = voxels(found, size, min_margin=min_margin)
-    lost = None
-    if loss:
-        with counting("unstable equilibria") as progress:
-            lost = snapping_loss(
-                question,
-                loss,
-                size=cubes.size,
-                seed=seed,
-                reached=found,
-                progress=lambda done, total: progress(done, total, 0),
-            )
-    volumes = volume_of(cubes), _where_there_is_one(meridian_volume, found, min_margin)
-    answer = WorkspaceReport(found, cubes, *volumes, _where_there_is_one(alpha_volume, found, min_margin), lost)
-    present(answer, out=out, as_json=as_json, plot=plot)
-
-
-def _where_there_is_one(method: Callable[..., Volume], found: Workspace, min_margin: float) -> Volume | None:
-    """A volume by a method that some workspaces do not have: flat ones no alpha shape, and not all are round."""
-    try:
-        return method(found, min_margin=min_margin)
-    except InputError:
-        return None
+    with counting("unstable equilibria") as progress:
+        answer = examine(
+            found,
+            size,
+            min_margin=min_margin,
+            loss=loss,
+            progress=lambda done, total: progress(done, total, 0),
+        )
+    present(WorkspaceReport(answer), out=out, as_json=as_json, plot=plot)
 
 
 @dataclass(frozen=True)
 class WorkspaceReport:
     """What is said and saved about a workspace."""
 
-    found: Workspace
-    cubes: Voxels
-    volume: Volume
-    meridian: Volume | None
-    alpha: Volume | None
-    lost: SnappingLoss | None
+    answer: Findings
 
     def record(self) -> dict[str, Any]:
         """The answer as JSON: extent, volumes, dexterity, margins, loss."""
-        volume, low, high = self.volume, *self._extent()
+        volume, low, high = self.answer.volume, *self._extent()
         margins = self._margins()
         return {
-            "robot": self.found.robot.name,
-            "method": self.found.method,
-            "seed": self.found.seed,
-            "samples": len(self.found),
-            "without_equilibrium": len(self.found.failures),
-            "counted": self.cubes.samples,
+            "robot": self.answer.workspace.robot.name,
+            "method": self.answer.workspace.method,
+            "seed": self.answer.workspace.seed,
+            "samples": len(self.answer.workspace),
+            "without_equilibrium": len(self.answer.workspace.failures),
+            "counted": self.answer.voxels.samples,
             "least_margin": float(margins.min()),
             "lower_mm": (low * MM).tolist(),
             "upper_mm": (high * MM).tolist(),
-            "voxel_mm": self.cubes.size * MM,
-            "voxels": len(self.cubes),
+            "voxel_mm": self.answer.voxels.size * MM,
+            "voxels": len(self.answer.voxels),
             "volume_cm3": volume.value * CUBIC_CM,
             "volume_first_half_cm3": volume.half * CUBIC_CM,
             "volume_unseen_cm3": volume.unseen * CUBIC_CM,
             "volume_surface_cm3": volume.surface * CUBIC_CM,
-            "meridian_volume_cm3": None if self.meridian is None else self.meridian.value * CUBIC_CM,
-            "meridian_first_half_cm3": None if self.meridian is None else self.meridian.half * CUBIC_CM,
-            "alpha_volume_cm3": None if self.alpha is None else self.alpha.value * CUBIC_CM,
-            "alpha_radius_mm": None if self.alpha is None else self.alpha.scale * MM,
-            "mean_dexterity": float(self.cubes.dexterity.mean()),
-            "largest_dexterity": float(self.cubes.dexterity.max()),
-            "snapping": None if self.lost is None else _loss_record(self.lost),
+            "meridian_volume_cm3": None if self.answer.meridian is None else self.answer.meridian.value * CUBIC_CM,
+            "meridian_first_half_cm3": None if self.answer.meridian is None else self.answer.meridian.half * CUBIC_CM,
+            "alpha_volume_cm3": None if self.answer.alpha is None else self.answer.alpha.value * CUBIC_CM,
+            "alpha_radius_mm": None if self.answer.alpha is None else self.answer.alpha.scale * MM,
+            "mean_dexterity": float(self.answer.voxels.dexterity.mean()),
+            "largest_dexterity": float(self.answer.voxels.dexterity.max()),
+            "snapping": None if self.answer.loss is None else _loss_record(self.answer.loss),
         }
 
     def _extent(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.cubes.index.min(0) * self.cubes.size, (self.cubes.index.max(0) + 1) * self.cubes.size
+        cubes = self.answer.voxels
+        return cubes.index.min(0) * cubes.size, (cubes.index.max(0) + 1) * cubes.size
 
     def _margins(self) -> np.ndarray:
-        least = [np.nanmin(part[:, -1], initial=np.inf) for _, part in self.found.chunks()]
+        least = [np.nanmin(part[:, -1], initial=np.inf) for _, part in self.answer.workspace.chunks()]
         return np.array(least)
 
     def table(self) -> Table:
@@ -158,6 +134,7 @@ class WorkspaceReport:
             ("least margin", f"{r['least_margin']:.4f}"),
             ("tips within", ", ".join(spans) + " mm"),
             ("volume", f"{r['volume_cm3']:.4g} cm3 in {r['voxels']} voxels of {r['voxel_mm']:g} mm"),
+            ("", f"give or take {r['volume_surface_cm3']:.3g} cm3, half of the voxels on the surface"),
             ("", f"{r['volume_first_half_cm3']:.4g} cm3 from the first half of the samples"),
             ("", f"{r['volume_unseen_cm3']:.3g} cm3 estimated as not seen yet"),
         ]
@@ -177,10 +154,13 @@ class WorkspaceReport:
         return two_columns(f"{r['robot'] or 'robot'}: workspace", rows)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write voxels.npz, in SI, beside the samples, which are there already."""
+        """Write voxels.npz, in SI, beside the samples, which are there already where they were streamed."""
+        samples = save_workspace(self.answer.workspace, directory)
         path = directory / "voxels.npz"
-        c = self.cubes
-        lost: dict[str, Any] = {} if self.lost is None else {"held": self.lost.held, "lost": self.lost.lost}
+        c = self.answer.voxels
+        lost: dict[str, Any] = (
+            {} if self.answer.loss is None else {"held": self.answer.loss.held, "lost": self.answer.loss.lost}
+        )
         with atomic_write(path) as temporary:
             np.savez(
                 temporary,
@@ -191,7 +171,7 @@ class WorkspaceReport:
                 margin=c.margin,
                 **lost,
             )
-        return [directory / "samples.npy", directory / "workspace.json", path]
+        return [*samples, path]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write workspace.png."""
@@ -199,8 +179,13 @@ class WorkspaceReport:
 
         path = directory / "workspace.png"
         with atomic_write(path) as temporary:
-            plot_workspace(self.found, temporary, loss=self.lost, size=self.cubes.size)
+            plot_workspace(self.answer.workspace, temporary, loss=self.answer.loss, size=self.answer.voxels.size)
         return [path]
+
+
+@report.register
+def _(answer: Findings) -> WorkspaceReport:
+    return WorkspaceReport(answer)
 
 
 def _loss_record(lost: SnappingLoss) -> dict[str, Any]:

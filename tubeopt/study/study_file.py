@@ -13,14 +13,17 @@ import numpy as np
 from pydantic import Field
 
 from ..equilibrium import Equilibrium
+from ..errors import InputError
 from ..kinematics import forward_kinematics
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .checked import Positive, check_kind
 from .design_study import DesignStudy
+from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
 from .validation_study import ValidationStudy
+from .workspace_study import WorkspaceStudy
 from .yaml_file import load_yaml
 
 
@@ -58,6 +61,8 @@ STUDY_KINDS: dict[str, type[Study]] = {
     "validation": ValidationStudy,
     "design": DesignStudy,
     "plan": PlanStudy,
+    "workspace": WorkspaceStudy,
+    "heating": HeatingStudy,
 }
 """What the key `kind` of a study file may say."""
 
@@ -68,4 +73,7 @@ def load_study(path: str | PathLike[str]) -> Study:
     Raises:
         InputError: no such file, not YAML, or keys or values that make no study: one line for every problem.
     """
-    return check_kind(STUDY_KINDS, load_yaml(path), path)
+    data = load_yaml(path)
+    if data.get("kind") == "sweep":
+        raise InputError(f"{path}: kind is 'sweep'; this is for `tubeopt sweep`, where a study is asked for")
+    return check_kind(STUDY_KINDS, data, path)

@@ -6,7 +6,7 @@
       - {key: "rotations_deg[0]", from: 0, to: 360, count: 37}
       - {key: "robot.tubes[0].curvature_per_m", values: [6, 8, 10]}
 
-Keys are paths in the study; through `robot` they go on into the robot's own file.
+Keys are paths in the study; through `robot` and `rig` they go on into the files of those.
 """
 
 from __future__ import annotations
@@ -25,16 +25,20 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from ..errors import InputError, nearest
-from .base import Whole
+from .base import Study, Whole
 from .checked import Entry, Number, check, check_kind
+from .rig_file import rig_from_dict
 from .robot_file import robot_from_dict
 from .study_file import STUDY_KINDS
 from .sweep_points import Axis, Points, Value
-from .sweep_table import flatten
+from .sweep_table import NOT_A_RESULT, flatten
 from .units import decimal, shown
 from .yaml_file import load_yaml
 
 Data = dict[str, Any]
+
+FILES: dict[str, Callable[[object, str], Any]] = {"robot": robot_from_dict, "rig": rig_from_dict}
+"""Keys of studies that name files into which keys that vary go on."""
 
 
 def _value(value: object) -> Value:
@@ -86,14 +90,16 @@ class SweepEntry(Entry):
     study: str | dict[str, Any] = Field(description="a study, or the path of its file, relative to this file")
     vary: list[VaryEntry] = Field(min_length=1)
     sample: SampleEntry | None = Field(None, description="points to draw; by default the grid of all values")
-    columns: list[str] | None = Field(None, description="results to keep, by how their names begin; by default all")
+    columns: list[str] | None = Field(
+        None, min_length=1, description="results to keep, by how their names begin; by default all"
+    )
 
 
 @dataclass(frozen=True)
 class StudyAt:
     """A study with some of its keys set anew: a function of their values, for the workers of a sweep.
 
-    data: the study's; the robot is loaded, or as data where its own keys vary.   where: the file it is from.
+    data: the study's; robot and rig are loaded, or as data where their own keys vary.   where: the file it is from.
     summarise: turns the study's answer into plain data.   columns: beginnings of the names that are kept.
     """
 
@@ -107,12 +113,28 @@ class StudyAt:
         data = copy.deepcopy(self.data)
         for key, value in values.items():
             _put(data, key, value if isinstance(value, (bool, str)) else Decimal(repr(value)))
-        if isinstance(data.get("robot"), dict):
-            data["robot"] = robot_from_dict(data["robot"], "robot")
-        record = flatten(self.summarise(check_kind(STUDY_KINDS, data, self.where.parent / "study").run()))
+        for name, build in FILES.items():
+            if isinstance(data.get(name), dict):
+                data[name] = build(data[name], name)
+        record = flatten(self.summarise(self._study(data).run()), NOT_A_RESULT)
         if self.columns is None:
             return record
+        for column in self.columns:
+            _begins_a_result(column, list(record))
         return {key: value for key, value in record.items() if key.startswith(self.columns)}
+
+    def _study(self, data: Data) -> Study:
+        try:
+            return check_kind(STUDY_KINDS, data, self.where)
+        except InputError as error:  # of this point, not of the file, which is as it should be
+            raise InputError(str(error).replace(f"{self.where}: ", "")) from None
+
+
+def _begins_a_result(column: str, results: list[str]) -> None:
+    """Raise InputError for a column of no result; parts of results that only some points have are no mistake."""
+    names = {re.split(r"[.\[]", result)[0] for result in results}
+    if not any(result.startswith(column) for result in results) and re.split(r"[.\[]", column)[0] not in names:
+        raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
 
 
 @dataclass(frozen=True)
@@ -147,7 +169,8 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         points = Points(axes, method, count, seed)
         data, where = _study(source["study"], path)
         fingerprint = _fingerprint(data, where, source)
-        data = _with_robot(data, where, points.keys)
+        for name in FILES:
+            data = _with_file(name, data, where, points.keys)
         for key in points.keys:
             _known(data, key)
     except InputError as error:
@@ -167,13 +190,13 @@ def _study(study: str | Data, path: Path) -> tuple[Data, Path]:
     return dict(study), where
 
 
-def _with_robot(data: Data, where: Path, keys: tuple[str, ...]) -> Data:
-    """The study with its robot: as data where keys go into it, else built."""
-    if not isinstance(data.get("robot"), str) or "robot" in keys:
+def _with_file(name: str, data: Data, where: Path, keys: tuple[str, ...]) -> Data:
+    """The study with what is in a file that it names: as data where keys go into it, else built."""
+    if not isinstance(data.get(name), str) or name in keys:
         return data
-    robot = load_yaml(where.parent / data["robot"])
-    inside = any(key.startswith("robot.") for key in keys)
-    return {**data, "robot": robot if inside else robot_from_dict(robot, data["robot"])}
+    content = load_yaml(where.parent / data[name])
+    inside = any(key.startswith(f"{name}.") for key in keys)
+    return {**data, name: content if inside else FILES[name](content, data[name])}
 
 
 _PART = re.compile(r"(\w+)|\[(\d+)\]")
@@ -228,11 +251,20 @@ def _put(data: Data, key: str, value: object) -> None:
 def _fingerprint(data: Data, where: Path, source: Data) -> str:
     """A mark of everything that the results follow from: the keys of the file, and the files that they name."""
     digest = hashlib.sha256(json.dumps([source, data], default=str, sort_keys=True).encode())
-    for text in _texts(data):
-        file = where.parent / text
-        if len(text) < 4096 and file.is_file():
-            digest.update(file.read_bytes())
+    for content in _named(data, where.parent, set()):
+        digest.update(content)
     return digest.hexdigest()
+
+
+def _named(data: object, directory: Path, seen: set[Path]) -> Iterator[bytes]:
+    """Contents of the files that are named in data, and in those files."""
+    for text in _texts(data):
+        file = (directory / text).resolve() if len(text) < 1024 and "\0" not in text else directory
+        if file.is_file() and file not in seen:
+            seen.add(file)
+            yield file.read_bytes()
+            if file.suffix in (".yaml", ".yml"):
+                yield from _named(load_yaml(file), file.parent, seen)
 
 
 def _texts(data: object) -> Iterator[str]:

@@ -43,7 +43,7 @@ class Journal:
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
         try:
-            _lock(self._file, path)
+            lock(self._file, path)
             self._read()
         except BaseException:
             self._file.close()
@@ -74,7 +74,7 @@ class Journal:
 
     def _write(self, line: Mapping[str, Any]) -> None:
         try:
-            self._file.write(to_json(line, inf_nan_mode="strings") + b"\n")
+            self._file.write(_line(line))
             self._file.flush()
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
@@ -89,16 +89,18 @@ class Journal:
 
     def _read(self) -> None:
         """Take in what is there, cut off a torn end, and write the head of a new journal."""
+        place, size = 0, self._file.seek(0, os.SEEK_END)
         self._file.seek(0)
-        place = 0
         for number, line in enumerate(self._file):
-            if not line.endswith(b"\n"):
-                break
-            data = _parse(line, self.path, number)
+            data = _parse(line)
+            if data is None and place + len(line) == size and (number or _line(self._head).startswith(line)):
+                break  # torn by a kill, or nonsense after a loss of power
+            if data is None:
+                raise InputError(f"{self.path}: line {number + 1} is damaged; this is no journal of a sweep")
             if number == 0:
                 self._check(data)
             else:
-                self._note(int(data["index"]), place, "failure" in data)
+                self._note(data["index"], place, "failure" in data)
             place += len(line)
         self._file.truncate(place)
         if place == 0:
@@ -113,18 +115,24 @@ class Journal:
             )
 
 
-def _parse(line: bytes, path: Path, number: int) -> dict[str, Any]:
+def _line(data: Mapping[str, Any]) -> bytes:
+    return to_json(data, inf_nan_mode="strings") + b"\n"
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    """The head or the entry in a whole line; None where it is damaged."""
     try:
         data = json.loads(line)
-        if number and not isinstance(data["index"], int):
-            raise TypeError
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{path}: line {number + 1} is damaged; this is no journal of a sweep") from None
-    return dict(data)
+    except ValueError:
+        return None
+    if not isinstance(data, dict) or not line.endswith(b"\n"):
+        return None
+    entry = isinstance(data.get("index"), int) and "parameters" in data and ("record" in data or "failure" in data)
+    return data if entry or "fingerprint" in data else None
 
 
-def _lock(file: BinaryIO, path: Path) -> None:
-    """Hold the journal for this run, where the system knows locks."""
+def lock(file: BinaryIO, path: Path) -> None:
+    """Hold a file for this run, where the system knows locks; raises InputError where another run holds it."""
     try:
         import fcntl
     except ImportError:

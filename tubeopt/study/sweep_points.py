@@ -32,17 +32,22 @@ class Axis:
     high: float = 0.0
     count: int = 0
 
-    def on_grid(self) -> tuple[Value, ...]:
-        """The values on a grid; those of a range to 15 digits, ends included."""
+    @property
+    def places(self) -> int:
+        """How many values it has on a grid."""
+        return self.count if self.values is None else len(self.values)
+
+    def on_grid(self, place: int) -> Value:
+        """The value at a place on a grid, from 0; those of a range to 15 digits, ends included."""
         if self.values is not None:
-            return self.values
-        return tuple(float(f"{x:.15g}") for x in np.linspace(self.low, self.high, self.count))
+            return self.values[place]
+        return self.at(place / (self.count - 1) if self.count > 1 else 0.0)
 
     def at(self, unit: float) -> Value:
         """The value at a number from 0 to 1."""
         if self.values is not None:
             return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
-        return float(f"{self.low + unit * (self.high - self.low):.15g}")
+        return float(f"{(1 - unit) * self.low + unit * self.high:.15g}")
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Points(Sequence[dict[str, Value]]):
     method: one of `METHODS`.   total: points of a sample; a grid has its own number.   seed: of a sample.
 
     Raises:
-        InputError: unknown method, no axis, a sample without count, more than ten million points.
+        InputError: unknown method, no axis, a key on two axes, a sample without count, more than ten million points.
     """
 
     axes: tuple[Axis, ...]
@@ -64,8 +69,11 @@ class Points(Sequence[dict[str, Value]]):
         choice("sample.method", self.method, METHODS)
         if not self.axes:
             raise InputError("vary is empty; it must name at least one key")
+        for key in self.keys:
+            if self.keys.count(key) > 1:
+                raise InputError(f"vary {key}: it is named {self.keys.count(key)} times; it must be named once")
         if self.method == "grid":
-            object.__setattr__(self, "total", math.prod(len(axis.on_grid()) for axis in self.axes))
+            object.__setattr__(self, "total", math.prod(axis.places for axis in self.axes))
         if not 1 <= self.total <= MOST_POINTS:
             raise InputError(f"the sweep has {self.total} points; there must be 1 to {MOST_POINTS}")
 
@@ -89,9 +97,8 @@ class Points(Sequence[dict[str, Value]]):
     def point(self, index: int) -> dict[str, Value]:
         """The value of every key at a point, from 0. On a grid the last axis runs fastest."""
         if self.method == "grid":
-            grid = [axis.on_grid() for axis in self.axes]
-            places = np.unravel_index(index, [len(values) for values in grid])
-            chosen = [values[int(k)] for values, k in zip(grid, places, strict=True)]
+            places = np.unravel_index(index, [axis.places for axis in self.axes])
+            chosen = [axis.on_grid(int(k)) for axis, k in zip(self.axes, places, strict=True)]
         else:
             units = _sample(self.method, len(self.axes), self.total, self.seed)[index]
             chosen = [axis.at(float(unit)) for axis, unit in zip(self.axes, units, strict=True)]

@@ -15,8 +15,8 @@ from .files import atomic_write
 LONGEST_LIST = 16
 """Longer lists of an answer, curves and maps, are left out of the table."""
 
-NOT_A_RESULT = ("statistics", "files")
-"""Keys of an answer that say how it was found, which differs from run to run."""
+NOT_A_RESULT = ("statistics", "files", "seconds")
+"""Keys of a study's answer, at any depth, that say how it was found, which differs from run to run."""
 
 FIXED = ("point", "status", "reason")
 """Columns of every table: the number of the point, from 1; done or failed; why it failed."""
@@ -25,41 +25,35 @@ Entries = Callable[[], Iterable[Mapping[str, Any]]]
 """Lines of a journal by index, as often as they are asked for."""
 
 
-def flatten(record: Mapping[str, Any]) -> dict[str, float | str | bool | None]:
-    """An answer as one row: `snap.before.margin`, `tip_position_mm[2]`."""
-    out: dict[str, float | str | bool | None] = {}
-    for key, value in record.items():
-        if key not in NOT_A_RESULT:
-            out.update(_flat(key, value))
-    return out
+def flatten(record: Mapping[str, Any], leave: Sequence[str] = ()) -> dict[str, float | str | bool | None]:
+    """An answer as one row: `snap.before.margin`, `tip_position_mm[2]`; keys to leave out are so at any depth."""
+    return {path: value for key in record if key not in leave for path, value in _flat(key, record[key], leave)}
 
 
-def _flat(path: str, value: Any) -> Iterator[tuple[str, float | str | bool | None]]:
+def _flat(path: str, value: Any, leave: Sequence[str]) -> Iterator[tuple[str, float | str | bool | None]]:
     if hasattr(value, "tolist"):  # of NumPy
         value = value.tolist()
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            yield from _flat(f"{path}.{key}", inner)
+            if key not in leave:
+                yield from _flat(f"{path}.{key}", inner, leave)
     elif isinstance(value, (list, tuple)):
         if len(value) <= LONGEST_LIST:
             for k, inner in enumerate(value):
-                yield from _flat(f"{path}[{k}]", inner)
+                yield from _flat(f"{path}[{k}]", inner, leave)
     else:
         yield path, value
 
 
-def write_table(directory: Path, keys: Sequence[str], entries: Entries) -> list[Path]:
+def write_table(directory: Path, entries: Entries) -> list[Path]:
     """Write table.csv and table.npz of journal lines; return their paths.
 
     The rows stand in the order of the points, whatever the order in which they were computed.
 
-    Args:
-        keys: of the parameters that vary.
-
     Raises:
         InputError: the files cannot be written.
     """
-    columns = _columns(keys, entries)
+    columns = _columns(entries)
     text, arrays = directory / "table.csv", directory / "table.npz"
     with atomic_write(text) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -75,12 +69,14 @@ def write_table(directory: Path, keys: Sequence[str], entries: Entries) -> list[
     return [text, arrays]
 
 
-def _columns(keys: Sequence[str], entries: Entries) -> list[str]:
+def _columns(entries: Entries) -> list[str]:
     """Names of all columns: parameters before results."""
+    parameters: dict[str, None] = {}
     results: dict[str, None] = {}
     for entry in entries():
+        parameters.update(dict.fromkeys(entry["parameters"]))
         results.update(dict.fromkeys(entry.get("record", {})))
-    return list(dict.fromkeys([FIXED[0], *keys, *FIXED[1:], *results]))
+    return list(dict.fromkeys([FIXED[0], *parameters, *FIXED[1:], *results]))
 
 
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:

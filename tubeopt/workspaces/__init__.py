@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from .findings import Findings, examine
 from .loss import SnappingLoss, snapping_loss
-from .run import load_workspace, workspace
+from .run import load_workspace, save_workspace, workspace
 from .samples import METHODS
 from .table import Workspace
 from .volume import Volume, alpha_volume, meridian_volume, voxel_volume
@@ -12,13 +13,16 @@ from .voxels import PATCHES, Voxels, voxels
 __all__ = [
     "METHODS",
     "PATCHES",
+    "Findings",
     "SnappingLoss",
     "Volume",
     "Voxels",
     "Workspace",
     "alpha_volume",
+    "examine",
     "load_workspace",
     "meridian_volume",
+    "save_workspace",
     "snapping_loss",
     "voxel_volume",
     "voxels",

@@ -85,8 +85,7 @@ def snapping_loss(
         InputError: tubes off the centreline, for which the equilibria cannot be listed by their tips; a workspace of
             another robot; a size that is not positive; limits of rotations that leave no equilibrium.
     """
-    if robot.assembly(robot.home_translations).eccentric:
-        raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
+    require_centred(robot)
     if reached is not None and reached.robot != robot:
         raise InputError("reached is a workspace of another robot")
     drawn = JointSamples(_free_to_turn(robot), "sobol", samples, seed)
@@ -97,6 +96,12 @@ def snapping_loss(
         for _, rows in reached.chunks():
             _add(stable, rows[held(rows, 0.0)], np.ones(1, dtype=bool))
     return _loss(robot, stable, unstable, counts)
+
+
+def require_centred(robot: Robot) -> None:
+    """Raise InputError for tubes off the centreline."""
+    if robot.assembly(robot.home_translations).eccentric:
+        raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
 
 
 def _sorted(

@@ -16,7 +16,8 @@ from ..batch import forward_kinematics_batch
 from ..errors import InputError
 from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..study.files import read_bytes, write_text
+from ..study.files import atomic_write, read_bytes, write_text
+from ..study.sweep_journal import lock
 from .samples import JointSamples
 from .table import Workspace, width
 
@@ -53,13 +54,13 @@ def workspace(
 
     Raises:
         InputError: no number of samples, unknown method, limits that leave nothing, a directory that holds another
-            workspace or cannot be written.
+            workspace, that another run is writing to, or that cannot be written.
     """
     drawn = JointSamples(robot, method, samples, seed)
     count = sum(len(rotations) for rotations, _ in drawn.blocks()) if method == "grid" else samples
     if not count:
         raise InputError(f"samples is {samples}; a grid of no more points has none that keeps the tubes in order")
-    sink = _Memory(robot, count) if out is None else _Disk(robot, count, Path(out), _spec(drawn, count))
+    sink = _Memory(robot, count) if out is None else _Disk(robot, count, Path(out), _spec(robot, method, seed, count))
     with sink:
         done = sink.done
         if progress is not None:
@@ -81,11 +82,33 @@ def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
         InputError: there is none, it is of another robot, or it is not finished.
     """
     directory = Path(directory)
-    head = json.loads(read_bytes(directory / HEAD))
+    head = _head(directory)
     if head["robot_sha256"] != _mark(robot):
         raise InputError(f"{directory}: the workspace there is of another robot")
     table, failures = _stored(directory, head["samples"], width(robot.n_tubes))
     return Workspace(robot, head["method"], head["seed"], table, failures)
+
+
+def save_workspace(found: Workspace, directory: str | PathLike[str]) -> list[Path]:
+    """Write a workspace into a directory, as `workspace(..., out=directory)` leaves it, and return the paths.
+
+    One that lies in that directory already is left as it is.
+
+    Raises:
+        InputError: the directory cannot be written.
+    """
+    directory = Path(directory)
+    paths = [directory / SAMPLES, directory / HEAD]
+    table = found.table
+    if isinstance(table, np.memmap) and table.filename and Path(table.filename).resolve() == paths[0].resolve():
+        return paths
+    write_text(directory / FAILURES, "".join(json.dumps(failure) + "\n" for failure in found.failures))
+    with atomic_write(paths[0]) as temporary:
+        np.save(temporary, np.asarray(table, dtype="<f8"))
+    write_text(paths[1], json.dumps(_spec(found.robot, found.method, found.seed, len(found)), indent=2) + "\n")
+    if not found.failures:
+        (directory / FAILURES).unlink()
+    return paths
 
 
 def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[Array, Array]]:
@@ -102,14 +125,14 @@ def _mark(robot: Robot) -> str:
     return hashlib.sha256(repr((type(robot).__name__, robot)).encode()).hexdigest()
 
 
-def _spec(drawn: JointSamples, count: int) -> dict[str, Any]:
+def _spec(robot: Robot, method: str, seed: int, count: int) -> dict[str, Any]:
     return {
-        "robot": drawn.robot.name,
-        "robot_sha256": _mark(drawn.robot),
-        "method": drawn.method,
-        "seed": int(drawn.seed),
+        "robot": robot.name,
+        "robot_sha256": _mark(robot),
+        "method": method,
+        "seed": int(seed),
         "samples": int(count),
-        "columns": _columns(drawn.robot.n_tubes),
+        "columns": _columns(robot.n_tubes),
     }
 
 
@@ -149,16 +172,24 @@ class _Disk:
 
     def __init__(self, robot: Robot, count: int, directory: Path, spec: dict[str, Any]) -> None:
         self._directory, self._count, self._width = directory, count, width(robot.n_tubes)
-        head = directory / HEAD
-        if not head.exists():
-            write_text(head, json.dumps(spec, indent=2) + "\n")
-        elif json.loads(read_bytes(head)) != spec:
-            raise InputError(f"{directory}: holds the workspace of another robot or of other samples")
+        path = directory / SAMPLES
+        if (directory / HEAD).exists():
+            if _head(directory) != spec:
+                raise InputError(f"{directory}: holds the workspace of another robot or of other samples")
+        elif path.exists():
+            raise InputError(f"{path}: is there already, but no {HEAD} that tells what it is; give another directory")
+        else:
+            write_text(directory / HEAD, json.dumps(spec, indent=2) + "\n")
         try:
-            self._file: BinaryIO = (directory / SAMPLES).open("a+b")
+            self._file: BinaryIO = path.open("a+b")
         except OSError as error:
             raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
-        self.done = self._cut_to_whole_rows()
+        try:
+            lock(self._file, path)
+            self.done = self._cut_to_whole_rows()
+        except BaseException:
+            self._file.close()
+            raise
 
     def _cut_to_whole_rows(self) -> int:
         """Rows that are there, after a torn one is cut off; the head of the file is written where it is missing."""
@@ -174,7 +205,7 @@ class _Disk:
             np.lib.format.write_array_header_1_0(self._file, shape)
             self._file.flush()
             return 0
-        rows = (size - start) // (8 * self._width)
+        rows = min((size - start) // (8 * self._width), self._count)
         self._file.truncate(start + rows * 8 * self._width)
         return rows
 
@@ -202,6 +233,17 @@ class _Disk:
     def result(self) -> tuple[Array, tuple[tuple[int, str], ...]]:
         """The table, on disk, and the failures."""
         return _stored(self._directory, self._count, self._width)
+
+
+def _head(directory: Path) -> dict[str, Any]:
+    """What `_spec` said about the workspace in a directory."""
+    try:
+        head = json.loads(read_bytes(directory / HEAD))
+    except ValueError:
+        head = None
+    if not isinstance(head, dict) or not {"robot_sha256", "method", "seed", "samples"} <= head.keys():
+        raise InputError(f"{directory / HEAD}: is damaged; give another directory, or delete the workspace there")
+    return head
 
 
 def _stored(directory: Path, count: int, columns: int) -> tuple[Array, tuple[tuple[int, str], ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError, positive
 from ..robots.assembly import Array
 from .table import Workspace, held
-from .voxels import Keys, Voxels, cells, default_size, voxels
+from .voxels import Keys, Voxels, cells, default_size, of_first_half, voxels
 
 MOST_POINTS = 20_000
 """Tips of an alpha shape; of more, so many are drawn."""
@@ -80,7 +80,8 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     tubes turns the arm. Cells of the plane at its edge count half, as for `voxel_volume`.
 
     Args:
-        size: edge of the cells, m; by default a quarter of that of `voxels`.
+        size: edge of the cells, m; by default a quarter of that of `voxels`, or all of it for a grid of joint values,
+            most of whose tips turn into the same places.
         min_margin: only configurations at least as stable count.
 
     Raises:
@@ -91,15 +92,15 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     turns = np.diff(np.array(robot.limits.rotations), axis=1)
     if robot.assembly(robot.home_translations).eccentric or turns.min() < 2 * np.pi - 1e-9:
         raise InputError("the workspace is no body of revolution: tubes off the centreline, or less than a turn free")
-    scale = default_size(workspace) / 4 if size is None else positive("size", size)
+    finer = 1 if workspace.method == "grid" else 4
+    scale = default_size(workspace) / finer if size is None else positive("size", size)
     seen: dict[bool, Keys] = {}
-    half = (len(workspace) + 1) // 2
     for first, table in workspace.chunks():
         kept = held(table, min_margin)
         tips = table[kept, -7:-4]
         plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), np.zeros(len(tips)), tips[:, 2]])
         index = cells(plane, scale)[:, ::2]
-        for early, found in ((False, index), (True, index[np.flatnonzero(kept) < half - first])):
+        for early, found in ((False, index), (True, index[of_first_half(workspace, first, len(table))[kept]])):
             seen[early] = np.unique(np.concatenate([seen.get(early, found[:0]), found]), axis=0)
     if not len(seen[False]):
         raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")

@@ -81,18 +81,22 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
     require_samples(workspace)
     edge = default_size(workspace) if size is None else positive("size", size)
     store = Store(edge)
-    half = (len(workspace) + 1) // 2
     kept = 0
     for first, table in workspace.chunks():
         rows = held(table, min_margin)
-        early = np.arange(first, first + len(table)) < half
-        if workspace.method == "grid":  # whose first half lies on one side
-            early = np.random.default_rng(first).random(len(table)) < 0.5
+        early = of_first_half(workspace, first, len(table))
         store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
         kept += int(rows.sum())
     if not kept:
         raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
     return store.voxels(kept)
+
+
+def of_first_half(workspace: Workspace, first: int, count: int) -> Mask:
+    """(count,) whether rows from `first` on are of the first half of the samples; of a grid, of a random half."""
+    if workspace.method == "grid":  # whose first half lies on one side
+        return np.asarray(np.random.default_rng(first).random(count) < 0.5)
+    return np.arange(first, first + count) < (len(workspace) + 1) // 2
 
 
 def default_size(workspace: Workspace) -> float:

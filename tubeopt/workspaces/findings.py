@@ -1,0 +1,65 @@
+"""All that is asked about a workspace at once: its voxels, its volume by every method, and what snapping takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ..errors import InputError, finite
+from .loss import SnappingLoss, snapping_loss
+from .table import Workspace
+from .volume import Volume, alpha_volume, meridian_volume, volume_of
+from .voxels import Voxels, voxels
+
+Progress = Callable[[int, int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """A workspace and what was found about it; a volume is None where its method has no answer, a loss where it was
+    not asked for."""
+
+    workspace: Workspace
+    voxels: Voxels
+    volume: Volume
+    meridian: Volume | None
+    alpha: Volume | None
+    loss: SnappingLoss | None
+
+
+def examine(
+    workspace: Workspace,
+    size: float | None = None,
+    *,
+    min_margin: float = 0.0,
+    loss: int = 0,
+    progress: Progress | None = None,
+) -> Findings:
+    """Voxels, volumes and loss of a workspace.
+
+    Args:
+        size: edge of the voxels, m; by default as in `voxels`.   min_margin: only configurations at least as stable
+            count.
+        loss: equilibria of all kinds from which the loss to snapping is estimated; 0 for none.
+        progress: of the loss.
+
+    Raises:
+        InputError: as `voxels` and `snapping_loss`.
+    """
+    finite("min_margin", min_margin)
+    cubes = voxels(workspace, size, min_margin=min_margin)
+    lost = None
+    if loss:
+        lost = snapping_loss(
+            workspace.robot, loss, size=cubes.size, seed=workspace.seed, reached=workspace, progress=progress
+        )
+    meridian, alpha = (_where_there_is_one(method, workspace, min_margin) for method in (meridian_volume, alpha_volume))
+    return Findings(workspace, cubes, volume_of(cubes), meridian, alpha, lost)
+
+
+def _where_there_is_one(method: Callable[..., Volume], workspace: Workspace, min_margin: float) -> Volume | None:
+    """A volume by a method that some workspaces do not have: flat ones no alpha shape, and not all are round."""
+    try:
+        return method(workspace, min_margin=min_margin)
+    except InputError:
+        return None
