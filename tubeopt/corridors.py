@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from .errors import InputError, positive
 from .obstacles import Capsule, Point3, _greater, _points, _triple
 from .robots.assembly import Array
+from .triangles import Triangles
 
 CELLS = 24
 """Cells along the longest side of the grid on which the smooth distance from a mesh is interpolated."""
@@ -40,7 +41,13 @@ class Corridor:
     radius: float
 
     def __post_init__(self) -> None:
-        points = tuple(_triple(f"point {k + 1} of the centreline", p) for k, p in enumerate(self.centreline))
+        try:
+            rows = tuple(self.centreline)
+        except TypeError:
+            raise InputError(
+                f"centreline of the corridor is {self.centreline!r}; it must be a table of points"
+            ) from None
+        points = tuple(_triple(f"point {k + 1} of the centreline", p) for k, p in enumerate(rows))
         if len(points) < 2:
             raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
         object.__setattr__(self, "centreline", points)
@@ -73,7 +80,7 @@ class Corridor:
 
 @dataclass(frozen=True)
 class MeshObstacle:
-    """A body bounded by triangles; its signed distance is that of the library trimesh.
+    """A body bounded by triangles, which the library trimesh reads, closes and asks for nearest points.
 
     Args:
         vertices: (k, 3) m.
@@ -87,7 +94,10 @@ class MeshObstacle:
     faces: tuple[tuple[int, int, int], ...] = field(repr=False)
 
     def __post_init__(self) -> None:
-        vertices, faces = np.array(self.vertices, dtype=float), np.array(self.faces)
+        try:
+            vertices, faces = np.array(self.vertices, dtype=float), np.array(self.faces, dtype=int)
+        except (TypeError, ValueError):
+            raise InputError("vertices and faces of the mesh must be tables of numbers") from None
         if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
             raise InputError("vertices of the mesh must be a table of finite numbers, x, y, z in m")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or faces.min(initial=0) < 0 or faces.max() >= len(vertices):
@@ -132,11 +142,12 @@ class MeshObstacle:
         bound[near] = self._exact(flat[near])
         return np.asarray(bound.reshape(array.shape[:-1]))
 
-    def _exact(self, points: Array) -> Array:
-        from trimesh.proximity import signed_distance
+    @cached_property
+    def _surface(self) -> Triangles:
+        return Triangles(np.asarray(self._mesh.triangles))
 
-        # trimesh counts the inside as positive.
-        return -np.asarray(signed_distance(self._mesh, points))  # type: ignore[no-untyped-call]
+    def _exact(self, points: Array) -> Array:
+        return self._surface.signed_distance(points)
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""

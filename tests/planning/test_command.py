@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
+from tubeopt import InputError, PlanOptions, SolveError, load_robot, plan_trajectory
 from tubeopt.corridors import Corridor, MeshObstacle
+from tubeopt.obstacles import Box
+from tubeopt.plotting.trajectory import animate_trajectory
 from tubeopt.study.trajectory_file import load_trajectory
 
 from ..command_line import ROOT, THESIS, Run, answer, refused
@@ -65,3 +69,46 @@ def test_distances_from_a_corridor_and_a_mesh() -> None:
     cube = MeshObstacle(tuple(map(tuple, corners.tolist())), tuple(sides))
     for point, distance in (((0.01, 0.01, 0.03), 0.01), ((0.01, 0.01, 0.012), -0.008), ((0.2, 0.01, 0.01), 0.18)):
         assert abs(float(cube.signed_distance(np.array([point]))[0]) - distance) < 1e-9
+
+
+def test_the_mesh_of_a_box_has_the_distance_of_the_box() -> None:
+    """At faces, edges and corners, inside and outside; its triangles are cut on the way."""
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.creation.box(extents=(0.02, 0.02, 0.04))
+    body = MeshObstacle(tuple(map(tuple, mesh.vertices.tolist())), tuple(map(tuple, mesh.faces.tolist())))
+    box = Box((-0.01, -0.01, -0.02), (0.01, 0.01, 0.02))
+    points = np.random.default_rng(0).uniform(-0.04, 0.04, (400, 3))
+    points[:3] = [0.02, 0.02, 0.03], [0.02, 0.015, 0.0], [0.0, 0.0, 0.0]
+    found = np.concatenate([body.signed_distance(point[None]) for point in points])
+    np.testing.assert_allclose(found, box.signed_distance(points), atol=1e-12)
+
+
+def test_films_end_in_a_known_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plan_trajectory(
+        load_robot(THESIS), ([0.0] * 3, None), ([0.1, 0.0, 0.0], None), options=PlanOptions(objective="none")
+    )
+    monkeypatch.setattr("matplotlib.animation.writers.is_available", lambda name: False)
+    with pytest.raises(InputError, match="MP4 needs ffmpeg"):
+        animate_trajectory(plan, tmp_path / "film.mp4")
+    with pytest.raises(InputError, match=r"must end in \.gif or \.mp4"):
+        animate_trajectory(plan, tmp_path / "film.avi")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_search_that_runs_out_of_time_saves_what_it_found(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    partial = plan_trajectory(
+        load_robot(THESIS), ([0.0] * 3, None), ([0.1, 0.0, 0.0], None), options=PlanOptions(objective="none")
+    )
+
+    def late(*_: object) -> None:
+        raise SolveError("no plan was found within 1 s", partial)
+
+    monkeypatch.setattr("tubeopt.study.plan_study.PlanStudy.run", late)
+    outcome = run("plan", str(STUDY), "--out", str(tmp_path / "out"))
+    assert outcome.code == 3
+    assert "no plan was found within 1 s; as far as it came" in outcome.err
+    assert not (tmp_path / "out" / "trajectory.csv").exists()
+    again = answer(run("verify", str(tmp_path / "out" / "partial" / "trajectory.csv"), "--json"))
+    assert again["proved"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,12 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.corridors import Corridor
+from tubeopt.inverse.joints import joint_space
 from tubeopt.obstacles import Sphere, nearest_distance
+from tubeopt.planning.chart import Chart
+from tubeopt.planning.motion import hurried
+from tubeopt.planning.reach import least_miss
+from tubeopt.robots.robot import Robot
 
 from ..examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 
@@ -207,3 +213,89 @@ def test_the_arm_follows_its_leader() -> None:
     assert plan.deviation is not None
     assert plan.deviation.max() < 2e-3
     assert plan.start.arc_length[-1] == pytest.approx(0.2 * goal.arc_length[-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 5.0], [0.15, 0.0, 0.1], [0.0, 0.0, -0.1]])
+def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
+    place: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", lambda *_, **__: pytest.fail("was asked"))
+    with pytest.raises(SolveError, match=r"no plan exists: the goal is out of reach"):
+        plan_trajectory(THESIS, HOME, place)
+
+
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
+def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
+    """Also those of joint values at the ends of their ranges, where few starts are near."""
+    chart = Chart(joint_space(robot))
+    space, n, random = chart.space, robot.n_tubes, np.random.default_rng(3)
+    for _ in range(12):
+        q = np.where(random.random(len(space.lower)) < 0.5, space.lower, space.upper)
+        q[:n] = random.uniform(-np.pi, np.pi, n)
+        assert least_miss(chart, chart.arms(space.nearest(q)[None], 0.0).tip[0]) == 0.0
+
+
+def test_an_optimal_search_is_no_longer_than_what_it_begins_with() -> None:
+    start, goal = ([0.0, 0.0], None), ([300 * DEG, 0.0], None)
+    first = plan_trajectory(TWO_TUBE, start, goal, options=PlanOptions(objective="none"))
+    options = PlanOptions(search="optimal", search_seconds=1.0, objective="none")
+    plan = plan_trajectory(TWO_TUBE, start, goal, options=options)
+    assert plan.proof.holds
+    assert plan.statistics.raw_length <= first.statistics.raw_length * (1 + 1e-9)
+
+
+def test_of_wide_ranges_the_nearest_turns_are_tried() -> None:
+    wide = JointLimits(((-100.0, 100.0),) * 3, ((-0.1, 0.0),) * 3)
+    start = ([50.0, 50.0, 50.0], None)
+    options = PlanOptions(modulo_turns=True, objective="none")
+    plan = plan_trajectory(THESIS, start, ([0.2, 0.1, 0.0], None), limits=wide, options=options)
+    assert plan.turns == (8, 8, 8)
+
+
+def test_an_arm_can_be_withdrawn_where_two_tubes_end_together() -> None:
+    """Tubes 1 and 2 end at the same place but for round-off on the way."""
+    z = np.array([[0.0, 0.0, 0.0, -0.0574900243, -0.00749002431, 0.0168773203]])
+    chart = Chart(joint_space(THESIS))
+    for gap in (0.0, 1e-17, -1e-17, 3e-17, 1e-16):
+        z[0, 4] = z[0, 3] + 0.05 + gap
+        assert np.isfinite(chart.arms(z, 0.0).tip).all()
+
+
+def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
+    """On a way with a hairpin: rates and accelerations are kept, and nearly used; it begins and ends at rest."""
+    way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.05], [0.0, 0.05]])
+    mark = np.array([0.0, 1.0, 1.05, 2.05])
+    even = np.linspace(0, mark[-1], 120)
+    rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
+    motion = hurried(np.column_stack([np.interp(even, mark, column) for column in way.T]), rate, most)
+    t = np.linspace(0, motion.duration, 4000)
+    q = motion.at(t)
+    speed = np.diff(q, axis=0) / t[1]
+    assert (np.abs(speed) <= rate * (1 + 1e-6)).all()
+    assert (np.abs(np.diff(speed, axis=0)) / t[1] <= most * (1 + 1e-3)).all()
+    assert np.abs(speed[:, 0]).max() > 0.85 * rate[0]
+    np.testing.assert_allclose(q[[0, -1]], way[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(motion.rates[[0, -1]], 0.0, atol=1e-12)
+
+
+def test_arguments_of_another_kind_are_named() -> None:
+    body: Any = Sphere((0.0, 0.0, 0.1), 0.01)
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"obstacles": body}, r"obstacles is Sphere.*it must be a sequence of bodies"),
+        ({"obstacles": [3]}, r"obstacle 1 is 3; it must be a body"),
+        ({"rate_limits": {"rotation": 1}}, r"rate_limits is .*; it must be of class RateLimits"),
+        ({"options": {"seed": 1}}, r"options is .*; it must be of class PlanOptions"),
+        ({"limits": 3}, r"limits is 3; it must be of class JointLimits"),
+    ]
+    for argument, message in wrong:
+        for ask in (plan_trajectory, follow_tip_path):
+            places: tuple[Any, ...] = (HOME, TURNED) if ask is plan_trajectory else ([[0, 0, 0.1], [0, 0, 0.11]],)
+            with pytest.raises(InputError, match=message):
+                ask(THESIS, *places, **argument)
+    nothing: Any = None
+    with pytest.raises(InputError, match="robot is None"):
+        plan_trajectory(nothing, HOME, TURNED)
+    with pytest.raises(InputError, match="start is 3"):
+        verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], TURNED[0]], start=3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="modulo_turns is 'yes'"):
+        PlanOptions(modulo_turns="yes")  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import InputError, SolveError
 from ..obstacles import Obstacle
-from ..planning import RateLimits, verify_trajectory
+from ..planning import RateLimits, Trajectory, verify_trajectory
 from ..study.obstacle_file import load_obstacles
 from ..study.plan_study import Checked, PlanStudy
 from ..study.robot_file import load_robot
@@ -34,8 +34,15 @@ def plan(
     if not isinstance(question, PlanStudy):
         raise InputError(f"{study}: kind is {question.kind!r}; it must be 'plan'")
     can_be_saved(out)
-    with working("planning") as progress:
-        answer = question.run(progress)
+    try:
+        with working("planning") as progress:
+            answer = question.run(progress)
+    except SolveError as error:
+        if out is None or not isinstance(error.solution, Trajectory):
+            raise
+        # What was found until the time was over: in a directory of its own, not to be taken for the plan.
+        saved = report(error.solution).save(out / "partial")
+        raise SolveError(f"{error}; as far as it came: {saved[1]}", error.solution) from None
     present(report(answer), out=out, as_json=as_json, plot=plot)
 
 

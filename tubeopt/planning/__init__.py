@@ -3,7 +3,8 @@
 from .goals import TipGoal
 from .leader import follow_the_leader
 from .motion import RateLimits
-from .plan import PlanOptions, plan_trajectory
+from .options import PlanOptions
+from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
 from .tip_path import follow_tip_path
 from .trajectory import PlanStatistics, Trajectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,15 @@ from ..inverse.posture import posture_of
 from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..stability.equilibria import find_equilibria
+from .reach import least_miss
 from .task import Task
 from .walk import clearances
 
 MOST_GOALS = 12
 """Goals that are tried, the nearest to the start first."""
+
+MOST_TURNS = 3
+"""Whole turns of one tube that are tried."""
 
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
@@ -80,7 +84,7 @@ def ends(task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = Fals
             good.append(e)
     if not good:
         raise SolveError(reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium")
-    out = [end for e in good for end in _turned(task, e, modulo_turns)]
+    out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
         raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
     here = task.chart.of(start)
@@ -114,10 +118,16 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
 
 
 def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
-    """Equilibria whose tip has a pose: the nearest to the start and others, by inverse kinematics."""
-    answers = inverse_kinematics(
+    """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
+    position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
+    miss = least_miss(task.chart, position)
+    if miss > 0:
+        raise SolveError(
+            f"no plan exists: the goal is out of reach, the tip comes no closer to it than {miss * 1e3:.4g} mm"
+        )
+    answer = inverse_kinematics(
         task.chart.space.robot,
-        goal.position,
+        position,
         direction=goal.direction,
         seed=start,
         min_margin=task.min_margin + 2 * FINISHED,
@@ -125,7 +135,7 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
         obstacles=task.obstacles,
         options=InverseOptions(clearance=task.clearance),
     )
-    return [answers.equilibrium]
+    return [answer.equilibrium]
 
 
 def _limits(space: JointSpace) -> Any:
@@ -180,7 +190,7 @@ def _allowed(task: Task, name: str, e: Equilibrium) -> None:
         )
 
 
-def _turned(task: Task, e: Equilibrium, modulo: bool) -> list[End]:
+def _turned(task: Task, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
     """The same equilibrium with whole turns added to its rotations, where asked for; within the limits."""
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     if not modulo:
@@ -192,7 +202,12 @@ def _turned(task: Task, e: Equilibrium, modulo: bool) -> list[End]:
         most = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
         ranges.append(range(least, most + 1))
     _in_range(space, "goal", np.clip(e.rotations, space.lower[:n], space.upper[:n]), e.translations)
-    return [_end(task, e, turns) for turns in islice(product(*ranges), 4096)]
+    # Of wide ranges the turns nearest to the start: the others are farther, and many.
+    near = []
+    for each, gap in zip(ranges, (here - e.rotations) / (2 * np.pi), strict=True):
+        whole = np.array(each)
+        near.append(whole[np.argsort(np.abs(whole - gap))][:MOST_TURNS].tolist())
+    return [_end(task, e, turns) for turns in product(*near)]
 
 
 def _end(task: Task, e: Equilibrium, turns: Sequence[int]) -> End:

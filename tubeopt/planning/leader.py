@@ -20,10 +20,11 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.least_squares import constrained_least_squares
-from .clock import Clock
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
-from .plan import DEFAULT_PLAN, PlanOptions, build, make_task
+from .options import DEFAULT_PLAN, PlanOptions
+from .plan import build
+from .question import asked
 from .task import Task
 from .tip_path import distance_from, timed
 from .trajectory import PlanStatistics, Trajectory
@@ -73,8 +74,7 @@ def follow_the_leader(
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
-    clock = Clock(options.time_limit)
-    task = make_task(robot, obstacles, min_margin, limits, options)
+    task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     last = _goal(task, goal)
     length = float(last.arc_length[-1])
     z, points = task.chart.of(last), []
@@ -85,7 +85,7 @@ def follow_the_leader(
     q = task.chart.joints(path, task.arms(path))
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
-    motion = timed(q, task.scale, rate_limits.of(task.chart.space))
+    motion = timed(q, task.scale, rates)
     end = End(path[-1], q[-1], (0,) * robot.n_tubes)
     searched = clock.seconds
     built, proof = build(task, first, end, motion, rate_limits)

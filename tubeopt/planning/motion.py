@@ -18,6 +18,9 @@ MOST_SAMPLES = 4000
 LEAST_SAMPLES = 100
 """Samples of a trajectory at least."""
 
+PRUDENCE = 0.94
+"""Share of the limits that is used where a table stands for a curve."""
+
 SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
 
@@ -121,6 +124,32 @@ def stopping_at(ways: list[Array], rate: Array, acceleration: Array) -> Motion:
         rates.append((along * ds[:, None] / duration)[1:])
         began += duration
     return Motion(np.concatenate(times), np.concatenate(joints), np.concatenate(rates))
+
+
+def hurried(way: Array, rate: Array, acceleration: Array) -> Motion:
+    """The motion along a curve of joint values, a table (k, m) of evenly spaced points, from rest to rest, that is slow
+    only where limits ask for it.
+
+    With b the square of ds/dt along the curve q(s), accelerations are q'' b + q' b' / 2. Half of the limit is given to
+    either term: the first bounds b, the second how steeply b may rise and fall.
+    """
+    curve, slope, bend = rounded(way)
+    s = np.linspace(0, 1, 8 * len(way) + 1)
+    along, turning, h = np.abs(slope(s)), np.abs(bend(s)), s[1]
+    tiny = 1e-12 * np.maximum(along.max(), 1.0)
+    fast = np.minimum((rate / (along + tiny)).min(1) ** 2, (acceleration / 2 / (turning + tiny)).min(1))
+    # Of neighbours the least: what holds at the points of the table is to hold between them.
+    b = PRUDENCE * np.minimum(fast, np.minimum(np.append(fast[1:], fast[-1]), np.append(fast[0], fast[:-1])))
+    steep = PRUDENCE * (acceleration / (along + tiny)).min(1)
+    steep = np.minimum(steep[1:], steep[:-1]) * h
+    b[0] = b[-1] = 0.0
+    for k in range(len(steep)):
+        b[k + 1] = min(b[k + 1], b[k] + steep[k])
+    for k in reversed(range(len(steep))):
+        b[k] = min(b[k], b[k + 1] + steep[k])
+    speed = np.sqrt(b)
+    time = np.concatenate([[0.0], np.cumsum(2 * h / (speed[1:] + speed[:-1]))])
+    return Motion(time, curve(s), slope(s) * speed[:, None])
 
 
 def rounded(table: Array) -> tuple[BSpline, BSpline, BSpline]:

@@ -9,25 +9,28 @@ from typing import Any
 import numpy as np
 
 from ..equilibrium import Equilibrium
-from ..errors import InputError, SolveError, choice, finite, positive
-from ..inverse.question import prepared
+from ..errors import SolveError
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from .chart import Chart
 from .clock import Clock
 from .goals import End, check_start, ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
+from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
-from .search import SEARCHES, Way, find_way, shorten
-from .smooth import OBJECTIVES, joint_curves, smooth
+from .question import asked
+from .search import Way, find_way, shorten
+from .smooth import joint_curves, smooth
 from .task import Task
 from .trajectory import PlanStatistics, Trajectory
 from .walk import walk
 
 FOR_SEARCH = 0.9
 """Share of the time limit after which the search ends, so that what was found can be reported in time."""
+
+FOR_REPORT, MOST_FOR_REPORT = 2.0, 0.35
+"""Seconds that are kept for the report at least, but no more than this share of the time limit."""
 
 ATTEMPTS = 3
 """Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
@@ -36,49 +39,6 @@ SMOOTHING = 20.0
 """Most seconds of smoothing."""
 
 Progress = Callable[[str, float], object]
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """Details of a plan.
-
-    Args:
-        search: "auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or
-            "optimal": BIT* (OMPL), which goes on improving until `search_seconds`.
-        objective: of smoothing: "length" (of the path in joint space), "time", "effort" (int of the squares of the
-            accelerations), "margin" (largest least margin), or "none".
-        time_limit: s, for everything.   search_seconds: of "optimal", s.
-        clearance: least distance of the surface of the arm from obstacles, m.
-        carriage_gap, section_length: as in `InverseOptions`, m.
-        modulo_turns: a goal rotation may be reached with any number of whole turns; the plan tells how many.
-        seed: of the random numbers.
-
-    Raises:
-        InputError: a value that is not allowed.
-    """
-
-    search: str = "auto"
-    objective: str = "length"
-    time_limit: float = 60.0
-    search_seconds: float = 5.0
-    clearance: float = 0.0
-    carriage_gap: float = 0.0
-    section_length: float = 0.0
-    modulo_turns: bool = False
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        choice("search", self.search, SEARCHES)
-        choice("objective", self.objective, (*OBJECTIVES, "none"))
-        positive("time_limit", self.time_limit)
-        positive("search_seconds", self.search_seconds)
-        for name in ("clearance", "carriage_gap", "section_length"):
-            positive(name, getattr(self, name), zero=True)
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise InputError(f"seed is {self.seed!r}; it must be a whole number of at least 0")
-
-
-DEFAULT_PLAN = PlanOptions()
 
 
 def plan_trajectory(
@@ -109,15 +69,14 @@ def plan_trajectory(
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
     """
-    clock = Clock(options.time_limit)
-    task = make_task(robot, obstacles, min_margin, limits, options)
-    rates = rate_limits.of(task.chart.space)
+    task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     goals = ends(task, first, goal, modulo_turns=options.modulo_turns)
     faults: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
-        search = Clock(max(0.0, FOR_SEARCH * options.time_limit - clock.seconds))
+        until = options.time_limit - min(FOR_REPORT, MOST_FOR_REPORT * options.time_limit)
+        search = Clock(max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds))
         way = find_way(
             task, task.chart.of(first), [end.point for end in goals], search, options, seed=options.seed + attempt
         )
@@ -133,21 +92,6 @@ def plan_trajectory(
         if clock.over:
             break
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
-
-
-def make_task(
-    robot: Robot,
-    obstacles: Sequence[Obstacle],
-    min_margin: float,
-    limits: JointLimits | None,
-    options: PlanOptions,
-) -> Task:
-    """What must hold, checked."""
-    floor = finite("min_margin", min_margin)
-    if not 0 <= floor < 1:
-        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
-    space = prepared(robot, limits, options.carriage_gap, options.section_length)
-    return Task(Chart(space), tuple(obstacles), floor, options.clearance)
 
 
 def roomier(task: Task) -> Task:

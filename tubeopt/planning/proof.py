@@ -28,16 +28,21 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..stability.following import _waypoints
 from ..verification import verify_equilibrium
+from .arguments import check_robot, checked_obstacles, kind_of
 from .motion import RateLimits
 
-TURN = 0.1
+TURN = 0.02
 """Largest turn (rad) of a joint between two equilibria of the proof."""
 
-SHIFT = 0.01
+SHIFT = 0.002
 """Largest translation between two equilibria, as a share of the longest tube."""
 
+LEAP = 0.2
+"""Change (rad) of a tip rotation between two equilibria, beyond that of the joints, after which the step is halved: a
+solver that starts on one branch and ends on another leaps, while on one branch halves of a step change less."""
+
 HALVINGS = 6
-"""Times that a step is halved at most, where margin or clearance may fall short in between."""
+"""Times that a step is halved at most, where margin or clearance may fall short in between, or the branch be lost."""
 
 AROUND = 8
 """Points around the arm, and `ALONG` points along it, at which clearance is measured."""
@@ -154,9 +159,15 @@ def verify_trajectory(
             start or one at other joint values.
         SolveError: there is no stable equilibrium at the first sample.
     """
+    check_robot(robot, limits)
+    bodies = checked_obstacles(obstacles)
+    for name, value, kind in (("rate_limits", rate_limits, RateLimits), ("start", start, Equilibrium)):
+        if value is not None:
+            kind_of(name, value, kind)
     alpha, shift = _waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
-    finite("min_margin", min_margin)
+    if finite("min_margin", min_margin) >= 1:
+        raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
     positive("clearance", clearance, zero=True)
     first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
     if not first.stable:
@@ -165,7 +176,7 @@ def verify_trajectory(
     if np.abs(own).max() > 1e-6:
         raise InputError("start is at other joint values than the first sample; they must be the same")
     space = joint_space(robot, limits)
-    follower = Follower(robot, tuple(obstacles), min_margin, clearance, space.length)
+    follower = Follower(robot, bodies, min_margin, clearance, space.length)
     steps, snap = _follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     return _judge(follower, space, steps, snap, (t, alpha, shift), rate_limits)
 
@@ -177,8 +188,16 @@ def _times(time: ArrayLike, count: int) -> Array:
         raise InputError("time must be numbers, one per sample") from None
     if t.shape != (count,):
         raise InputError(f"time has shape {t.shape}; it must be one number for each of the {count} samples")
-    if not np.isfinite(t).all() or (np.diff(t) <= 0).any():
-        raise InputError("time must be finite and increase from sample to sample")
+    if not np.isfinite(t).all():
+        raise InputError(
+            f"time is {t[int(np.argmin(np.isfinite(t)))]} at sample {int(np.argmin(np.isfinite(t))) + 1}; "
+            "it must be finite"
+        )
+    if (np.diff(t) <= 0).any():
+        k = int(np.argmax(np.diff(t) <= 0))
+        raise InputError(
+            f"time is {t[k + 1]:g} s at sample {k + 2}, after {t[k]:g} s; it must increase from sample to sample"
+        )
     return t
 
 
@@ -203,19 +222,23 @@ def _follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> 
 def _towards(follower: Follower, here: Step, at: float, joint: Array, halvings: int) -> list[Step] | None:
     """Steps up to joint values (2n,), closer to each other where something may fall short; None where it snaps."""
     rotations, shift = np.split(joint, 2)
+    own = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
     try:
         e = forward_kinematics(follower.robot, rotations, shift, guess=here.equilibrium)
     except SolveError:
         return None
     if not e.stable:
         return None
+    turned = float(np.abs(e.tip_rotations - here.equilibrium.tip_rotations).max())
+    leaps = turned > LEAP + float(np.abs((joint - own)[: len(rotations)]).max())
+    if leaps and halvings == 0:
+        return None
     there = Step(at, e, follower.least(e))
     change = abs(e.margin - here.equilibrium.margin)
     near = min(e.margin, here.equilibrium.margin) - 0.5 * change < follower.min_margin + 1e-4
     tight = _bound(follower, here, there) < follower.clearance
-    if halvings == 0 or not (near or tight):
+    if halvings == 0 or not (near or tight or leaps):
         return [there]
-    own = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
     if np.abs(joint - own).max() < 1e-9:
         return [there]
     first = _towards(follower, here, (here.at + at) / 2, (own + joint) / 2, halvings - 1)

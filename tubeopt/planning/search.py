@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +23,9 @@ CANDIDATES = 160
 
 DETOURS = 24
 """Detours tried, the shortest first."""
+
+DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
+"""Most seconds, and most of the time that is left, in which detours are looked for; then chance has its turn."""
 
 REACH = 1.2
 """Longest motion that RRT-Connect tries at once, in units of the joints' scales."""
@@ -77,27 +80,40 @@ def find_way(
         tried += 1
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
-    if search.search == "auto":
+    if search.search != "rrt_connect":
+        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * (clock.limit - clock.seconds)))
         for goal in goals:
-            for points in detours(task, start, goal):
-                if clock.over:
-                    break
+            for points in detours(task, start, goal, share):
                 tried += len(points) - 1
                 if task.path(points):
-                    return Way(np.stack(points), "detour", tried)
-    return by_sampling(task, start, goals, clock, search, seed=seed, tried=tried)
+                    detour = Way(np.stack(points), "detour", tried)
+                    return _improved(task, detour, goals, clock, search, seed)
+    found = by_sampling(task, start, goals, clock, seed=seed, tried=tried)
+    return _improved(task, found, goals, clock, search, seed)
 
 
-def detours(task: Task, start: Array, goal: Array) -> Iterator[list[Array]]:
+def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, search: Search, seed: int) -> Way:
+    """What BIT* finds in the time that it is given, where that is asked for and shorter than a way that is known."""
+    if search.search != "optimal" or way.points is None:
+        return way
+    other = by_sampling(task, way.points[0], goals, clock, search, seed=seed, tried=way.motions)
+    shorter = other.points is not None and task.length(other.points) < task.length(way.points)
+    return other if shorter else replace(way, motions=other.motions)
+
+
+def detours(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[list[Array]]:
     """Ways that change translations, turn the tips where the certificate excludes any snap, and go on from there."""
     n = task.chart.space.robot.n_tubes
-    for shift in certified_translations(task, start, goal)[:DETOURS]:
+    for shift in islice(certified_translations(task, start, goal, clock), DETOURS):
         away, back = np.append(start[:n], shift), np.append(goal[:n], shift)
         yield [start, away, back, goal]
 
 
-def certified_translations(task: Task, start: Array, goal: Array) -> list[Array]:
-    """Carriages (G,) where no rotation can snap by the margin to keep, nearest to start and goal first."""
+def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[Array]:
+    """Carriages (G,) where no rotation can snap by the margin to keep, nearest to start and goal first.
+
+    Each is handed on before the next is looked for: a certificate takes as long as the check of a motion.
+    """
     space = task.chart.space
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
@@ -107,12 +123,12 @@ def certified_translations(task: Task, start: Array, goal: Array) -> list[Array]
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
     found: list[Array] = []
     for shift in table[np.argsort(far, kind="stable")]:
+        if clock.over:
+            return
         known = any(np.linalg.norm((shift - other) / task.scale[n:]) < 0.08 for other in found)
         if not known and _certificate(task, shift) >= task.min_margin + task.margin_room:
             found.append(shift)
-        if len(found) >= DETOURS:
-            break
-    return found
+            yield shift
 
 
 def _certificate(task: Task, shift: Array) -> float:

@@ -19,8 +19,11 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
 from .goals import End, check_start, start_equilibrium
-from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
-from .plan import DEFAULT_PLAN, PlanOptions, build, make_task
+from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
+from .options import DEFAULT_PLAN, PlanOptions
+from .plan import build
+from .question import asked
+from .reach import least_miss
 from .task import Task
 from .trajectory import PlanStatistics, Trajectory
 
@@ -67,9 +70,8 @@ def follow_tip_path(
         SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
     """
     positive("tolerance", tolerance)
-    clock = Clock(options.time_limit)
+    task, _, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     curve = _curve(path, spline)
-    task = make_task(robot, obstacles, min_margin, limits, options)
     furthest, reason = 0.0, "the first point is out of reach"
     for first in _starts(task, curve, start, tolerance, limits, options):
         spacing = SPACING * task.chart.space.length
@@ -146,6 +148,12 @@ def _starts(
             )
         yield first
         return
+    miss = least_miss(task.chart, curve[0])
+    if miss > 0:
+        raise SolveError(
+            "the tip can follow 0 % of the curve: its first point is out of reach, the tip comes no closer to it than "
+            f"{miss * 1e3:.4g} mm"
+        )
     how = InverseOptions(
         clearance=options.clearance, carriage_gap=options.carriage_gap, section_length=options.section_length
     )
@@ -202,8 +210,8 @@ def timed(q: Array, scale: Array, limits: tuple[Array, Array]) -> Motion:
     if not step.sum() > 1e-9:
         return Motion(np.zeros(1), q[:1], np.zeros_like(q[:1]))
     mark = np.concatenate([[0.0], np.cumsum(step)])
-    even = np.linspace(0, mark[-1], max(50, 2 * len(q)))
-    return stopping_at([np.column_stack([np.interp(even, mark, column) for column in q.T])], *limits)
+    even = np.linspace(0, mark[-1], max(100, 4 * len(q)))
+    return hurried(np.column_stack([np.interp(even, mark, column) for column in q.T]), *limits)
 
 
 def distance_from(curve: Array, points: Array) -> Array:

@@ -64,5 +64,5 @@ def clearances(task: Task, equilibria: list[Equilibrium]) -> Array:
     if task.obstacles:
         for k, e in enumerate(equilibria):
             posture = posture_of(task.chart.space, e)
-            out[k] = min(float(posture.clearance(obstacle).min()) for obstacle in task.obstacles)
+            out[k] = min(posture.clearance(obstacle) for obstacle in task.obstacles)
     return out

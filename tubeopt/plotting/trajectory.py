@@ -11,6 +11,7 @@ import numpy as np
 
 from ..corridors import Corridor, MeshObstacle
 from ..equilibrium import Equilibrium
+from ..errors import InputError
 from ..kinematics import forward_kinematics
 from ..obstacles import Box as BoxObstacle
 from ..obstacles import Capsule, HalfSpace, Sphere
@@ -79,14 +80,18 @@ def animate_trajectory(
     frames: int = FRAMES,
     view: tuple[float, float] | None = None,
 ) -> Path:
-    """The moving arm as a film, with the margin over time below it: GIF, or whatever the writers that Matplotlib finds
-    make of the ending (MP4 with ffmpeg).
+    """The moving arm as a film, with the margin over time below it: GIF, or MP4 where there is ffmpeg.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
     """
-    from matplotlib.animation import FuncAnimation, PillowWriter
+    from matplotlib.animation import FuncAnimation, PillowWriter, writers
 
+    ending = Path(path).suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise InputError(f"{path}: the name of a film must end in .gif or .mp4")
+    if ending == ".mp4" and not writers.is_available("ffmpeg"):
+        raise InputError(f"{path}: MP4 needs ffmpeg, which was not found; install it, or let the name end in .gif")
     t = trajectory
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = arms_at(t, rows)
@@ -109,10 +114,10 @@ def animate_trajectory(
     figure.suptitle(f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", fontsize=9, x=0.04, ha="left")
     film = FuncAnimation(figure, draw, frames=len(rows), blit=False)
     with atomic_write(path) as temporary:
-        if Path(path).suffix.lower() == ".gif":
+        if ending == ".gif":
             film.save(temporary, writer=PillowWriter(fps=12), dpi=100)
         else:
-            film.save(temporary, fps=24, dpi=150)
+            film.save(temporary, writer="ffmpeg", fps=24, dpi=150)
     return Path(path)
 
 

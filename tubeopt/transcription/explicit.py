@@ -65,8 +65,9 @@ def explicit_arm(n: int, eccentric: bool) -> ca.Function:
     for a, b in reversed(list(pairwise(cuts))):
         middle = (a + b) / 2
         present = middle < end
-        # A section without length has no middle of its own: whichever tubes it has, they must not divide by 0.
-        stiffness = ca.if_else(b > a, kb * present, kb)
+        # The middle of a section without length, or with one of a rounding error, may lie at the end of all tubes:
+        # whichever it has, they must not divide by 0.
+        stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
         march.section(b - a, stiffness, moment * present * (middle > transition))
         fields.append(_determinant(march.y))
     transmission = ca.fmax(straight - shift, 0)

@@ -1,0 +1,43 @@
+"""From what a caller gives to a checked question, before any work is done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..errors import InputError, finite
+from ..inverse.question import prepared
+from ..obstacles import Obstacle
+from ..robots.assembly import Array
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from .arguments import check_robot, checked_obstacles, kind_of
+from .chart import Chart
+from .clock import Clock
+from .motion import RateLimits
+from .options import PlanOptions
+from .task import Task
+
+
+def asked(
+    robot: Robot,
+    obstacles: Sequence[Obstacle],
+    min_margin: float,
+    rate_limits: RateLimits,
+    limits: JointLimits | None,
+    options: PlanOptions,
+) -> tuple[Task, tuple[Array, Array], Clock]:
+    """What must hold; (m,) rates and accelerations; and the clock of the time limit, which runs from here.
+
+    Raises:
+        InputError: arguments of another kind, or with numbers that make no sense.
+    """
+    kind_of("options", options, PlanOptions)
+    clock = Clock(options.time_limit)
+    check_robot(robot, limits)
+    kind_of("rate_limits", rate_limits, RateLimits)
+    bodies = checked_obstacles(obstacles)
+    floor = finite("min_margin", min_margin)
+    if not 0 <= floor < 1:
+        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
+    space = prepared(robot, limits, options.carriage_gap, options.section_length)
+    return Task(Chart(space), bodies, floor, options.clearance), rate_limits.of(space), clock
