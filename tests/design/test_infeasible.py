@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.design.tasks import equal_pair, tightest, two_tubes
-from tubeopt import DesignTask, SolveError, optimize_design, snap_free_certificate
-from tubeopt.design import Free, InfeasibleDesignError, Objective, Reach, SnapFree, Strain, Target
+from tests.examples import MM
+from tubeopt import ConcentricRobot, DesignTask, SolveError, Tube, optimize_design, snap_free_certificate
+from tubeopt.design import Free, InfeasibleDesignError, Length, Objective, Reach, SnapFree, Strain, Target
 from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
 from tubeopt.design.relaxation import apply_changes
@@ -53,3 +55,22 @@ def test_failures_are_counted_by_what_failed() -> None:
     )
     error = refused(task)
     assert "of 4 starts, 4 failed most at the certified margin" in str(error)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 45.0], ids=["across", "between", "diagonal"])
+def test_tolerance_rises_to_the_distance_of_the_target(turn: float) -> None:
+    """A straight tube stays on the axis of the plate, 5 mm from the target."""
+    straight = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.1, 0.1, 0.0),))
+    place = (5 * MM * np.cos(np.radians(turn)), 5 * MM * np.sin(np.radians(turn)), 0.1)
+    free = (Free("curved_length", (0,), 0.05, 0.15),)
+    error = refused(DesignTask(straight, free, (Reach((Target(place),)),), Objective("length")))
+    assert "tolerance of target 1 must rise from 0.1 mm to 5 mm" in str(error)
+
+
+def test_a_limit_that_bounds_allow_exactly_is_told_as_such() -> None:
+    task = DesignTask(
+        two_tubes(), (Free("curved_length", (0,), 0.07, 0.1),), (Length("length", 0, 0.15),), Objective("length")
+    )
+    error = refused(task)
+    assert "overall length of tube 1 must rise from 150 mm to 190 mm" in str(error)
+    assert optimize_design(error.relaxations[0].task).objective == pytest.approx(0.19, abs=1e-8)

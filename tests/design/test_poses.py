@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from tests.design.tasks import THESIS, two_tubes
-from tubeopt import ConcentricRobot, DesignTask, Tube, follow, forward_kinematics, optimize_design
+from tubeopt import ConcentricRobot, DesignTask, JointLimits, Tube, follow, forward_kinematics, optimize_design
 from tubeopt.design import (
     Avoid,
     Corridor,
@@ -23,8 +24,10 @@ from tubeopt.design import (
     Stroke,
     Target,
 )
-from tubeopt.design.program import compile_task, evaluate, stack, total_objective
+from tubeopt.design.program import compile_task, evaluate, stack, state_at, total_objective
+from tubeopt.design.rows import pose_strain
 from tubeopt.design.starts import with_joints
+from tubeopt.design.verify_tubes import largest_strain
 from tubeopt.obstacles import Sphere
 from tubeopt.robots.assembly import Array
 
@@ -159,3 +162,37 @@ def test_workspace_box_is_covered() -> None:
     corners = np.array([(x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (0.085, 0.095)])
     tips = np.array([pose.tip_position for pose in design.equilibria])
     assert np.linalg.norm(tips[None] - corners[:, None], axis=2).min(1).max() <= 1e-3 * 1.001
+
+
+def test_balls_around_targets_are_used_to_their_rim() -> None:
+    """The shortest straight arm ends a tolerance short of the target, whichever way that lies."""
+    arm = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.0, 0.1, 0.0),))
+    free = (Free("curved_length", (0,), 0.02, 0.15),)
+    for place, least in (((0.0, 0.0, 0.1), 0.09), ((0.006, 0.0, 0.1), 0.092), ((0.0, 0.0096, 0.1), 0.0972)):
+        design = optimize_design(DesignTask(arm, free, (Reach((Target(place, 0.01),)),), Objective("length")))
+        assert design.objective == pytest.approx(least, abs=1e-6)
+
+
+def test_limits_of_the_translations_are_kept() -> None:
+    """Target 40 mm up, carriages that may withdraw by 10 mm: the tubes must get shorter."""
+    turns = ((-7.0, 7.0),) * 2
+    robot = replace(two_tubes(), joint_limits=JointLimits(turns, ((-0.01, 0.02), (-0.01, 0.0))))
+    free = (Free("curved_length", (0, 1), 0.02, 0.1),)
+    target = Reach((Target((0.0, -0.004, 0.04), 1e-3),))
+    design = optimize_design(DesignTask(robot, free, (SnapFree(0.05), target), Objective("change")), turns=0)
+    (pose,) = design.equilibria
+    assert (pose.translations >= -0.01 - 1e-8).all()
+    assert (pose.translations <= np.array([0.02, 0.0]) + 1e-8).all()
+    assert design.robot.tubes[0].curved_length < 0.055
+
+
+def test_strain_is_found_again_from_equilibria() -> None:
+    rotations, translations = ((0.0, 2.0, 1.0), (0.0, 1.0, -2.0)), ((0.0, 0.0, 0.0), (-0.02, -0.01, 0.0))
+    strain = Strain((0.02,), straightened=False)
+    requirements = (Poses(rotations, translations), strain)
+    task = DesignTask(THESIS, (Free("curvature", (0,), 1.0, 15.0),), requirements, Objective("change"))
+    program = compile_task(task)
+    state = state_at(program, program.layout.space.start)
+    inside = [max(pose_strain(state, k, i)[0] for k in range(2)) for i in range(3)]
+    poses = tuple(forward_kinematics(THESIS, *pair) for pair in zip(rotations, translations, strict=True))
+    assert largest_strain(strain, THESIS, poses) == pytest.approx(inside, rel=0.02)

@@ -90,6 +90,20 @@ def test_box_of_translations_holds_its_worst_case() -> None:
     assert optimize_design(corners_only, turns=1).objective >= design.objective - 1e-6
 
 
+def test_certificate_that_is_told_is_the_least_in_the_box() -> None:
+    """Whether it is a limit with room, or what is wanted."""
+    low, high = np.array([-0.06, -0.04]), np.array([0.05, 0.05])
+    box = (tuple(low.tolist()), tuple(high.tolist()))
+    free = (Free("curvature", (0, 1), 6.0, 8.0),)
+    inside = low + np.random.default_rng(0).random((60, 2)) * (high - low)
+    for requirement, objective in ((SnapFree(-5.0, box=box), "tip_curvature"), (SnapFree(-5.0, box=box), "margin")):
+        design = optimize_design(DesignTask(two_tubes(), free, (requirement,), Objective(objective)), turns=0)
+        least = min(snap_free_certificate(design.robot, row) for row in inside)
+        assert design.certificate <= least + 1e-4
+        if objective == "margin":
+            assert design.objective <= design.certificate + 1.1e-4
+
+
 def test_largest_certificate_has_the_least_curvature() -> None:
     task = DesignTask(two_tubes(), (Free("curvature", (0, 1), 5.0, 25.0),), (SnapFree(0.1),), Objective("margin"))
     design = optimize_design(task, turns=1)

@@ -11,6 +11,7 @@ from tests.examples import eccentric_robot
 from tubeopt import DesignTask, InputError, optimize_design
 from tubeopt.design import (
     Corridor,
+    Coverage,
     Free,
     Length,
     Objective,
@@ -21,6 +22,8 @@ from tubeopt.design import (
     Strain,
     Target,
     Tolerances,
+    pareto_front,
+    tolerance_analysis,
 )
 
 FREE = (Free("curvature", (0, 1), 0.0, 20.0),)
@@ -50,6 +53,18 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: Poses(((0, 0),), ((0, 0), (0, 0))), "as many rows"),
     (lambda: StockTube("x", 1e-3, 1e-3), "has no wall"),
     (lambda: Tolerances(curvature=0.5), "below 30 %"),
+    (lambda: DesignTask(two_tubes(), FREE, ("snap_free",)), "requirements holds 'snap_free'"),  # type: ignore[arg-type]
+    (lambda: DesignTask(two_tubes(), FREE, SnapFree()), "it must be a list of requirements"),  # type: ignore[arg-type]
+    (lambda: DesignTask(two_tubes(), FREE, (), "length"), "it must be a list of Objective"),  # type: ignore[arg-type]
+    (lambda: Free("curvature", 0, 1, 2), "it must be a list of tubes"),  # type: ignore[arg-type]
+    (lambda: Free("curvature", (0, 0), 1, 2), "name tube 1 twice"),
+    (lambda: SnapFree(0.1, box=((0.0, 0.0),)), "box of translations has 1 rows"),  # type: ignore[arg-type]
+    (lambda: Strain(()), "limits of the strain is empty"),
+    (lambda: Coverage((0, 0, 0), (1, 1, 1), samples=-1), "it must be at least 0"),
+    (lambda: Objective("reach_radius", depth=float("nan")), "depth of the objective is nan"),
+    (lambda: optimize_design(DesignTask(two_tubes(), FREE), seed=-1), "seed is -1; it must be at least 0"),
+    (lambda: tolerance_analysis(two_tubes(), Tolerances(), translations=[[0.0]]), "it must be 2 numbers"),
+    (lambda: pareto_front(DesignTask(two_tubes(), FREE, (SnapFree(),)), [0.1, 1.5]), "it must be less than 1"),
 ]
 
 

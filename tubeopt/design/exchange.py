@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.stats import qmc
@@ -26,6 +27,9 @@ ROUNDS = 12
 
 WAYPOINTS = 16
 """Points of a joint path at which its margin is looked at."""
+
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+"""Least and greatest translations."""
 
 POINTS_PER_ROUND = 3
 """Points of a workspace box that are added at once."""
@@ -68,6 +72,19 @@ def walks(program: Program, robot: ConcentricRobot, x: Array) -> list[Walk]:
     return out
 
 
+@lru_cache(maxsize=16)
+def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, ...]]:
+    """Least certificate over a box of translations, and where."""
+    worst = worst_certificate(robot, *box).certificate
+    return worst.margin, tuple(worst.translations.tolist())
+
+
+def certified_at(program: Program, robot: ConcentricRobot) -> tuple[tuple[float, ...], ...]:
+    """Translations at which a design is certified: those in the program, and the worst of a box."""
+    boxes = [one.box for one in of_kind(program.task.requirements, SnapFree) if one.box is not None]
+    return tuple(dict.fromkeys([*program.layout.certified, *(worst_in_box(robot, box)[1] for box in boxes)]))
+
+
 def violations(program: Program, x: Array) -> tuple[Added, str]:
     """What is to be added to a program whose optimum is x, and in a word why; nothing and "" where all cases hold.
 
@@ -76,16 +93,18 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
     """
     robot = robot_at(program, x)
     added, why = program.added, []
+    # Where the margin is what is wanted, what the design claims must hold in the cases left out too.
+    promised = float(x[program.layout.column("margin")]) if "margin" in program.layout.auxiliary else -np.inf
     for one in of_kind(program.task.requirements, SnapFree):
         if one.box is not None:
-            worst = worst_certificate(robot, *one.box).certificate
-            if worst.margin < one.margin - one.tolerance:
-                row = tuple(worst.translations.tolist())
+            margin, row = worst_in_box(robot, one.box)
+            if margin < max(one.margin, promised) - one.tolerance:
                 added = replace(added, translations=(*added.translations, row))
-                why.append(f"certificate {worst.margin:.4f} in the box")
+                why.append(f"certificate {margin:.4f} in the box")
     for one in of_kind(program.task.requirements, SnapFreeInUse):
         if one.paths:
-            vias = _weak_points(program, robot, x, one)
+            wanted = one.margin if program.layout.certified else max(one.margin, promised)
+            vias = _weak_points(program, robot, x, wanted - one.tolerance)
             added = replace(added, vias=(*added.vias, *vias))
             why += [f"{len(vias)} points on joint paths"] if vias else []
     boxes = of_kind(program.task.requirements, Coverage)
@@ -100,15 +119,14 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
     return added, ", ".join(why)
 
 
-def _weak_points(
-    program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse
-) -> list[tuple[int, int, float]]:
-    """Points of joint paths where the margin is too small, the worst of each; poses there begin in what was found."""
+def _weak_points(program: Program, robot: ConcentricRobot, x: Array, least: float) -> list[tuple[int, int, float]]:
+    """Points of joint paths where the margin is below `least`, the worst of each; poses there begin in what was
+    found."""
     out = []
     for walk in walks(program, robot, x):
         if walk.snap is not None:
             fraction, found = _inside_fold(robot, walk)
-        elif walk.margin.min() < one.margin - one.tolerance:
+        elif walk.margin.min() < least:
             k = int(np.argmin(walk.margin))
             fraction, found = float(walk.fraction[k]), walk.equilibria[k]
         else:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..errors import InputError, choice, positive
+from ..errors import InputError, choice, finite, positive
+from .checks import row
 
 KINDS = {
     "tip_curvature": ("tip curvature", "1/m", 1.0, -1),
@@ -43,8 +44,10 @@ class Objective:
         positive("weight of an objective", self.weight)
         if (self.kind == "reach_radius") != (self.depth is not None):
             raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
+        if self.depth is not None:
+            finite("depth of the objective", self.depth)
         if self.translations is not None:
-            object.__setattr__(self, "translations", tuple(float(d) for d in self.translations))
+            object.__setattr__(self, "translations", row("translations of the objective", self.translations))
 
     @property
     def sign(self) -> int:

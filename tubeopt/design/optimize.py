@@ -7,11 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from ..equilibrium import Equilibrium
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
-from .exchange import carry, check_rounds, robot_at, violations
+from .checks import whole
+from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .multistart import Ranking, multistart, rank
 from .objectives import KINDS
 from .pool import Progress
@@ -44,7 +45,8 @@ class DesignSolution:
     Attributes:
         task: what was asked.
         robot: the design.
-        certificate: least mu_cert over the translations at which the task demands one, else at home.
+        certificate: least mu_cert over the translations, and over the box, for which the task demands one, else at
+            home.
         equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
         objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
         objectives: value of each, by kind, SI.
@@ -105,11 +107,15 @@ def optimize_design(
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
 
     Raises:
-        InputError: fewer than one start or worker.
+        InputError: no task, fewer than one start or worker, a seed or turns below 0.
         InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
             have to move.
         SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
     """
+    if not isinstance(task, DesignTask):
+        raise InputError(f"task is {task!r}; it must be a DesignTask")
+    for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
+        whole(name, value, least)
     began = time.perf_counter()
     program = compile_task(task) if begin is None else _recompiled(task, begin)
     if begin is not None:
@@ -177,7 +183,7 @@ def _solution(
     verification = verify(program, robot, x, equilibria, turns=turns)
     state = state_at(program, x)
     values = {one.kind: objective_value(program, state, one)[0] for one in task.objectives}
-    certified = program.layout.certified or (tuple(robot.home_translations.tolist()),)
+    certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
         task=task,

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, choice, finite
 from ..robots.assembly import Array
 from ..tubes import Tube
+from .checks import items, whole
 
 FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
 """Dimensions of a tube that may be free."""
@@ -48,9 +49,14 @@ class Free:
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)
         choice("tie of a free dimension", self.tie, TIES)
-        object.__setattr__(self, "tubes", tuple(int(i) for i in self.tubes))
-        if not self.tubes or len(set(self.tubes)) < len(self.tubes):
-            raise InputError(f"tubes of the free {NAMES[self.field]} are {self.tubes}; they must be different tubes")
+        what = f"tubes of the free {NAMES[self.field]}"
+        numbers = items(what, self.tubes, object, "tubes, counted from 0")
+        object.__setattr__(self, "tubes", tuple(whole(f"one of the {what}", i) for i in numbers))
+        if not self.tubes:
+            raise InputError(f"{what} is empty; there must be at least one")
+        twice = [i for k, i in enumerate(self.tubes) if i in self.tubes[:k]]
+        if twice:
+            raise InputError(f"{what} name tube {twice[0] + 1} twice; they must be different tubes")
         low, high = (finite(f"{name} bound of {NAMES[self.field]}", getattr(self, name)) for name in ("lower", "upper"))
         if low > high:
             raise InputError(f"bounds of {NAMES[self.field]} are {low:g} and {high:g}; the lower must not be greater")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from .exchange import robot_at
 from .multistart import multistart
@@ -48,6 +48,23 @@ def with_margin(task: DesignTask, margin: float) -> DesignTask:
     return replace(task, requirements=changed)
 
 
+def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
+    """Margins in order of size, each with the task in which it is demanded.
+
+    Raises:
+        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
+            or with several objectives.
+    """
+    if not len(margins):
+        raise InputError("margins is empty; a front needs at least one")
+    if len(task.objectives) > 1 or task.objectives[0].kind == "margin":
+        raise InputError("a front needs one objective, and that other than the margin itself")
+    if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
+        raise InputError("a front needs a certificate or a margin in use among the requirements")
+    ordered = sorted(finite("a margin of the front", m) for m in margins)
+    return [(margin, with_margin(task, margin)) for margin in ordered]
+
+
 def pareto_front(
     task: DesignTask,
     margins: Sequence[float],
@@ -63,21 +80,14 @@ def pareto_front(
         begin: an answer for the least of them, or near it.
 
     Raises:
-        InputError: no margins, a task without certificate or margin in use, or with several objectives.
+        InputError: as `front_tasks`.
         SolveError: not even the least margin is feasible.
     """
-    if not len(margins):
-        raise InputError("margins is empty; a front needs at least one")
-    if len(task.objectives) > 1 or task.objectives[0].kind == "margin":
-        raise InputError("a front needs one objective, and that other than the margin itself")
-    if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
-        raise InputError("a front needs a certificate or a margin in use among the requirements")
     one = task.objectives[0]
     points: list[FrontPoint] = []
     here = begin
-    ordered = sorted(float(m) for m in margins)
-    for k, margin in enumerate(ordered):
-        eased = with_margin(task, margin)
+    tasks = front_tasks(task, margins)
+    for k, (margin, eased) in enumerate(tasks):
         if here is None:
             ranking = multistart(compile_task(eased), starts=4, seed=seed)
             if not ranking.designs:
@@ -99,7 +109,7 @@ def pareto_front(
         points.append(FrontPoint(margin, value, robot_at(found.program, found.x)))
         here = found
         if progress is not None:
-            progress(k + 1, len(ordered))
+            progress(k + 1, len(tasks))
     return ParetoFront(task, one.kind, tuple(points), None)
 
 

@@ -210,7 +210,8 @@ def _eased(state: State, group: Rows, k: int) -> Rows:
     column = state.layout.column(slack_name(k))
     jacobian = group.jacobian.copy()
     jacobian[:, column] += 1.0
-    return replace(group, values=group.values + state.x[column], jacobian=jacobian)
+    slack = float(state.x[column])
+    return replace(group, values=group.values + slack, jacobian=jacobian, slack=(slack, column))
 
 
 def elastic(program: Program, may_move: Sequence[bool]) -> Program:
@@ -231,7 +232,7 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     """Rows that are never relaxed: joint limits, the depth of the reach, the bounds behind strain and margin."""
-    values, slopes = joint_rows(state)
+    values, slopes = joint_rows(state, program.task.robot.joint_limits)
     parts, changes = [values], [slopes]
     for one in program.task.objectives:
         if one.kind == "reach_radius" and program.depth_pose is not None and one.depth is not None:

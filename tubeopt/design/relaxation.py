@@ -27,8 +27,9 @@ ENOUGH = 1e-5
 STARTS = 2
 """Failed starts near which the least sum of moves is looked for."""
 
-TRIES = 4
-"""Times that a relaxation is enlarged by 2 % where the relaxed task is not found feasible."""
+TRIES = ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0))
+"""Factors by which a relaxation is enlarged, one after the other until the relaxed task is found feasible; and part of
+the last digit by which the limit may be rounded to the demanding side: a limit of 160 mm is told as such."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +115,9 @@ def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Ar
 def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
     """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
     found, _ = rows_at(program, x)
-    for attempt_number in range(TRIES):
-        factor = 1.0 + 0.02 * attempt_number
+    for factor, inwards in TRIES:
         moves = [
-            _change(group, factor * float(s) * group.limit.size)
+            _change(group, factor * float(s) * group.limit.size, inwards)
             for group, s in zip(found, slack, strict=True)
             if s > LEAST
         ]
@@ -143,12 +143,12 @@ def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
     return replace(task, requirements=tuple(requirements))
 
 
-def _change(group: Rows, amount: float) -> Change:
+def _change(group: Rows, amount: float, inwards: float) -> Change:
     limit = group.limit
     sign = 1.0 if limit.most else -1.0
     shown = (limit.value + sign * amount) * limit.factor
     digits = DIGITS - 1 - int(np.floor(np.log10(max(abs(shown), 1e-12))))
     step = 10.0 ** -min(max(digits, 0), 8)
-    rounded = (np.ceil(shown / step - 1e-9) if limit.most else np.floor(shown / step + 1e-9)) * step
+    rounded = (np.ceil(shown / step - inwards - 1e-9) if limit.most else np.floor(shown / step + inwards + 1e-9)) * step
     value = float(rounded / limit.factor)
     return Change(group.requirement, group.part, limit, abs(value - limit.value), value)

@@ -11,25 +11,7 @@ import numpy as np
 from ..errors import InputError, finite, positive
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
-
-Rows = tuple[tuple[float, ...], ...]
-
-
-def table(name: str, values: Any, columns: int) -> Rows:
-    """`values` as a tuple of rows of finite numbers, or InputError naming it; `columns` 0 allows any number."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is {values!r}; it must be rows of numbers") from None
-    if array.ndim != 2 or not array.size or (columns and array.shape[1] != columns) or not np.isfinite(array).all():
-        raise InputError(f"{name} has shape {array.shape}; it must be rows of {columns or 'n'} finite numbers")
-    return tuple(tuple(row) for row in array.tolist())
-
-
-def triple(name: str, values: Any) -> tuple[float, float, float]:
-    """`values` as three finite numbers, or InputError naming it."""
-    (row,) = table(name, [values], 3)
-    return row[0], row[1], row[2]
+from .checks import Rows, items, table, triple, whole
 
 
 @dataclass(frozen=True)
@@ -53,7 +35,12 @@ class SnapFree:
         if self.translations is not None:
             object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
         if self.box is not None:
-            low, high = table("box of translations", self.box, 0)
+            rows = table("box of translations", self.box, 0)
+            if len(rows) != 2:
+                raise InputError(
+                    f"box of translations has {len(rows)} rows; it must have 2, the least and the greatest"
+                )
+            low, high = rows
             if any(a > b for a, b in zip(low, high, strict=True)):
                 raise InputError("box of translations is crossed; its first row must not be above its second")
             object.__setattr__(self, "box", (low, high))
@@ -86,7 +73,10 @@ class Strain:
     in_poses: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "limits", tuple(positive("strain limit", v) for v in np.atleast_1d(self.limits)))
+        limits: tuple[Any, ...] = (self.limits,) if np.ndim(self.limits) == 0 else tuple(self.limits)
+        if not limits:
+            raise InputError("limits of the strain is empty; it must be one, or one per tube")
+        object.__setattr__(self, "limits", tuple(positive("strain limit", limit) for limit in limits))
 
 
 @dataclass(frozen=True)
@@ -124,6 +114,7 @@ class Length:
     def __post_init__(self) -> None:
         if self.field not in LENGTHS:
             raise InputError(f"length is {self.field!r}; it must be one of {', '.join(LENGTHS)}")
+        whole("tube of a length", self.tube)
         positive("limit of a length", self.limit)
 
 
@@ -169,7 +160,7 @@ class Reach:
     targets: tuple[Target, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "targets", tuple(self.targets))
+        object.__setattr__(self, "targets", items("targets", self.targets, Target, "Target"))
         if not self.targets:
             raise InputError("targets is empty; reach needs at least one target")
 
@@ -190,6 +181,7 @@ class Coverage:
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
             raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
         positive("tolerance of the workspace box", self.tolerance)
+        whole("samples of the workspace box", self.samples, 0)
 
 
 @dataclass(frozen=True)
@@ -231,7 +223,11 @@ class Avoid:
     clearance: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        bodies = items("obstacles", self.obstacles, object, "bodies")
+        object.__setattr__(self, "obstacles", bodies)
+        for body in bodies:
+            if isinstance(body, type) or not hasattr(body, "signed_distance"):
+                raise InputError(f"obstacles holds {body!r}; it must be a list of bodies (Sphere, Capsule, ...)")
         if not self.obstacles:
             raise InputError("obstacles is empty; there must be at least one to avoid")
         finite("clearance of the obstacles", self.clearance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from itertools import pairwise
@@ -9,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..robots.assembly import Array
+from ..robots.limits import JointLimits
 from .anatomy import arm_rows
 from .requirements import (
     Avoid,
@@ -30,8 +32,12 @@ from .requirements import (
 )
 from .state import FreePose, State, Via
 
-HELD = 1e-7
+HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
+
+
+SOFT = 0.03
+"""Part of a target's tolerance within which the distance from it is rounded off, to be smooth at the target itself."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +64,18 @@ class Limit:
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Rows of one group: values (K,) and Jacobian (K, X), >= 0 where the limit is kept, in units of `limit.size`;
-    `requirement` is the number of the requirement in the task, `part` tells its groups apart."""
+    `requirement` is the number of the requirement in the task, `part` tells its groups apart. Rows that limit the
+    length of a vector tell it too: `vector` (K, 3) and its change (K, 3, X), in the same units, which leads least
+    squares to 0 from far away faster than its length does. `slack`: steps by which the limit is eased, and
+    their column."""
 
     requirement: int
     part: int
     limit: Limit
     values: Array
     jacobian: Array
+    vector: tuple[Array, Array] | None = None
+    slack: tuple[float, int] | None = None
 
 
 def _rows(number: int, part: int, limit: Limit, values: Array, jacobian: Array) -> Rows:
@@ -194,11 +205,18 @@ def _(requirement: Stroke, number: int, state: State, poses: tuple[int, ...]) ->
     return [_rows(number, 0, limit, np.concatenate(values), np.concatenate(slopes))] if values else []
 
 
-def _to_point(state: State, index: int, point: tuple[float, ...], tolerance: float) -> tuple[Array, Array]:
-    """Rows that keep the tip in the cube inside the ball of `tolerance` around a point: linear where it is far."""
-    tip, slope = _tip(state, index)
-    gap, slope = np.sqrt(3) * (tip - np.array(point)), np.sqrt(3) * slope
-    return np.concatenate([tolerance - gap, tolerance + gap]), np.concatenate([-slope, slope])
+def _near_points(
+    number: int, part: int, limit: Limit, state: State, aims: Sequence[tuple[int, tuple[float, ...]]]
+) -> Rows:
+    """Rows that keep the tip of poses within the limit's value of points, and the way from the points to the tips."""
+    tips = [_tip(state, index) for index, _ in aims]
+    gap = np.array([tip for tip, _ in tips]) - np.array([point for _, point in aims])
+    slope = np.array([change for _, change in tips])
+    soft = SOFT * limit.value
+    distance = np.sqrt((gap**2).sum(1) + soft**2)
+    values = np.sqrt(limit.value**2 + soft**2) - distance
+    jacobian = -np.einsum("kc,kcx->kx", gap / distance[:, None], slope)
+    return replace(_rows(number, part, limit, values, jacobian), vector=(gap / limit.size, slope / limit.size))
 
 
 def _along(state: State, index: int, target: Target) -> tuple[float, Array]:
@@ -216,7 +234,7 @@ def _(requirement: Reach, number: int, state: State, poses: tuple[int, ...]) -> 
     out = []
     for k, (index, target) in enumerate(zip(poses, requirement.targets, strict=True)):
         limit = Limit(f"tolerance of target {k + 1}", target.tolerance, True, "mm", 1e3, 1e-3)
-        out.append(_rows(number, 2 * k, limit, *_to_point(state, index, target.position, target.tolerance)))
+        out.append(_near_points(number, 2 * k, limit, state, [(index, target.position)]))
         if target.direction is not None:
             words = f"tolerance of the direction at target {k + 1}"
             limit = Limit(words, target.direction_tolerance, True, "deg", 180 / np.pi, np.radians(5.0))
@@ -230,9 +248,7 @@ def coverage_rows(
 ) -> list[Rows]:
     """Rows of a workspace box at the points of it that are in the program."""
     limit = Limit("tolerance of the workspace box", requirement.tolerance, True, "mm", 1e3, 1e-3)
-    parts = [_to_point(state, index, point, requirement.tolerance) for index, point in zip(poses, points, strict=True)]
-    values, slopes = (np.concatenate([part[k] for part in parts]) for k in range(2))
-    return [_rows(number, 0, limit, values, slopes)]
+    return [_near_points(number, 0, limit, state, list(zip(poses, points, strict=True)))]
 
 
 @rows.register
@@ -285,9 +301,9 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return requirement
 
 
-def joint_rows(state: State) -> tuple[Array, Array]:
+def joint_rows(state: State, limits: JointLimits | None) -> tuple[Array, Array]:
     """Limits of the joint values of every free pose, >= 0 where kept, in steps of 10 mm: carriages and ends in order,
-    no tube withdrawn past the plate, and the ranges that the robot's actuators have."""
+    no tube withdrawn past the plate, and the ranges of the translations that the robot's actuators have."""
     layout = state.layout
     straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
     length = np.array([tube.length for tube in state.tubes])
@@ -302,6 +318,12 @@ def joint_rows(state: State) -> tuple[Array, Array]:
         end, ended = beta + length, moved + straight + curved
         values += [beta[1:] - beta[:-1], end[:-1] - end[1:], end]
         slopes += [moved[1:] - moved[:-1], ended[:-1] - ended[1:], ended]
+        if limits is not None:
+            low, high = np.array(limits.translations).T
+            shift = beta + np.array([tube.straight_length for tube in state.tubes])
+            shifted = moved + straight
+            values += [shift - low, high - shift]
+            slopes += [shifted, -shifted]
     return np.concatenate(values) / 1e-2, np.concatenate(slopes) / 1e-2
 
 

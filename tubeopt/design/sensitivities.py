@@ -98,7 +98,8 @@ def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
         words = f"{'upper' if most else 'lower'} bound of the {name}"
         near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]
         if near and space.upper[k] > space.lower[k]:
-            out.append((Limit(words, value, most, unit, factor, float(space.scale[k])), abs(price)))
+            size = min(float(space.scale[k]), 0.2 * abs(value)) if value else float(space.scale[k])
+            out.append((Limit(words, value, most, unit, factor, size), abs(price)))
     return out
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..robots.assembly import Array
-from .cells import improve_by_cells
+from .cells import GAIN, improve_by_cells
 from .program import Program
-from .solve_one import FEASIBLE, Attempt, Report, attempt, improve, to_feasibility, violation
+from .solve_one import FEASIBLE, Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
 from .starts import with_joints
 
 NEAR = 0.5
@@ -15,6 +15,16 @@ NEAR = 0.5
 
 KICKS = 2
 """Times that other joint values are tried for dimensions from which least squares do not get near."""
+
+RIM = 1e-3
+"""Part of a target's tolerance from a side of its cube within which that side binds, and of the objective that it may
+cost to stay inside the cubes."""
+
+EASED = 1e-5
+"""Slack (steps) above which a tolerance counts as eased."""
+
+RIM_ITERATIONS = 60
+"""Iterations of IPOPT from the optimum in the cubes to that in the balls."""
 
 FREE_ITERATIONS = 150
 """Iterations of IPOPT before it counts as stuck on a kink."""
@@ -40,6 +50,41 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
     IPOPT is let loose across all kinks first; where it does not converge, it ends in one order of breakpoints after the
     other.
     """
+    return _to_the_rim(program, _in_the_cubes(program, x, report), report)
+
+
+def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Attempt:
+    """The optimum with whole balls around the targets, where the cubes inside them cost something."""
+    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= RIM:
+        return found
+    other = improve(program, found.x, report, RIM_ITERATIONS, exact=True)
+    if found.feasible and other.feasible:
+        return other if other.objective < found.objective - GAIN * max(abs(found.objective), 1e-3) else found
+    return min(found, other, key=_worse)
+
+
+def _price_of_cubes(program: Program, found: Attempt) -> float:
+    """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
+    binds, and 0 where none does."""
+    balls = [group for group in rows_at(program, found.x)[0] if group.vector is not None]
+    near = any((cubed(one).values < RIM * one.limit.value / one.limit.size).any() for one in balls)
+    if not near:
+        return 0.0
+    if program.elastic:
+        return np.inf if any(one.slack is not None and one.slack[0] > EASED for one in balls) else 0.0
+    if not found.feasible or found.optimum is None or not found.optimum.success:
+        return np.inf
+    gain, first = 0.0, 0
+    for group in rows_at(program, found.x)[0]:
+        last = first + len(group.values)
+        if group.vector is not None:
+            price = float(found.optimum.multipliers[first:last].sum())
+            gain += price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
+        first = last
+    return float(gain / max(abs(found.objective), 1e-3))
+
+
+def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
     found = improve(program, x, report, FREE_ITERATIONS)
     if found.feasible and found.optimum is not None and found.optimum.success:
         return found

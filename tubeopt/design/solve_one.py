@@ -12,7 +12,7 @@ from ..errors import SolveError
 from ..robots.assembly import Array
 from ..solvers.smooth import Optimum, Values, minimise
 from .program import Program, evaluate, fixed_rows, groups, nowhere, stack, state_at, total_objective
-from .rows import Rows
+from .rows import HELD, Rows
 from .state import State
 
 FEASIBLE = 1e-7
@@ -73,6 +73,27 @@ def attempt(program: Program, x: Array, optimum: Optimum | None) -> Attempt:
     return Attempt(program, x, objective, size, words if size > FEASIBLE else "", optimum)
 
 
+def shortfall(found: Found) -> tuple[Array, Array]:
+    """By how much rows fall short of being kept by INSIDE, and its change: of rows that limit a vector, along it."""
+    values, slopes = [], []
+    for group in found[1]:
+        short = np.minimum(group.values - INSIDE, 0.0)
+        slope = group.jacobian * (short < 0)[:, None]
+        if group.vector is not None:
+            vector, change = group.vector
+            size = np.maximum(np.linalg.norm(vector, axis=1), 1e-12)[:, None]
+            along = vector / size
+            across = change - along[:, :, None] * np.einsum("kc,kcx->kx", along, change)[:, None]
+            slope = (along[:, :, None] * slope[:, None] + (short[:, None] / size)[:, :, None] * across).reshape(
+                -1, slope.shape[1]
+            )
+            short = (short[:, None] * along).ravel()
+        values.append(short)
+        slopes.append(slope)
+    fixed = np.minimum(found[2][0] - INSIDE, 0.0)
+    return np.concatenate([*values, fixed]), np.concatenate([*slopes, found[2][1] * (fixed < 0)[:, None]])
+
+
 def to_feasibility(program: Program, start: Array, report: Report | None = None) -> Array:
     """Least squares of the violations from a start: Gauss and Newton in a trust region within the bounds."""
     scale = program.scale
@@ -93,13 +114,12 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         found = evaluate(program, full(part))
         if found is None:
             return np.full(rows_count, np.nan)
-        values, jacobian = stack(found[1], found[2])
-        rows_count = len(values)
-        gap = np.minimum(values - INSIDE, 0.0)
+        gap, jacobian = shortfall(found)
+        rows_count = len(gap)
         slope.clear()
-        slope[part.tobytes()] = jacobian[:, move] * scale[move] * (gap < 0)[:, None]
+        slope[part.tobytes()] = jacobian[:, move] * scale[move]
         if report is not None:
-            report("feasibility", float(-values.min(initial=0.0)))
+            report("feasibility", largest_violation(found[1], found[2][0])[0])
         return gap
 
     def jacobian(part: Array) -> Array:
@@ -110,7 +130,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     if evaluate(program, full(begin[move])) is None:
         return start
     inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
-    if not np.isfinite(residual(inside)).all() or not (residual(inside) < 0).any():
+    if not np.isfinite(residual(inside)).all() or not residual(inside).any():
         return full(inside)
     result = least_squares(
         residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,
@@ -147,14 +167,20 @@ def improve(
     *,
     rows: MoreRows | None = None,
     strategy: str = "quick",
+    exact: bool = False,
 ) -> Attempt:
     """The optimum from a start that is nearly feasible; `rows` are further values and their change, to be kept >= 0,
-    `strategy` one of `solvers.smooth.STRATEGIES`."""
+    `strategy` one of `solvers.smooth.STRATEGIES`.
+
+    Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
+    optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
+    """
+    form = cubed if not exact else same if program.elastic else squared
     scale = program.scale
     known = evaluate(program, start)
     if known is None:
         raise SolveError("no equilibrium was found at the start of a design")
-    count = len(_all_rows(known, rows)[0])
+    count = len(_all_rows(known, form, rows)[0])
     size = max(abs(total_objective(program, known[0])[0]), 1e-3)
 
     seen: list[tuple[float, Array]] = []
@@ -164,7 +190,7 @@ def improve(
         if found is None:
             return nowhere(count, len(x))
         f, slope = total_objective(program, found[0])
-        g, jacobian = _all_rows(found, rows)
+        g, jacobian = _all_rows(found, form, rows)
         if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
             seen[:] = [(f, x * scale)]
         return Values(f / size, slope * scale / size, g, jacobian * scale)
@@ -177,6 +203,8 @@ def improve(
         optimum.x * scale, optimum.values, optimum.multipliers * size, optimum.bound_multipliers * size / scale,
         optimum.success, optimum.status, optimum.iterations,
     )  # fmt: skip
+    if form is cubed:
+        optimum = _folded(optimum, known[1])
     reached = attempt(program, optimum.x, optimum)
     if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
         return reached
@@ -185,8 +213,48 @@ def improve(
     return attempt(program, inside, replace(optimum, x=inside))
 
 
-def _all_rows(found: Found, rows: MoreRows | None) -> tuple[Array, Array]:
-    values, jacobian = stack(found[1], found[2])
+def same(group: Rows) -> Rows:
+    """The rows as they are."""
+    return group
+
+
+def squared(group: Rows) -> Rows:
+    """Rows that limit the length of a vector, in its square: of constant curvature, the same to first order where they
+    bind."""
+    if group.vector is None:
+        return group
+    vector, change = group.vector
+    most = group.limit.value / group.limit.size
+    values = (most**2 - (vector**2).sum(1)) / (2 * most) - HELD
+    return replace(group, values=values, jacobian=-np.einsum("kc,kcx->kx", vector, change) / most)
+
+
+def cubed(group: Rows) -> Rows:
+    """Rows that limit the length of a vector, as the six sides of the cube inside: linear in it, and stricter."""
+    if group.vector is None:
+        return group
+    vector, change = np.sqrt(3) * group.vector[0], np.sqrt(3) * group.vector[1]
+    most = group.limit.value / group.limit.size - HELD + (0.0 if group.slack is None else group.slack[0])
+    values = np.concatenate([most - vector, most + vector], axis=1).ravel()
+    jacobian = np.concatenate([-change, change], axis=1).reshape(len(values), -1)
+    if group.slack is not None:
+        jacobian[:, group.slack[1]] += 1.0
+    return replace(group, values=values, jacobian=jacobian)
+
+
+def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
+    """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
+    parts, first = [], 0
+    for group in groups:
+        sides = 1 if group.vector is None else 6
+        count = sides * len(group.values)
+        parts.append(optimum.multipliers[first : first + count].reshape(-1, sides).sum(1))
+        first += count
+    return replace(optimum, multipliers=np.concatenate([*parts, optimum.multipliers[first:]]))
+
+
+def _all_rows(found: Found, form: Callable[[Rows], Rows], rows: MoreRows | None) -> tuple[Array, Array]:
+    values, jacobian = stack([form(group) for group in found[1]], found[2])
     if rows is None:
         return values, jacobian
     more = rows(found[0])

@@ -9,6 +9,7 @@ from scipy.stats import qmc
 
 from ..errors import InputError, SolveError
 from ..robots.assembly import Array
+from ..robots.limits import JointLimits
 from ..tubes import Tube
 from .pose import Pose
 from .program import Program, corners
@@ -56,7 +57,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         tubes = layout.space.tubes(design)
     except InputError:
         return x
-    joints, poses = _sample(tubes, random)
+    joints, poses = _sample(tubes, program.task.robot.joint_limits, random)
     if not poses:
         return x
     tips = np.array([pose.position[-1] for pose in poses])
@@ -92,8 +93,11 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
     return out
 
 
-def _sample(tubes: tuple[Tube, ...], random: np.random.Generator) -> tuple[list[Array], list[Pose]]:
-    """Joint values (2 n,), rotations then beta, with carriages and ends in order, and their poses."""
+def _sample(
+    tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator
+) -> tuple[list[Array], list[Pose]]:
+    """Joint values (2 n,), rotations then beta, with carriages and ends in order, within the limits of translations
+    where that leaves a range, and their poses."""
     n = len(tubes)
     length = np.array([tube.length for tube in tubes])
     straight = np.array([tube.straight_length for tube in tubes])
@@ -105,6 +109,9 @@ def _sample(tubes: tuple[Tube, ...], random: np.random.Generator) -> tuple[list[
         for i in reversed(range(n)):
             # beta_i <= beta_{i+1}, end_i >= end_{i+1}
             low, high = max(-length[i] + behind, -length[i]), ahead
+            if limits is not None:
+                first, last = np.array(limits.translations[i]) - straight[i]
+                low, high = max(low, first), min(high, last)
             beta[i] = random.uniform(low, high) if high > low else high
             ahead, behind = beta[i], max(beta[i] + length[i], 0.0)
         try:

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError, SolveError, positive
 from ..materials import NITINOL, Material
 from ..robots.concentric import ConcentricRobot
+from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart
 from .objectives import KINDS
@@ -100,16 +101,12 @@ def choose_from_stock(
         starts: of each design.
 
     Raises:
-        InputError: nothing in stock nests, a task in which diameters are free or with several objectives.
+        InputError: keep or starts below 1, and as `stock_choices`.
         SolveError: no candidate is feasible.
     """
-    if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
-        raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
-    if len(task.objectives) > 1:
-        raise InputError("a choice from stock ranks by one objective; the task has several")
-    choices = list(combinations(stock, task.robot.n_tubes, clearance))
-    if not choices:
-        raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")
+    whole("keep", keep, 1)
+    whole("starts", starts, 1)
+    choices = stock_choices(task, stock, clearance)
     bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
     order = np.argsort(bounds, kind="stable")
     done: list[Candidate] = []
@@ -129,6 +126,24 @@ def choose_from_stock(
         raise SolveError(f"none of {len(choices)} choices from stock meets all requirements: {done[0].status}")
     rest = sorted((one for one in done if one.robot is None), key=lambda one: one.status == "pruned")
     return StockChoice((*designs, *rest))
+
+
+def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
+    """All choices of sizes for the tubes of a task, inner to outer.
+
+    Raises:
+        InputError: nothing in stock nests, a clearance below 0, a task in which diameters are free or with several
+            objectives.
+    """
+    if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
+        raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
+    if len(task.objectives) > 1:
+        raise InputError("a choice from stock ranks by one objective; the task has several")
+    positive("clearance", clearance, zero=True)
+    choices = list(combinations(stock, task.robot.n_tubes, clearance))
+    if not choices:
+        raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")
+    return choices
 
 
 def combinations(stock: Sequence[StockTube], n: int, clearance: float) -> Iterator[tuple[StockTube, ...]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
+from .checks import items
 from .objectives import Objective
 from .parameters import DesignSpace, Free, design_space
 from .requirements import (
@@ -46,11 +47,14 @@ class DesignTask:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
-        object.__setattr__(self, "free", tuple(self.free))
+        object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
+        requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
+        if not isinstance(self.objective, Objective):
+            object.__setattr__(self, "objective", items("objective", self.objective, Objective, "Objective"))
         n = self.robot.n_tubes
         spread = [
             replace(one, limits=one.limits * n) if isinstance(one, Strain) and len(one.limits) == 1 else one
-            for one in self.requirements
+            for one in requirements
         ]
         object.__setattr__(self, "requirements", tuple(spread))
         self.space  # noqa: B018  (its checks)

@@ -8,10 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, SolveError, choice, positive
+from ..errors import InputError, SolveError, choice, positive, vector
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..tubes import Tube
+from .checks import whole
 from .pool import Progress, executor, run_all
 from .pose import Pose
 from .solved import solve_pose, without_solving
@@ -28,6 +29,8 @@ class Tolerances:
     """Independent errors of every tube: standard deviations, or half widths where uniform.
 
     curvature, stiffness: relative (bending and torsional stiffness together); straight_length, curved_length: m.
+    Translations count from home, which each tube finds by its own transition: a longer straight part is a longer
+    transmission, and no longer arm.
     """
 
     curvature: float = 0.0
@@ -84,12 +87,17 @@ def tolerance_analysis(
         margin: of which to report how many samples keep it.
 
     Raises:
-        InputError: fewer than 2 samples.
+        InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
         SolveError: a pose has no equilibrium of the robot as designed.
     """
-    if samples < 2:
-        raise InputError(f"samples is {samples}; it must be at least 2")
-    where = tuple(map(tuple, translations)) if translations is not None else (tuple(robot.home_translations.tolist()),)
+    if not isinstance(tolerances, Tolerances):
+        raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
+    whole("samples", samples, 2)
+    rows = [robot.home_translations] if translations is None else translations
+    where = tuple(tuple(vector("translations", row, robot.n_tubes).tolist()) for row in rows)
+    for pose in poses:
+        for name, values in zip(("rotations of a pose", "translations of a pose"), pose, strict=True):
+            vector(name, values, robot.n_tubes)
     nominal = _batch((robot.tubes,), where, tuple(poses))
     if np.isnan(nominal[1]).any():
         raise SolveError("the robot as designed has no stable equilibrium at a pose whose tip is to be compared")

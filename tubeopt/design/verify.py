@@ -12,7 +12,8 @@ from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import follow, snap_free_certificate, worst_margin
-from .exchange import walks
+from .checks import whole
+from .exchange import certified_at, walks
 from .program import Program, corners, state_at
 from .requirements import (
     Avoid,
@@ -25,6 +26,7 @@ from .requirements import (
     obstacle_distance,
     of_kind,
 )
+from .verify_tubes import check_tubes
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
@@ -67,6 +69,7 @@ def count_snaps(
     Every turn begins at the untwisted home, with all tubes bending to one side; at least one tube, and not all,
     goes a full turn forth or back, and then everything goes back to where it began.
     """
+    whole("turns", turns, 0)
     random = np.random.default_rng(seed)
     n = robot.n_tubes
     home = robot.home_translations if translations is None else translations
@@ -99,7 +102,8 @@ def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equ
 def verify(
     program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
 ) -> Verification:
-    """Check a design again: certificates against search and against random full turns, poses by forward kinematics."""
+    """Check a design again: certificates against search and against random full turns, poses by forward kinematics,
+    tubes by what they are and by the strain in their poses."""
     checks: list[Check] = []
     for one in program.task.requirements:
         if isinstance(one, SnapFree):
@@ -111,12 +115,13 @@ def verify(
                 checks.append(_paths(program, robot, x, one))
         elif isinstance(one, Corridor | Avoid):
             checks.append(_anatomy(one, robot, equilibria))
+        checks += [Check(*found) for found in check_tubes(one, robot, equilibria)]
     checks += _tips(program, equilibria)
     return Verification(tuple(checks))
 
 
 def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns: int) -> list[Check]:
-    rows = [np.array(row) for row in program.layout.certified]
+    rows = [np.array(row) for row in certified_at(program, robot)]
     values = [snap_free_certificate(robot, row) for row in rows]
     checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.margin - one.tolerance - SLACK)]
     order = np.argsort(values)[:SEARCHED]

@@ -85,6 +85,8 @@ class FreeEntry(Part):
             raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
         (key, (low, high)) = given[0]
         field, unit, scaled = RANGES[key]
+        if scaled and self.equal:
+            raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
         tie = "scaled" if scaled else "equal" if self.equal else "each"
         return Free(field, tuple(i - 1 for i in self.tubes), to_si(low, unit), to_si(high, unit), tie)
 
@@ -168,7 +170,7 @@ class CoverageEntry(Part):
     lower_mm: Triple
     upper_mm: Triple
     tolerance_mm: Positive = Decimal(1)
-    samples: Whole = 32
+    samples: Annotated[Whole, Field(ge=0)] = 32
 
     def build(self) -> Coverage:
         """The requirement in SI."""
@@ -293,7 +295,7 @@ class TolerancesEntry(Part):
     straight_length_mm: NotNegative = Decimal(0)
     curved_length_mm: NotNegative = Decimal(0)
     distribution: Literal["normal", "uniform"] = "normal"
-    samples: Whole = 500
+    samples: Annotated[Whole, Field(ge=2)] = 500
 
     def build(self) -> Tolerances:
         """The tolerances in SI."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo, model_validator
 
 from ..design import (
     DesignSolution,
@@ -20,7 +20,9 @@ from ..design import (
     pareto_front,
     tolerance_analysis,
 )
-from ..design.stock import with_sizes
+from ..design.exchange import certified_at
+from ..design.pareto import front_tasks
+from ..design.stock import stock_choices, with_sizes
 from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
 from .base import Progress, RobotPath, Study, Whole
@@ -44,12 +46,22 @@ StockPath = Annotated[
 """Sizes of tubes, given as the path of their file."""
 
 
+Count = Annotated[Whole, Field(ge=1)]
+"""A whole number, at least 1."""
+
+Aims = Annotated[
+    Annotated[ObjectiveEntry, Tag("<one>")] | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
+    Discriminator(lambda value: "<several>" if isinstance(value, list) else "<one>"),
+]
+"""One objective, or several."""
+
+
 class StockStudy(Entry):
     """Sizes to choose from."""
 
     file: StockPath
     clearance_mm: NotNegative = Field(description="least difference of diameters of nested tubes")
-    keep: Whole = Field(5, description="how many of the best choices are to be found for certain")
+    keep: Count = Field(5, description="how many of the best choices are to be found for certain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +82,25 @@ class DesignStudy(Study):
     robot: RobotPath
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements
-    objective: ObjectiveEntry | Annotated[list[ObjectiveEntry], Field(min_length=1)]
-    starts: Whole = Field(1, description="dimensions from which to start: the robot's own, and random ones")
-    seed: Whole = 0
-    turns: Whole = Field(6, description="random full turns per translations on which no certified robot may snap")
+    objective: Aims
+    starts: Count = Field(1, description="dimensions from which to start: the robot's own, and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = 0
+    turns: Annotated[Whole, Field(ge=0)] = Field(
+        6, description="random full turns per translations on which no certified robot may snap"
+    )
     tolerances: TolerancesEntry | None = None
-    pareto_margins: list[Number] | None = Field(None, description="margins of the points of the Pareto front")
+    pareto_margins: Annotated[list[Number], Field(min_length=1)] | None = Field(
+        None, description="margins of the points of the Pareto front"
+    )
     stock: StockStudy | None = None
 
     @model_validator(mode="after")
     def _makes_a_task(self) -> Self:
-        self.task()
+        task = self.task()
+        if self.pareto_margins is not None:
+            front_tasks(task, [float(m) for m in self.pareto_margins])
+        if self.stock is not None:
+            stock_choices(task, self.stock.file, to_si(self.stock.clearance_mm, MM))
         return self
 
     def task(self) -> DesignTask:
@@ -126,7 +146,7 @@ class DesignStudy(Study):
             tolerance = tolerance_analysis(
                 solution.robot,
                 self.tolerances.build(),
-                translations=solution.attempt.program.layout.certified or None,
+                translations=certified_at(solution.attempt.program, solution.robot) or None,
                 poses=[(e.rotations, e.translations) for e in solution.equilibria],
                 samples=self.tolerances.samples,
                 workers=workers,
