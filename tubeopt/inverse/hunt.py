@@ -52,7 +52,8 @@ CLEAR_STARTS = 8
 
 
 @lru_cache(maxsize=32)
-def _table(space: JointSpace) -> StartTable:
+def known_starts(space: JointSpace) -> StartTable:
+    """The table of configurations of a robot from which a search may begin, built or loaded once."""
     return start_table(space)
 
 
@@ -157,7 +158,7 @@ class Hunt:
         goal = self.goal
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
-        near = nearest_starts(goal.space, _table(goal.space), target, min_margin=goal.floor, reference=reference)
+        near = nearest_starts(goal.space, known_starts(goal.space), target, min_margin=goal.floor, reference=reference)
         first = 0 if self.everywhere else NEAREST_FIRST
         for q in spread_starts(goal.space, near, most, first=first):
             start = start_at(goal.space, q)

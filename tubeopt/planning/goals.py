@@ -16,6 +16,7 @@ from ..inverse.joints import JointSpace, configuration
 from ..inverse.posture import posture_of
 from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
+from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from .reach import least_miss
 from .task import Task
@@ -131,16 +132,15 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
         direction=goal.direction,
         seed=start,
         min_margin=task.min_margin + 2 * FINISHED,
-        limits=_limits(task.chart.space),
+        limits=limits_of(task.chart.space),
         obstacles=task.obstacles,
         options=InverseOptions(clearance=task.clearance),
     )
     return [answer.equilibrium]
 
 
-def _limits(space: JointSpace) -> Any:
-    from ..robots.limits import JointLimits
-
+def limits_of(space: JointSpace) -> JointLimits:
+    """The ranges of the joints, tube by tube."""
     n = space.robot.n_tubes
     low, high = space.lower, space.upper
     shift = np.empty((n, 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
-from .goals import End, check_start, ends, start_equilibrium
+from .goals import End, check_start, ends, limits_of, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
@@ -32,11 +32,14 @@ FOR_SEARCH = 0.9
 FOR_REPORT, MOST_FOR_REPORT = 2.0, 0.35
 """Seconds that are kept for the report at least, but no more than this share of the time limit."""
 
+PROOF, PROOF_SAMPLE = 0.1, 1e-3
+"""Seconds that a proof takes at most on most machines: in all, and per sample of the motion."""
+
 ATTEMPTS = 3
 """Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
 
-SMOOTHING = 20.0
-"""Most seconds of smoothing."""
+SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
+"""Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
 
 Progress = Callable[[str, float], object]
 
@@ -116,8 +119,8 @@ def _make(
     points = shorten(task, way.points, Clock(min(2.0, 0.3 * (clock.limit - clock.seconds))), seed=options.seed)
     raw = task.length(way.points)
     motions: list[tuple[Motion, str, int, int]] = []
-    left = min(SMOOTHING, 0.8 * (clock.limit - clock.seconds))
-    if options.objective != "none" and left > 0.2 and raw > 1e-9:
+    left = min(SMOOTHING, 0.7 * (clock.limit - clock.seconds))
+    if options.objective != "none" and left > LEAST_SMOOTHING and raw > 1e-9:
         best = smooth(task, first, points, rates[1], objective=options.objective, seconds=left)
         if best is not None:
             motions.append((best.motion, options.objective, best.iterations, len(best.points)))
@@ -206,7 +209,7 @@ def build(
         min_margin=task.min_margin - 1e-6,
         clearance=task.clearance,
         rate_limits=rates,
-        limits=None if space.robot.limits is None else _own_limits(task),
+        limits=None if space.robot.limits is None else limits_of(space),
     )
     if proof.holds and end is not None:
         missed = float(np.abs(task.chart.of(proof.end) - end.point).max())
@@ -220,16 +223,7 @@ def build(
     return Built(t, q, walked.tip, walked.margin, walked.clearance, proof), proof
 
 
-def _own_limits(task: Task) -> JointLimits:
-    from .goals import _limits
-
-    limits: JointLimits = _limits(task.chart.space)
-    return limits
-
-
 def _with_fault(proof: Proof, fault: str) -> Proof:
-    from dataclasses import replace
-
     return replace(proof, faults=(*proof.faults, fault))
 
 
@@ -244,14 +238,25 @@ def _not_found(
     """What to say where the search ended without a way: how close it came, and with what."""
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
-        motion = stopping_at(joint_curves(task, way.closest), *rates[1])
-        end = End(way.closest[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
-        built, _ = build(task, first, None, motion, rates[0])
-        distance = min(float(np.linalg.norm((end.point - each.point) / task.scale)) for each in goals)
-        if built is not None:
-            numbers = (way.motions, 0.0, task.length(way.closest), 0, len(way.closest))
+        distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
+        points, motion = _affordable(task, way.closest, rates[1], clock.limit - clock.seconds)
+        built = None if motion is None else build(task, first, None, motion, rates[0])[0]
+        if built is not None and motion is not None:
+            end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
+            numbers = (way.motions, 0.0, task.length(points), 0, len(points))
             seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
             statistics = PlanStatistics("partial", "", *numbers, *seconds)
             partial = built.trajectory(task, first, end, rates[0], statistics)
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     return SolveError(f"no plan was found within {clock.limit:g} s: {way.motions} motions were tried{near}", partial)
+
+
+def _affordable(task: Task, points: Array, rates: tuple[Array, Array], left: float) -> tuple[Array, Motion | None]:
+    """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
+    while len(points) > 1:
+        motion = stopping_at(joint_curves(task, points), *rates)
+        needed = PROOF + PROOF_SAMPLE * len(motion.sampled(task.scale)[0])
+        if needed <= left:
+            return points, motion
+        points = points[: min(len(points) - 1, int(len(points) * left / needed))]
+    return points, None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..inverse.hunt import _table
+from ..inverse.hunt import known_starts
 from ..inverse.table import nearest_starts, spread_starts
 from ..robots.assembly import Array
 from ..solvers.least_squares import constrained_least_squares
@@ -35,7 +35,7 @@ def least_miss(chart: Chart, position: Array) -> float:
     """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near."""
     space = chart.space
     target = (position, None)
-    known = nearest_starts(space, _table(space), target, min_margin=0.0, reference=None)
+    known = nearest_starts(space, known_starts(space), target, min_margin=0.0, reference=None)
     least = np.inf
     for q in spread_starts(space, known, STARTS, first=STARTS // 2):
         least = min(least, _closest(chart, q, position))
