@@ -21,12 +21,14 @@ from tubeopt import (
     follow_the_leader,
     follow_tip_path,
     forward_kinematics,
+    inverse_kinematics,
     plan_trajectory,
     verify_trajectory,
 )
 from tubeopt.corridors import Corridor
 from tubeopt.inverse.joints import joint_space
 from tubeopt.obstacles import Sphere, nearest_distance
+from tubeopt.planning import plan, search
 from tubeopt.planning.chart import Chart
 from tubeopt.planning.motion import hurried
 from tubeopt.planning.reach import least_miss
@@ -182,6 +184,23 @@ def test_poses_of_the_tip_are_goals() -> None:
     pose = TipGoal(there.tip_position, there.tip_rotation[:, 2])
     plan = plan_trajectory(THESIS, HOME, pose, options=options)
     np.testing.assert_allclose(plan.end.tip_rotation[:, 2], there.tip_rotation[:, 2], atol=1e-6)
+
+
+def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = forward_kinematics(THESIS, [0.07, 2.7, -2.14], [-0.0559, -0.0057, -0.0028])
+    tried: list[int] = []
+
+    def nearest_cut_off(*arguments: Any, **options: Any) -> search.Way:
+        tried.append(len(arguments[2]))
+        return search.Way(None, "search", 7) if len(tried) == 1 else search.find_way(*arguments, **options)
+
+    monkeypatch.setattr(plan, "find_way", nearest_cut_off)
+    found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
+    first = inverse_kinematics(THESIS, there.tip_position, seed=forward_kinematics(THESIS, *HOME))
+    np.testing.assert_allclose(found.tip_position[-1], there.tip_position, atol=1e-6)
+    assert np.abs(found.rotations[-1] - first.rotations).max() > 0.1
+    assert found.proof.holds
+    assert found.statistics.motions > 7
 
 
 def test_eccentric_robots_are_planned_for() -> None:

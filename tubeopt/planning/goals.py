@@ -28,6 +28,9 @@ MOST_GOALS = 12
 MOST_TURNS = 3
 """Whole turns of one tube that are tried."""
 
+DISTINCT = 1e-3
+"""Ends closer than this in every coordinate, in units of the scales, are one."""
+
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
 
@@ -93,6 +96,40 @@ def ends(task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = Fals
     return out[:MOST_GOALS]
 
 
+def other_ends(
+    task: Task, start: Equilibrium, goal: Any, known: Sequence[End], *, modulo_turns: bool = False
+) -> list[End]:
+    """Further equilibria that meet the goal, if it is one of the tip, the nearest first: its other postures."""
+    wanted = _tip_goal(goal)
+    if wanted is None:
+        return []
+    here, found = task.chart.of(start), []
+    for e in _postures(task, start, wanted):
+        try:
+            _allowed(task, "goal", e)
+        except SolveError:
+            continue
+        found += [
+            end
+            for end in _turned(task, e, start.rotations, modulo_turns)
+            if all(np.abs((end.point - other.point) / task.scale).max() > DISTINCT for other in known)
+        ]
+    return sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))[:MOST_GOALS]
+
+
+def of_the_tip(goal: Any) -> bool:
+    """Whether a goal is one of the tip, which several postures may meet."""
+    return _tip_goal(goal) is not None
+
+
+def _tip_goal(goal: Any) -> TipGoal | None:
+    if isinstance(goal, TipGoal):
+        return goal
+    if isinstance(goal, (Equilibrium, InverseSolution)) or (isinstance(goal, (tuple, list)) and len(goal) == 2):
+        return None
+    return TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m"))
+
+
 def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
     space = task.chart.space
     if isinstance(goal, InverseSolution):
@@ -101,11 +138,9 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
         if goal.robot != space.robot:
             raise InputError("goal is an equilibrium of another robot")
         return [goal]
-    if isinstance(goal, TipGoal):
-        return _posed(task, start, goal)
-    pair = isinstance(goal, (tuple, list)) and len(goal) == 2
-    if not pair:
-        return _posed(task, start, TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m")))
+    wanted = _tip_goal(goal)
+    if wanted is not None:
+        return _posed(task, start, wanted)
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     try:
@@ -126,17 +161,25 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
         raise SolveError(
             f"no plan exists: the goal is out of reach, the tip comes no closer to it than {miss * 1e3:.4g} mm"
         )
-    answer = inverse_kinematics(
-        task.chart.space.robot,
-        position,
-        direction=goal.direction,
-        seed=start,
-        min_margin=task.min_margin + 2 * FINISHED,
-        limits=limits_of(task.chart.space),
-        obstacles=task.obstacles,
-        options=InverseOptions(clearance=task.clearance),
-    )
-    return [answer.equilibrium]
+    return [inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal)).equilibrium]
+
+
+def _postures(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
+    """All equilibria whose tip has a pose, as far as inverse kinematics finds them."""
+    robot = task.chart.space.robot
+    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_inverse(task, start, goal))
+    return [answer.equilibrium for answer in answers]
+
+
+def _inverse(task: Task, start: Equilibrium, goal: TipGoal) -> dict[str, Any]:
+    return {
+        "direction": goal.direction,
+        "seed": start,
+        "min_margin": task.min_margin + 2 * FINISHED,
+        "limits": limits_of(task.chart.space),
+        "obstacles": task.obstacles,
+        "options": InverseOptions(clearance=task.clearance),
+    }
 
 
 def limits_of(space: JointSpace) -> JointLimits:

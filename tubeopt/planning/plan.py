@@ -15,7 +15,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
-from .goals import End, check_start, ends, limits_of, start_equilibrium
+from .goals import End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
@@ -37,6 +37,9 @@ PROOF, PROOF_SAMPLE = 0.1, 1e-3
 
 ATTEMPTS = 3
 """Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
+
+FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
+"""Seconds below which only the nearest posture for a goal of the tip is tried, and what part of more it gets."""
 
 SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 """Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
@@ -78,11 +81,7 @@ def plan_trajectory(
     goals = ends(task, first, goal, modulo_turns=options.modulo_turns)
     faults: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
-        until = options.time_limit - min(FOR_REPORT, MOST_FOR_REPORT * options.time_limit)
-        search = Clock(max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds))
-        way = find_way(
-            task, task.chart.of(first), [end.point for end in goals], search, options, seed=options.seed + attempt
-        )
+        goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
         if way.points is None:
             raise _not_found(task, first, goals, way, (rate_limits, rates), clock)
         reached = way.points[-1]
@@ -95,6 +94,25 @@ def plan_trajectory(
         if clock.over:
             break
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
+
+
+def _way(
+    task: Task, first: Equilibrium, goal: Any, goals: list[End], clock: Clock, options: PlanOptions
+) -> tuple[list[End], Way]:
+    """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
+    until = options.time_limit - min(FOR_REPORT, MOST_FOR_REPORT * options.time_limit)
+    left = max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds)
+    postures = of_the_tip(goal) and left > FOR_POSTURES
+    begin = task.chart.of(first)
+    search = Clock(SHARE_OF_NEAREST * left if postures else left)
+    way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
+    if way.points is not None or not postures:
+        return goals, way
+    rest = Clock(left - search.seconds)
+    others = other_ends(task, first, goal, goals, modulo_turns=options.modulo_turns)
+    goals = [*goals, *others]
+    again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
+    return goals, replace(again, motions=way.motions + again.motions)
 
 
 def roomier(task: Task) -> Task:
