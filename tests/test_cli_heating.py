@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tubeopt import load_rig
+from tubeopt import MoldSpec, load_rig
+from tubeopt.commands.fabricate import mold_spec_for
 from tubeopt.fabrication.heating_files import header_duties
 
 from .command_line import ROOT, Run, answer, refused
@@ -74,6 +76,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
         (("--battery-V", "14"), "voltage is 14 V; it must be 11.51 to 12.73 V"),
         (("--robot", ROBOT, "--tube", "7"), "--tube is 7; it must lie in 1 to 3"),
         (("--free", "leads"), "free is 'leads'; it must be one of clearance, lead, vents; did you mean 'lead'?"),
+        (("--slot-s", "0.0333"), "slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds"),
         (("--loss-percent", "120"), "loss of the uncertainty is 1.2; it must be below 1"),
     ],
 )
@@ -138,3 +141,16 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [("heat", "plan"), ("heat", "calibrate"), ("fabricate",)])
 def test_help_has_an_example(run: Run, words: tuple[str, ...]) -> None:
     assert f"Example: tubeopt {words[0]}" in run(*words, "--help").out
+
+
+def test_the_lid_of_a_fabricated_mold_has_the_vents_that_the_schedule_counts_on() -> None:
+    rig = load_rig(RIG)
+    tube = rig.tube
+    assert tube is not None
+    assert mold_spec_for(rig, tube, MoldSpec()).vents.profile == (0.0,)
+    vented = replace(rig, mold=replace(rig.mold, vents=(0.0, 0.2)))
+    profile = mold_spec_for(vented, tube, MoldSpec()).vents.profile
+    assert profile == pytest.approx(profile[::-1])
+    assert 2 * 0.2 * 20 / 67 < profile[0] < profile[4] < 2 * 0.2
+    # Along the bend the surface left open is that of the rig: its mean lies halfway between the bend's end and middle.
+    assert sum(profile) / len(profile) == pytest.approx(0.2 * (1 + 20 / 67), rel=1e-6)

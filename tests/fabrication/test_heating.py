@@ -15,7 +15,7 @@ from tubeopt import HeatingPlan, HeatingSpec, InputError, Material, Rig, Tube, p
 from tubeopt.fabrication.heating_files import arduino_header, duty_header, header_duties, schedule_csv
 from tubeopt.fabrication.heating_ideal import joined
 from tubeopt.fabrication.heating_robust import Uncertainty, assess, at_charge, charge_tables, most_likely
-from tubeopt.fabrication.mold_materials import MDF, STEEL
+from tubeopt.fabrication.mold_materials import GLASS_MICA, MDF, STEEL
 from tubeopt.fabrication.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.fabrication.schedule import sum_up_rounding
 from tubeopt.fabrication.thermal import FINE, thermal_model
@@ -68,7 +68,10 @@ def test_counts_follow_the_ideal_duty() -> None:
     plan = thesis_plan()
     assert plan.rounding_error < 10.0
     owed = np.cumsum(plan.duty - plan.ideal_duty)[: plan.table_length]
-    assert np.abs(owed).max() <= 0.5 + 1e-9
+    # The ramp may hold counts back while the tube warms up; the sum is never ahead by more than half a count.
+    assert owed.max() <= 0.5 + 1e-9
+    assert owed.min() >= -1.5 - 1e-9
+    assert np.abs(owed[round((plan.hold_start + 10) / 0.5) :]).max() <= 0.5 + 1e-9
     hold = plan.duty[plan.in_hold][:-1]
     assert 5 <= hold.min() <= hold.max() <= 30
 
@@ -97,7 +100,7 @@ def test_mdf_chars_and_steel_cannot_be_heated() -> None:
     mdf = plan_heating(TUBE, with_mold(thesis_rig(), material=MDF), HeatingSpec(hold_time=3))
     assert any("mdf chars above 300 degC" in words for words in mdf.problems)
     assert mdf.mold_temperature.max() > 400
-    steel = plan_heating(TUBE, with_mold(thesis_rig(), material=STEEL), HeatingSpec(hold_time=2, longest_heating=30))
+    steel = plan_heating(TUBE, with_mold(thesis_rig(), material=STEEL), HeatingSpec(hold_time=2, longest_heating=40))
     assert not steel.feasible
     assert steel.shortfall > 300
     assert any("while the MOSFET conducts" in words for words in steel.problems)
@@ -148,12 +151,42 @@ def test_free_lead_and_vents_even_out_the_temperature() -> None:
     assert free.feasible
 
 
+def test_the_ramp_is_kept_by_whole_counts() -> None:
+    plan = thesis_plan()
+    warming = np.diff(plan.temperature[:, plan.zone > 0], axis=0) / plan.spec.slot
+    assert warming.max() == pytest.approx(plan.ramp)
+    assert plan.ramp <= plan.spec.ramp
+    assert not plan.problems
+
+
+def test_counts_too_coarse_for_the_ramp_are_told() -> None:
+    """At 24 V a count is worth four times the power."""
+    rig = thesis_rig()
+    table = tuple((charge, 2 * volt) for charge, volt in rig.battery.open_circuit)
+    plan = plan_heating(TUBE, replace(rig, battery=replace(rig.battery, open_circuit=table)), HeatingSpec(hold_time=5))
+    assert plan.feasible
+    assert plan.rounding_error < 10.0
+    assert plan.ramp > plan.spec.ramp
+    assert any("count is too coarse" in words for words in plan.problems)
+
+
+def test_a_thick_tube_and_a_mold_that_draws_too_much_are_answered() -> None:
+    thick = plan_heating(Tube(4e-3, 3.2e-3, 0.0, 0.12, 10.0), thesis_rig(), HeatingSpec(hold_time=5))
+    assert thick.feasible
+    assert thick.iterations < 60
+    mica = plan_heating(TUBE, with_mold(thesis_rig(), material=GLASS_MICA), HeatingSpec(hold_time=5))
+    assert not mica.feasible
+    assert mica.hottest <= 550.0
+    assert mica.iterations < 100
+
+
 def test_the_current_limit_is_kept() -> None:
     rig = thesis_rig()
     rig = replace(rig, circuit=replace(rig.circuit, current_limit=4.0))
     plan = plan_heating(TUBE, rig, HeatingSpec(hold_time=5))
-    mean = plan.current * plan.ideal_duty / 255
-    assert mean.max() <= 4.0 * 1.02
+    mean = plan.current * plan.duty / 255
+    assert mean.max() <= 4.0
+    assert not plan.problems
     assert plan.hold_start >= thesis_plan().hold_start
 
 
@@ -260,6 +293,9 @@ def test_a_header_needs_whole_milliseconds() -> None:
         ({"window_degC": (20, 40)}, "it must begin at 50 degC or above"),
         ({"window_degC": (1000, 1300)}, "limit_degC is 1300 degC; it must be at most 1200 degC"),
         ({"hold_time": 0.5}, "hold_time is 0.5 s; it must be at least 1 s"),
+        ({"hold_time": 1e6}, "hold_time is 1e+06 s; it must be at most 1800 s"),
+        ({"free": None}, "free is None; it must be a list of any of clearance, lead, vents"),
+        ({"free": "lead"}, "free is 'lead'; it must be a list of any of clearance, lead, vents"),
         ({"hold_time": math.nan}, "hold_time is nan; it must be a finite number"),
         ({"ramp": 0}, "ramp is 0; it must be greater than 0"),
         ({"slot": 10}, "slot is 10 s; it must be 0.02 to 5 s"),
@@ -287,6 +323,12 @@ def test_bad_specifications(values: dict[str, Any], message: str) -> None:
         (lambda: Clamps(grip=0), "grip of the clamps is 0; it must be greater than 0"),
         (lambda: MoldBed(vents=(0.7,)), "vents of the mold are [0.7]; they must be fractions from 0 to 0.5"),
         (lambda: Rig(loss_factor=0), "loss_factor of the rig is 0; it must be greater than 0"),
+        (lambda: Battery(open_circuit="abc"), "open_circuit of the battery must be at least 2 pairs"),  # type: ignore[arg-type]
+        (lambda: MoldBed(material="wood"), "mold material is 'wood'; it must be one of steel"),  # type: ignore[arg-type]
+        (lambda: MoldBed(material=None), "material of the mold is None; it must be a MoldMaterial"),  # type: ignore[arg-type]
+        (lambda: Rig(tube=5), "tube of the rig is 5; it must be a Tube"),  # type: ignore[arg-type]
+        (lambda: plan_heating(None, Rig()), "tube is None; it must be a Tube"),  # type: ignore[arg-type]
+        (lambda: plan_heating(TUBE, Rig(), 5), "spec is 5; it must be a HeatingSpec"),  # type: ignore[arg-type]
         (lambda: Battery().charge_at(14.0), "voltage is 14 V; it must be 11.51 to 12.73 V"),
     ],
 )

@@ -6,6 +6,7 @@ import itertools
 import math
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -313,3 +314,22 @@ def test_every_check_of_a_plan_holds() -> None:
             Tube(1.0e-3 + 0.8e-3 * k, 0.7e-3 + 0.8e-3 * k, 0.05, 0.06 + 0.04 * k, curvature / (k + 1)) for k in range(3)
         ]
         assert all(check.passed for check in plan_mold(tubes).checks)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: plan_mold(5), "tubes is 5; it must be a Tube or several"),  # type: ignore[arg-type]
+        (lambda: plan_mold([], 5), "mold is 5; it must be a MoldSpec"),  # type: ignore[arg-type]
+        (lambda: MoldSpec(plate="thin"), "plate of the mold is 'thin'; it must be a PlateSpec"),  # type: ignore[arg-type]
+        (lambda: PlateSpec(thickness="thin"), "thickness is 'thin'; it must be a number"),  # type: ignore[arg-type]
+        (lambda: PlateSpec(size=5), "size has 1 numbers; it must be the width and the height"),  # type: ignore[arg-type]
+        (lambda: MillingSpec(end_mills=5), "end_mills is 5; it must be a list of EndMill"),  # type: ignore[arg-type]
+        (lambda: MillingSpec(end_mills=(1e-3,)), "an entry of end_mills is 0.001; it must be an EndMill"),  # type: ignore[arg-type]
+        (lambda: predict_tube(5), "mold is 5; it must be a Mold"),  # type: ignore[arg-type]
+    ],
+)
+def test_wrong_kinds_are_refused(make: Any, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        make()
+    assert message in str(caught.value)

@@ -15,7 +15,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.view import View, serve
-from tubeopt.view.server import is_own
+from tubeopt.view.host import is_own
 
 from ..command_line import CRL as CRL_FILE
 from ..command_line import ROOT, Run, refused

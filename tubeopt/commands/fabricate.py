@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Group
 from rich.table import Table
@@ -17,11 +18,12 @@ from ..fabrication.heating_spec import HeatingSpec
 from ..fabrication.mold import plan_mold
 from ..fabrication.mold_spec import MoldSpec
 from ..fabrication.rig import Rig
-from ..fabrication.thermal import gap_transfer
+from ..fabrication.thermal import gap_transfer, vent_profile
 from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
 from ..study.rig_file import load_rig
 from ..study.robot_file import load_robot, save_robot
+from ..tubes import Tube
 from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report, missed
 from .heat_report import HeatReport
 from .mold import chosen_tubes
@@ -31,14 +33,31 @@ from .progress import working
 from .report import can_be_saved, present, to_text
 
 MM = 1e3
+VENT_CELLS = 5
+"""Cells in half of the bend by which the lid's vents follow the rig's profile."""
 
 
-def mold_spec_for(rig: Rig, spec: MoldSpec) -> MoldSpec:
-    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, length of tube."""
+def mold_spec_for(rig: Rig, tube: Tube, spec: MoldSpec) -> MoldSpec:
+    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, lead, vents."""
     clamps = replace(spec.clamps, gap=rig.clamps.clearance, grip=rig.clamps.grip)
     cold = rig.clamps.clearance + rig.mold.lead
     heat = replace(spec.heat, ambient=rig.ambient, contact_conductance=gap_transfer(rig))
-    return replace(spec, material=rig.mold.material, clamps=clamps, cold_length=cold, heat=heat)
+    vents = replace(spec.vents, profile=lid_profile(rig, tube))
+    return replace(spec, material=rig.mold.material, clamps=clamps, cold_length=cold, heat=heat, vents=vents)
+
+
+def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
+    """Open part of the groove's area in cells along the bend, from the rig's open part of the tube's surface.
+
+    A vent bares the upper half of the tube below it, so that the groove is open over twice the part of the surface.
+    """
+    if not any(rig.mold.vents):
+        return (0.0,)
+    ends = np.linspace(0.0, 1.0, 2 * VENT_CELLS + 1)
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    half = 0.5 * tube.curved_length
+    inward = (rig.mold.lead + half * (1 - np.abs(2 * middle - 1))) / (rig.mold.lead + half)
+    return tuple((2 * vent_profile(rig, inward)).tolist())
 
 
 def fabricate(
@@ -64,7 +83,7 @@ def fabricate(
     heated_on = load_rig(rig)
     spec = HeatingSpec(hold_time=hold_s, objective=objective)
     charges = chosen_charges(charges_percent)
-    asked = mold_spec_for(heated_on, MoldSpec() if mold is None else load_mold_spec(mold))
+    asked = MoldSpec() if mold is None else load_mold_spec(mold)
     chosen, left_out = chosen_tubes(made_of.tubes, None)
     can_be_saved(out)
     parts = []
@@ -73,7 +92,9 @@ def fabricate(
             progress(k, len(chosen))
             tube = made_of.tubes[number]
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            planned = MoldReport(plan_mold([tube], asked), made_of.name, (number + 1,), ())
+            planned = MoldReport(
+                plan_mold([tube], mold_spec_for(heated_on, tube, asked)), made_of.name, (number + 1,), ()
+            )
             heat = heat_report(heated_on, tube, spec, charges, (Uncertainty(), samples, False))
             parts.append(TubeParts(number + 1, planned, heat))
         progress(len(chosen), len(chosen))

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from ..errors import InputError, SolveError
 from ..fabrication.heating import plan_heating
 from ..fabrication.heating_calibration import FACTORS, calibrate
+from ..fabrication.heating_files import slot_milliseconds
 from ..fabrication.heating_plan import HeatingPlan
 from ..fabrication.heating_robust import CHARGES, Uncertainty, assess, charge_tables, most_likely
 from ..fabrication.heating_spec import HeatingSpec
@@ -129,6 +130,7 @@ def plan(
         free=tuple(part.strip() for part in free.split(",") if part.strip()),
     )
     charges = chosen_charges(charges_percent)
+    slot_milliseconds(spec.slot)
     uncertainty = Uncertainty(loss=loss_percent / 100)
     can_be_saved(out)
     with working("planning the heating") as progress:

@@ -42,6 +42,7 @@ def plan_record(plan: HeatingPlan) -> dict[str, Any]:
         "hold_start_s": plan.hold_start,
         "hold_end_s": plan.hold_end,
         "rounding_error_K": plan.rounding_error,
+        "ramp_K_per_s": plan.ramp,
         "pwm_ripple_K": plan.pwm_ripple,
         "cold_end_mm": plan.cold_end * MM,
         "extra_length_mm": plan.extra_length * MM,

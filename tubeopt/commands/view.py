@@ -21,8 +21,8 @@ from ..study.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
 from ..study.study_file import ForwardKinematicsStudy, load_study
 from ..study.units import parse_number
 from ..view import View, serve
+from ..view.host import LOCAL, LOCAL_NAMES
 from ..view.reel import Waypoints, load_waypoints, paced
-from ..view.server import LOCAL, LOCAL_NAMES
 from .options import JsonOption, OutOption, RobotArgument
 from .report import can_be_saved, has_display, to_text
 
@@ -84,7 +84,7 @@ def view(
 
 def _port(text: str) -> int:
     number = parse_number(text)
-    if isinstance(number, str) or number != int(number) or not 0 <= number <= 65535:
+    if isinstance(number, str) or not number.is_finite() or not 0 <= number <= 65535 or number != int(number):
         raise InputError(f"--port is {text}; it must be a whole number from 0 to 65535")
     return int(number)
 

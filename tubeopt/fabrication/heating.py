@@ -13,17 +13,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, instance
 from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from ..tubes import Tube
+from .heating_counts import count_rate, guarded_counts
 from .heating_cures import find_cures
 from .heating_ideal import Ideal, Shift, solve_ideal
 from .heating_plan import HeatingPlan, outcome_of
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
-from .schedule import Counts, sum_up_rounding
-from .thermal import COARSE, FINE, PROGRAM, ThermalModel, cross_section, thermal_data, thermal_model
+from .schedule import Counts
+from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
 from .thermal_simulation import History, integrate, simulate
 
 COOLING = 10.0
@@ -59,7 +60,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
         SolveError: the optimal control problem did not converge.
     """
-    spec = spec or HeatingSpec()
+    spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     shift: Shift | None = None
     ideal: Ideal | None = None
@@ -72,7 +73,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         ideal = solve_ideal(tube, on, asked, reserve=reserve, shift=shift, guess=ideal)
         model = thermal_model(tube, ideal.rig, FINE)
         schedule = slots(ideal, spec)
-        counts = sum_up_rounding(schedule)
+        counts = guarded_counts(model, spec, rig, schedule)
         exact = simulate(model, spec.slot, schedule)
         checked = integrate(model, spec.slot, counts / COUNTS)
         error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, schedule, exact)
@@ -89,7 +90,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
     assert ideal is not None
     if outcome.hottest + error > spec.limit:
-        counts, checked = trimmed(model, spec, schedule, error)
+        counts, checked = trimmed(model, spec, rig, schedule, error)
         outcome = outcome_of(model, spec, checked, hold_start(ideal, spec), error)
     cures = () if outcome.kept else find_cures(tube, rig, spec, ideal, shift, reserve)
     return HeatingPlan.of(
@@ -106,11 +107,11 @@ def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: H
     return float(hottest.max()) / 3
 
 
-def trimmed(model: ThermalModel, spec: HeatingSpec, schedule: Array, error: float) -> tuple[Counts, History]:
+def trimmed(model: ThermalModel, spec: HeatingSpec, rig: Rig, schedule: Array, error: float) -> tuple[Counts, History]:
     """Counts of the schedule scaled down until no point is above the limit less `error` (K), and what they do."""
     scale = 1.0
     for _ in range(TRIMS):
-        counts = sum_up_rounding(scale * schedule)
+        counts = guarded_counts(model, spec, rig, scale * schedule)
         history = integrate(model, spec.slot, counts / COUNTS)
         excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
         if excess <= 0:
@@ -122,8 +123,8 @@ def trimmed(model: ThermalModel, spec: HeatingSpec, schedule: Array, error: floa
 
 def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
     """Raise InputError where tube, rig and spec cannot belong together."""
-    if not isinstance(rig, Rig):
-        raise InputError(f"rig is {rig!r}; it must be a Rig")
+    for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
+        instance(name, value, wanted)
     thermal_data(tube)
     if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
         raise InputError(
@@ -151,12 +152,7 @@ def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
 
 def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
     """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
-    data = thermal_data(tube)
-    section = cross_section(tube)
-    whole = 2 * (rig.mold.lead + rig.clamps.clearance) + tube.curved_length
-    resistivity = rig.resistivity_factor * data.resistivity / section
-    ampere = rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + resistivity * whole)
-    return float(0.5 * spec.slot * ampere**2 * resistivity / COUNTS / (data.density * section * data.heat_capacity))
+    return 0.5 * spec.slot * count_rate(tube, rig)
 
 
 def _rounded(

@@ -25,7 +25,7 @@ from .thermal import LEAD, Resolution, ThermalModel, stack, thermal_model
 from .thermal_rates import State, at_rest, current
 from .thermal_simulation import advance
 
-GRID = Resolution(3, 5, 9, 11, 10)
+GRID = Resolution(3, 5, 9, 11, 16)
 STEP = 0.5
 """Longest time step of the simulation, s."""
 
@@ -82,7 +82,7 @@ class HeatingLog:
         for f in fields(self):
             value = getattr(self, f.name)
             if value is not None and f.name != "position":
-                object.__setattr__(self, f.name, np.asarray(value, dtype=float))
+                object.__setattr__(self, f.name, _column(f.name, value))
         object.__setattr__(self, "position", abs(finite("position", self.position)))
         count = len(self.time)
         if count < 3:
@@ -104,6 +104,16 @@ class HeatingLog:
     def channels(self) -> dict[str, Array]:
         """The measured channels by name."""
         return {name: getattr(self, name) for name in NOISE if getattr(self, name) is not None}
+
+
+def _column(name: str, value: Any) -> Array:
+    try:
+        column = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} of the log is {value!r}; it must be a list of numbers") from None
+    if column.ndim != 1:
+        raise InputError(f"{name} of the log has shape {column.shape}; it must be one number per row")
+    return column
 
 
 @dataclass(frozen=True)

@@ -50,9 +50,7 @@ def arduino_header(plan: HeatingPlan) -> str:
 
 def duty_header(duty: list[int], slot: float, voltage: float) -> str:
     """The header of `arduino_header` from duties (0-255), their slot (s), and the battery's voltage at rest (V)."""
-    milliseconds = round(1000 * slot)
-    if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
-        raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")
+    milliseconds = slot_milliseconds(slot)
     lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
     body = ",\n".join(f"    {line}" for line in lines)
     return f"""/* Heating schedule for a shape-setting rig: duty (0-255) of the PWM, one byte for every slot.
@@ -76,6 +74,14 @@ static const uint8_t HEATING_DUTY[HEATING_SLOTS] PROGMEM = {{
 
 #endif
 """
+
+
+def slot_milliseconds(slot: float) -> int:
+    """A slot (s) in ms; raises InputError where that is no whole number."""
+    milliseconds = round(1000 * slot)
+    if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
+        raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")
+    return milliseconds
 
 
 def header_duties(text: str) -> list[int]:

@@ -13,11 +13,12 @@ from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from ..transcription.tableau import tableau
 from ..tubes import Tube
+from .heating_counts import count_rate, full_current
 from .heating_instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
 from .heating_program import WINDOW, WISHES, Program, Structure, program
 from .heating_spec import HeatingSpec
-from .rig import Rig
-from .thermal import LEAD, PROGRAM, ThermalModel, thermal_model, vent_profile
+from .rig import COUNTS, Rig
+from .thermal import GRIP, LEAD, PROGRAM, ThermalModel, thermal_model, vent_profile
 from .thermal_rates import CHARGE as USED
 from .thermal_rates import CLAMP, State, current, rates
 from .thermal_rates import SAG as SAGGED
@@ -26,6 +27,12 @@ from .thermal_simulation import History, simulate, simulate_feedback
 GUESS_SLOT = 0.25
 DUTY_POINTS = 401
 """Points between which the ideal duty is taken to be linear, over heating and hold."""
+
+COARSE_RAMP, MOST_RAMP = 0.03, 0.25
+"""Parts of the ramp that are kept for the fine grid, and at most for the rounding to counts."""
+
+FAR = 20.0
+"""Miss of the window by a guess, K, from which on the program begins with it."""
 
 MOST_MISS = 1500.0
 """The program is always solvable: the window may be missed by this much, K, at a price."""
@@ -145,7 +152,7 @@ def solve_ideal(
     x = guess.x if guess is not None else _start(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
-    p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, rig, reserve)])
+    p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve)])
     x = np.clip(x, lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     found, stats = _solved(made, spec, x, bounds, guess)
@@ -162,11 +169,9 @@ def solve_ideal(
 def _solved(
     made: Program, spec: HeatingSpec, x: Array, bounds: dict[str, Array], guess: Ideal | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Solution and statistics of the first solver that converges: from the earlier answer, convex, exact Hessian."""
-    attempts: list[tuple[Any, dict[str, Array]]] = [(made.solver, {}), (made.design, {})]
-    if spec.free:
-        attempts.reverse()
-    elif guess is not None:
+    """Solution and statistics of the first solver that converges: from the earlier answer, anew, convex Hessian."""
+    attempts: list[tuple[Any, dict[str, Array]]] = [(made.exact, {}), (made.convex, {})]
+    if guess is not None and not spec.free:
         attempts.insert(0, (made.again, {"lam_x0": guess.multipliers[0], "lam_g0": guess.multipliers[1]}))
     for solver, start in attempts:
         found = solver(x0=x, **start, **bounds)
@@ -176,15 +181,20 @@ def _solved(
     return found, stats
 
 
-def _wishes(spec: HeatingSpec, rig: Rig, reserve: tuple[float, float]) -> Array:
+def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float]) -> Array:
     low, high = spec.window_degC
+    # Rounded to the nearest count a duty is up to half a count greater. Where that is too much, no room would do.
+    half = 0.5 * count_rate(tube, rig)
+    ramp = (1 - COARSE_RAMP) * spec.ramp - (half if half < MOST_RAMP * spec.ramp else 0.0)
+    # By sum-up rounding it is up to a whole count greater.
+    current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
     values = {
         "hold": spec.covered_time,
         "low": low + reserve[0] + ZERO_CELSIUS,
         "high": high - reserve[1] + ZERO_CELSIUS,
         "limit": spec.limit - reserve[1] + ZERO_CELSIUS,
-        "ramp": spec.ramp,
-        "current": rig.circuit.current_limit,
+        "ramp": ramp,
+        "current": current,
         **WEIGHTS[spec.objective],
     }
     return np.array([values[name] for name in WISHES])
@@ -272,16 +282,26 @@ def _start(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     design = np.array([rig.clamps.clearance, rig.mold.lead]) / LENGTH
     durations = np.full(s.mesh.heating, planned / DURATION)
     vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-    parts = [found["z"], found["circuit"], found["drive"], durations, np.zeros(s.holding_points), design, vents]
-    return np.concatenate(parts)
+    misses = np.full(s.holding_points, _start_miss(made, model, spec, found["z"]))
+    return np.concatenate([found["z"], found["circuit"], found["drive"], durations, misses, design, vents])
+
+
+def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array) -> float:
+    """By how much a guess misses the window, K, where that is far: from 0, IPOPT would take a hundred tiny steps."""
+    s = made.structure
+    tube = model.ambient + RISE * z.reshape(s.points, s.states)[-s.holding_points :, : s.cells]
+    held = joined(model, tube) - ZERO_CELSIUS
+    low, high = spec.window_degC
+    miss = max(low - float(held.min()), float(held.max()) - high)
+    return 1.1 * miss if miss > FAR else 0.0
 
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:
-    """Duty that brings the hottest cell in the mold to `wanted` (K) in one slot, as far as the current limit allows."""
+    """Duty that brings the hottest cell outside of the clamps to `wanted` (K) in a slot, within the current limit."""
     idle, _ = rates(model, state.cells, state.lumped, 0.0)
     full, _ = rates(model, state.cells, state.lumped, 1.0)
     tube = state.cells[0, :, 0]
-    hot = int(np.argmax(np.where(model.zone >= LEAD, tube, 0.0)))
+    hot = int(np.argmax(np.where(model.zone > GRIP, tube, 0.0)))
     need = (wanted - tube[hot]) / slot - idle[0, hot, 0]
     now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
     return float(np.clip(need / (full[0, hot, 0] - idle[0, hot, 0]), 0.0, min(1.0, current_limit / now)))

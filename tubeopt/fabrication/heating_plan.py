@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from ..tubes import Tube
+from .heating_counts import fastest
 from .heating_cures import Cure
 from .heating_ideal import joined
 from .heating_spec import HeatingSpec
@@ -79,7 +80,8 @@ class HeatingPlan:
         lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
         mesh_error: of these, estimated from a grid half as fine (Richardson), K.
         feasible: whether window and limit are kept, the mesh error included. shortfall: by how much they are missed, K.
-        problems: in words, what else is wrong: currents and mold beyond what they bear.
+        ramp: fastest warming of any point outside of the clamps, as a mean over a slot, K/s.
+        problems: in words, what else is wrong: ramp, currents and mold beyond what they bear.
         cures: changes that would help, where the window cannot be held; those that cure it come first.
         energy: drawn from the battery, J; tube_energy: heat in tube, mold and clamps at the end, J.
         energy_error: energy unaccounted for in the re-simulation, as a fraction.
@@ -112,6 +114,7 @@ class HeatingPlan:
     mesh_error: float
     feasible: bool
     shortfall: float
+    ramp: float
     problems: tuple[str, ...]
     cures: tuple[Cure, ...]
     energy: float
@@ -218,7 +221,8 @@ class HeatingPlan:
             mesh_error=mesh_error,
             feasible=outcome.kept,
             shortfall=outcome.shortfall,
-            problems=problems(rig, history, counts, float(walls.max())),
+            ramp=fastest(model, history),
+            problems=problems(rig, spec, history, counts, float(walls.max()), fastest(model, history)),
             cures=cures,
             energy=float(history.lumped[-1, 0, DRAWN]),
             tube_energy=float(stored(model, history.final)[0]),
@@ -239,9 +243,16 @@ def _growth(tube: Tube, model: ThermalModel, row: Array) -> float:
     return float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum())
 
 
-def problems(rig: Rig, history: History, counts: Counts, wall: float) -> tuple[str, ...]:
-    """What the rig does not bear, in words; `wall` is the hottest temperature of the groove, K."""
+def problems(
+    rig: Rig, spec: HeatingSpec, history: History, counts: Counts, wall: float, ramp: float
+) -> tuple[str, ...]:
+    """What the rig does not bear, in words; `wall` is the hottest temperature of the groove, K, `ramp` as of a plan."""
     found = []
+    if ramp > 1.01 * spec.ramp:
+        found.append(
+            f"within a slot the tube warms at up to {ramp:.1f} K/s, beyond the ramp of {spec.ramp:g} K/s: a whole "
+            "count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
+        )
     peak = float(history.current.max())
     if peak > rig.circuit.peak_limit:
         found.append(
@@ -249,7 +260,7 @@ def problems(rig: Rig, history: History, counts: Counts, wall: float) -> tuple[s
             "and no duty changes that"
         )
     mean = float((history.current[:-1, 0] * counts / COUNTS).max())
-    if mean > rig.circuit.current_limit * 1.02 + history.current.max() / COUNTS:
+    if mean > 1.001 * rig.circuit.current_limit:
         found.append(f"the mean current reaches {mean:.1f} A; the circuit bears {rig.circuit.current_limit:g} A")
     mold = rig.mold.material
     if wall > mold.limit_temperature:

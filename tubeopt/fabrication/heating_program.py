@@ -49,6 +49,9 @@ IPOPT: dict[str, Any] = {
     # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
     "ipopt.mumps_pivtol": 1e-2,
 }
+FEW = {"ipopt.max_iter": 25}
+"""From an earlier answer few steps are enough; where they are not, a new start is better."""
+
 COLD: dict[str, Any] = {"ipopt.mu_init": 1e-3}
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
@@ -114,16 +117,16 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A compiled program: solvers from a guess and from an earlier answer, and one for when parts of the rig are free.
+    """A compiled program: a solver with the exact Hessian, and one with a convex part of it for when it fails.
 
-    In these the equations are far from linear: the last solver has the exact Hessian. `split` takes the unknowns apart,
+    From an earlier answer `again` serves, which begins at it and takes few steps. `split` takes the unknowns apart,
     `sizes` tells how many constraints there are of each kind, in their order.
     """
 
     structure: Structure
-    solver: Any
+    exact: Any
     again: Any
-    design: Any
+    convex: Any
     split: Any
     sizes: dict[str, int]
 
@@ -250,9 +253,9 @@ def program(s: Structure) -> Program:
     options: dict[str, Any] = {**IPOPT, "hess_lag": _curvature(problem, smooth)}
     return Program(
         structure=s,
-        solver=ca.nlpsol("heating", "ipopt", problem, {**options, **COLD}),
-        again=ca.nlpsol("heating_again", "ipopt", problem, {**options, **WARM}),
-        design=ca.nlpsol("heating_design", "ipopt", problem, {**IPOPT, **COLD}),
+        convex=ca.nlpsol("heating", "ipopt", problem, {**options, **COLD}),
+        again=ca.nlpsol("heating_again", "ipopt", problem, {**IPOPT, **WARM, **FEW}),
+        exact=ca.nlpsol("heating_exact", "ipopt", problem, {**IPOPT, **COLD}),
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.drive, x.durations[0], x.misses[0], x.design]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )
@@ -261,7 +264,7 @@ def program(s: Structure) -> Program:
 def _curvature(problem: dict[str, Any], smooth: Any) -> ca.Function:
     """Hessian of the objective's squares alone, a little regularised: the equations are nearly linear.
 
-    With it every step is that of a convex quadratic program; the exact one is indefinite where the duration is free.
+    With it every step is that of a convex quadratic program, but where the equations bend the steps only creep.
     """
     x = problem["x"]
     weight, multipliers = ca.MX.sym("weight"), ca.MX.sym("multipliers", problem["g"].numel())

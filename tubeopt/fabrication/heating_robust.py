@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from ..errors import InputError, positive
 from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
+from .heating_counts import guarded_counts
 from .heating_ideal import joined
 from .heating_plan import HeatingPlan, hold_slots
 from .rig import COUNTS, Rig
@@ -34,8 +35,8 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
     """The plan for the same temperatures with the battery at another charge.
 
     The tube feels duty times current squared only: the ideal duties are scaled, slot by slot, so that it stays the
-    same, and rounded and integrated anew. Where the battery is too weak for that, the duty is
-    255 and the plan is not feasible.
+    same, as far as the current limit allows, and rounded and integrated anew. Where the battery is too weak for that,
+    the duty is 255 and the plan is not feasible.
 
     Raises:
         InputError: a state of charge outside of (0, 1].
@@ -49,10 +50,10 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
 
     def controller(time: float, state: State) -> float:
         now = current(model, state.cells[:, :, 0], state.lumped).total[0]
-        return min(1.0, float(drive[round(time / slot)] / now**2))
+        return min(1.0, float(drive[round(time / slot)] / now**2), rig.circuit.current_limit / float(now))
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
-    counts = sum_up_rounding(scaled)
+    counts = guarded_counts(model, plan.spec, rig, scaled)
     history = integrate(model, slot, counts / COUNTS)
     return HeatingPlan.of(
         tube=plan.tube, rig=rig, spec=plan.spec, start=plan.hold_start, model=model, schedule=(counts, scaled),
@@ -228,11 +229,11 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     # Where several scales keep as many samples, the one that misses the others by least.
     scale = float(SCALES[np.argmax((miss <= 0).mean(1) - 1e-4 * miss.mean(1))])
     scaled = np.minimum(scale * levels, 1.0)
-    counts = sum_up_rounding(scaled)
+    fine = thermal_model(plan.tube, plan.rig, FINE)
+    counts = guarded_counts(fine, plan.spec, plan.rig, scaled)
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan.duty, plan, before, before)
-    fine = thermal_model(plan.tube, plan.rig, FINE)
     histories = (integrate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled))
     robust = HeatingPlan.of(
         tube=plan.tube, rig=plan.rig, spec=plan.spec, start=plan.hold_start, model=fine, schedule=(counts, scaled),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,9 @@ from ..errors import InputError, choice, finite, positive
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
+FREE = ("clearance", "lead", "vents")
+LONGEST = 1800.0
+"""Hold, s, beyond which no tube that is heated by its own resistance needs one."""
 
 
 @dataclass(frozen=True)
@@ -18,9 +22,10 @@ class HeatingSpec:
 
     Args:
         window_degC: least and greatest temperature of the whole curved part during the hold, degC.
-        hold_time: s; at least 1.
+        hold_time: s; 1 to 1800.
         limit_degC: no point of the tube may ever be hotter; None is the upper end of the window.
-        ramp: greatest rate of warming of any point outside of the clamps, K/s.
+        ramp: greatest rate of warming of any point outside of the clamps, K/s, as a mean over a slot; kept by the
+            counts wherever half a count is worth less than a quarter of it.
         objective: "time" (soonest done), "energy" (least charge), or "margin" (farthest from the window's ends).
         longest_heating: of the time before the hold, s.
         slot: time for which one duty is kept, s.
@@ -62,11 +67,17 @@ class HeatingSpec:
             set_field(self, name, positive(name, getattr(self, name)))
         if self.hold_time < 1:
             raise InputError(f"hold_time is {self.hold_time:g} s; it must be at least 1 s")
+        for name in ("hold_time", "longest_heating"):
+            if getattr(self, name) > LONGEST:
+                raise InputError(f"{name} is {getattr(self, name):g} s; it must be at most {LONGEST:g} s")
         if not 0.02 <= self.slot <= min(5.0, self.hold_time):
             raise InputError(f"slot is {self.slot:g} s; it must be 0.02 to 5 s, and not above the hold_time")
         choice("objective", self.objective, OBJECTIVES)
         choice("quench", self.quench, QUENCHES)
-        set_field(self, "free", tuple(choice("free", name, ("clearance", "lead", "vents")) for name in self.free))
+        wished: Any = self.free
+        if isinstance(wished, str) or not isinstance(wished, Iterable):
+            raise InputError(f"free is {wished!r}; it must be a list of any of {', '.join(FREE)}")
+        set_field(self, "free", tuple(choice("free", name, FREE) for name in self.free))
         for name in ("lead_range", "clearance_range"):
             pair = _pair(name, getattr(self, name))
             positive(name, pair[0])

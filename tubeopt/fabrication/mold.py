@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, instance
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .groove import Centreline, Point, polygon
@@ -218,7 +218,10 @@ def plan_mold(tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None) -> Mol
             wider than the groove or its bend, a plate too thin or too small, grooves that cross, no room for bolts, or
             a curvature that no mold yields.
     """
-    spec = mold or MoldSpec()
+    spec = MoldSpec() if mold is None else mold
+    instance("mold", spec, MoldSpec)
+    if not isinstance(tubes, (Tube, Sequence)):
+        raise InputError(f"tubes is {tubes!r}; it must be a Tube or several")
     wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
     if not wanted:
         raise InputError("tubes is empty; there must be at least one")
@@ -247,7 +250,10 @@ def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback
     Raises:
         InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.
     """
+    instance("mold", mold, Mold)
     count = len(mold.grooves)
+    if index is not None and not isinstance(index, (int, np.integer)):
+        raise InputError(f"index is {index!r}; it must be a whole number")
     if index is None and count > 1:
         raise InputError(f"the mold has {count} grooves; index must say which, 0 to {count - 1}")
     if index is not None and not 0 <= index < count:

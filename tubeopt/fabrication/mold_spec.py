@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from ..errors import InputError, choice, finite, positive
+from ..errors import InputError, choice, instance, numbers, positive
 from .mold_heat import HeatSpec
 from .mold_materials import CALCIUM_SILICATE, MoldMaterial, mold_material
 from .springback import Springback
@@ -15,9 +15,9 @@ ENDS = ("proximal", "distal")
 def _check_positive(spec: object, *, zero: tuple[str, ...] = ()) -> None:
     """Every field a finite number > 0, those named in `zero` >= 0."""
     for entry in fields(spec):  # type: ignore[arg-type]
-        value = getattr(spec, entry.name)
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            object.__setattr__(spec, entry.name, positive(entry.name, value, zero=entry.name in zero))
+        if entry.type == "float":
+            value = positive(entry.name, getattr(spec, entry.name), zero=entry.name in zero)
+            object.__setattr__(spec, entry.name, value)
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,10 @@ class PlateSpec:
     def __post_init__(self) -> None:
         _check_positive(self)
         if self.size is not None:
-            if len(self.size) != 2:
-                raise InputError(f"size has {len(self.size)} numbers; it must be the width and the height of the plate")
-            size = (positive("width of the plate", self.size[0]), positive("height of the plate", self.size[1]))
+            sides = numbers("size of the plate", self.size)
+            if len(sides) != 2:
+                raise InputError(f"size has {len(sides)} numbers; it must be the width and the height of the plate")
+            size = (positive("width of the plate", sides[0]), positive("height of the plate", sides[1]))
             object.__setattr__(self, "size", size)
 
 
@@ -119,8 +120,12 @@ class MillingSpec:
 
     def __post_init__(self) -> None:
         _check_positive(self)
+        if not isinstance(self.end_mills, (tuple, list)):
+            raise InputError(f"end_mills is {self.end_mills!r}; it must be a list of EndMill")
         if not self.end_mills:
             raise InputError("end_mills is empty; there must be at least one")
+        for mill in self.end_mills:
+            instance("an entry of end_mills", mill, EndMill)
         object.__setattr__(self, "end_mills", tuple(sorted(self.end_mills, key=lambda mill: mill.diameter)))
 
 
@@ -167,9 +172,9 @@ class VentSpec:
 
     def __post_init__(self) -> None:
         _check_positive(self)
-        if not self.profile:
+        profile = numbers("profile of the vents", self.profile)
+        if not profile:
             raise InputError("profile of the vents is empty; it must have at least one number, 0 for a closed lid")
-        profile = tuple(finite("profile of the vents", value) for value in self.profile)
         for value in profile:
             if not 0 <= value <= 1:
                 raise InputError(f"profile of the vents has {value:g}; every number must lie in [0, 1]")
@@ -208,7 +213,22 @@ class MoldSpec:
             object.__setattr__(self, "material", mold_material(self.material))
         if isinstance(self.springback, (int, float)):
             object.__setattr__(self, "springback", Springback(self.springback))
+        for name, part in PARTS.items():
+            instance(f"{name} of the mold", getattr(self, name), part)
         if self.cold_length is not None:
             object.__setattr__(self, "cold_length", positive("cold_length", self.cold_length, zero=True))
         if self.most_strain is not None:
             object.__setattr__(self, "most_strain", positive("most_strain", self.most_strain))
+
+
+PARTS = {
+    "material": MoldMaterial,
+    "springback": Springback,
+    "groove": GrooveSpec,
+    "plate": PlateSpec,
+    "milling": MillingSpec,
+    "clamps": ClampSpec,
+    "vents": VentSpec,
+    "heat": HeatSpec,
+}
+"""What the parts of a specification must be."""

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, finite, positive
+from ..errors import InputError, finite, instance, numbers, positive
 from ..materials import ZERO_CELSIUS
 from ..tubes import Tube
-from .mold_materials import CALCIUM_SILICATE, MoldMaterial
+from .mold_materials import CALCIUM_SILICATE, MoldMaterial, mold_material
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""
@@ -78,7 +78,10 @@ class Battery:
         _check("battery", self, zero=("sag_resistance",))
         if self.state_of_charge > 1:
             raise InputError(f"state_of_charge of the battery is {self.state_of_charge:g}; it must be at most 1")
-        table = np.array(self.open_circuit, dtype=float)
+        try:
+            table = np.array(self.open_circuit, dtype=float)
+        except (TypeError, ValueError):
+            table = np.zeros(0)
         if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all():
             raise InputError("open_circuit of the battery must be at least 2 pairs (state of charge, voltage)")
         if (np.diff(table[:, 0]) <= 0).any() or (np.diff(table[:, 1]) <= 0).any() or (table[:, 1] <= 0).any():
@@ -164,7 +167,7 @@ class MoldBed:
     """The mold as the tube's surroundings.
 
     Args:
-        material: what it is made of.
+        material: what it is made of, or its name.
         width, thickness: of both plates together, m; as much material as surrounds the tube.
         lead: straight tube in the mold on each side of the curved part, m.
         gap: of air between tube and groove, m: what limits the heat that enters the mold at first.
@@ -183,7 +186,10 @@ class MoldBed:
 
     def __post_init__(self) -> None:
         _check("mold", self)
-        vents = tuple(finite("vents of the mold", value) for value in np.atleast_1d(self.vents))
+        if isinstance(self.material, str):
+            object.__setattr__(self, "material", mold_material(self.material))
+        instance("material of the mold", self.material, MoldMaterial)
+        vents = numbers("vents of the mold", self.vents)
         if not vents or min(vents) < 0 or max(vents) > 0.5:
             raise InputError(f"vents of the mold are {list(vents)}; they must be fractions from 0 to 0.5")
         object.__setattr__(self, "vents", vents)
@@ -230,6 +236,8 @@ class Rig:
                 raise InputError(f"{name} of the rig is {value!r}; it must be a {kind.__name__}, no rig works without")
         for name in ("ambient", "loss_factor", "resistivity_factor"):
             object.__setattr__(self, name, positive(f"{name} of the rig", getattr(self, name)))
+        if self.tube is not None:
+            instance("tube of the rig", self.tube, Tube)
         if self.convection is not None:
             object.__setattr__(self, "convection", positive("convection of the rig", self.convection))
 

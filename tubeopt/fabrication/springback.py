@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
-from ..errors import InputError, choice, finite, positive
+from ..errors import InputError, choice, finite, positive, vector
 from ..robots.assembly import Array
 
 MODELS = ("auto", "constant", "linear")
@@ -46,6 +46,9 @@ class Springback:
             object.__setattr__(self, field, finite(f"{field} of the spring-back", getattr(self, field)))
         if not -1 < self.fraction < 1:
             raise InputError(f"fraction of the spring-back is {self.fraction:g}; it must lie between -1 and 1")
+        if self.curvature_range is not None:
+            least, most = vector("curvature_range of the spring-back", self.curvature_range, 2, "least and greatest")
+            object.__setattr__(self, "curvature_range", (float(least), float(most)))
         if not 0 <= self.shrinkage < 0.1:
             raise InputError(f"shrinkage of the spring-back is {self.shrinkage:g}; it must lie in [0, 0.1)")
 

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from .server import View, serve
+from .server import serve
 from .session import Event, Session, go_home, move, move_joint, open_session, other_equilibria
+from .view import View
 
 __all__ = [
     "Event",

@@ -13,15 +13,15 @@ import numpy as np
 from ..actuation import mirror_rotations
 from ..errors import InputError, SolveError
 from ..stability import Snap
+from ..study.files import atomic_write
 from ..workspaces import workspace
 from . import export
 from .designs import Knob, with_knob
 from .insights import Insights
-from .panel import Panel
+from .panel import MIRROR, Panel
 from .plots import torsion_plot
 from .reel import Reel, load_waypoints, make_reel, play_to
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
-from .server import View
 from .servo import pull
 from .session import (
     Session,
@@ -35,6 +35,7 @@ from .session import (
 )
 from .surfaces import Part, between
 from .swept import swept_volume
+from .view import View
 from .worker import Worker
 
 FRAMES, SNAP_SECONDS = 12, 0.36
@@ -86,23 +87,22 @@ class Desk:
 
             self._change(verb, lambda: words, dragged=joint)
 
-        self._do(go)
+        self._by_hand(go)
 
     def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
         """Move to joint values, rad and m."""
-        self._do(lambda: self._change(lambda session: move(session, rotations, translations)))
+        self._by_hand(lambda: self._change(lambda session: move(session, rotations, translations)))
 
     def mirror(self, direction: float, separation: float) -> None:
         """Turn an eccentric robot's three tubes by the mirror law, rad."""
-        self._do(
-            lambda: self._change(
-                lambda session: move(session, mirror_rotations(direction, separation), session.equilibrium.translations)
-            )
+        rotations = mirror_rotations(direction, separation)
+        self._by_hand(
+            lambda: self._change(lambda s: move(s, rotations, s.equilibrium.translations), dragged=MIRROR), key="mirror"
         )
 
     def home(self) -> None:
         """Go home."""
-        self._do(lambda: self._change(go_home))
+        self._by_hand(lambda: self._change(go_home))
 
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
         """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
@@ -120,15 +120,15 @@ class Desk:
             self._pulling = not done
             self._change(verb, lambda: words)
 
-        self._do(go, key=None if done else "lead")
+        self._by_hand(go, key=None if done else "lead")
 
     def turn(self, knob: Knob, value: float) -> None:
         """Change a dimension of a tube, in the knob's unit."""
-        self._do(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
+        self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
 
     def reset_design(self) -> None:
         """The robot as it was loaded."""
-        self._do(lambda: self._change(lambda session: redesign(session, self._view.robot)))
+        self._by_hand(lambda: self._change(lambda session: redesign(session, self._view.robot)))
 
     def ghosts(self) -> None:
         """Show all other equilibria, or hide them."""
@@ -156,12 +156,7 @@ class Desk:
 
     def scrub(self, seconds: float) -> None:
         """Go to a time of the trajectory."""
-
-        def go() -> None:
-            self._playing = None
-            self._to_time(seconds, log=False)
-
-        self._do(go, key="scrub")
+        self._by_hand(lambda: self._to_time(seconds, log=False), key="scrub")
 
     def save(self, what: str) -> None:
         """Send an export to the browser: joints, robot, recording, picture, page."""
@@ -176,6 +171,15 @@ class Desk:
     def _do(self, job: Callable[[], object], *, key: str | None = None) -> None:
         self._worker.post(job, key=key)
 
+    def _by_hand(self, job: Callable[[], object], *, key: str | None = None) -> None:
+        """Have something done to the robot; a trajectory that is being played pauses for it."""
+
+        def go() -> None:
+            self._playing = None
+            job()
+
+        self._do(go, key=key)
+
     def _begin(self) -> None:
         self.scene.set_stage(self.session.equilibrium)
         if self._view.obstacles:
@@ -186,8 +190,9 @@ class Desk:
                 self._reel = make_reel(self.session.robot, self._view.waypoints)
             except (InputError, SolveError) as error:
                 self._say(f"the trajectory cannot be followed: {error}", bad=True)
-            else:
-                self.panel.offer_reel(self._reel.duration)
+                self._refresh()
+                return
+            self.panel.offer_reel(self._reel.duration)
         self._say(ADVISED)
         self._refresh()
 
@@ -209,7 +214,7 @@ class Desk:
             self._animate(self.session.last)
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
-            self.scene.clear("workspace")
+            self.panel.untick("workspace", "swept")
         said = words()
         self._say(said, bad=bool(said))
         if not self._worker.waiting:
@@ -296,7 +301,7 @@ class Desk:
         if not on:
             return
         tip = self.session.equilibrium.tip_position
-        size = 0.18 * max(tube.length for tube in self.session.robot.tubes) * SCALE
+        size = 0.2 * max(tube.curved_length for tube in self.session.robot.tubes) * SCALE
         self._target = self._client.scene.add_transform_controls(
             "/target", scale=size, disable_rotations=True, position=tuple(tip * SCALE), depth_test=False
         )
@@ -351,8 +356,8 @@ class Desk:
         reel = self._reel
         if reel is None:
             return
-        if self.session.robot is not reel.path.equilibria[0].robot:
-            self._say("the trajectory is of the robot as it was loaded: reset the design to play it", bad=True)
+        if self.session.robot != reel.path.equilibria[0].robot:
+            self._say("the trajectory is of other tubes than these: go back to those, or load it again", bad=True)
             self._playing = None
             return
         since = self._time if log else None
@@ -363,14 +368,13 @@ class Desk:
     def _save(self, what: str) -> None:
         try:
             name, content = self._exported(what)
-        except (InputError, SolveError, RuntimeError, TimeoutError) as error:
+            if self._view.out is not None:
+                with atomic_write(self._view.out / name) as temporary:
+                    temporary.write_bytes(content)
+        except (InputError, SolveError, RuntimeError, OSError) as error:
             self._say(str(error), bad=True)
             return
         self._client.send_file_download(name, content, save_immediately=True)
-        if self._view.out is not None:
-            path = self._view.out / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
         self._say(f"saved {name}")
 
     def _exported(self, what: str) -> tuple[str, bytes]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable, Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..study.robot_file import save_robot
 from ..study.trajectory_file import BRANCH, TIME
 from ..study.units import DEG, MM, RAD, in_unit
 from ..study.yaml_file import save_yaml
+from .host import quiet_server
 from .reel import paced
 from .scene import Scene, camera
 from .session import Session
@@ -96,8 +98,6 @@ def scene_html(session: Session, layers: dict[str, Sequence[Part]]) -> str:
     Raises:
         InputError: viser is not installed.
     """
-    from .server import quiet_server  # which knows how to start one
-
     with quiet_server("127.0.0.1", 0) as server:
         position, look_at = camera(session.equilibrium)
         server.initial_camera.position = tuple(position)
@@ -108,4 +108,5 @@ def scene_html(session: Session, layers: dict[str, Sequence[Part]]) -> str:
         scene.show_trail(session, True)
         for name, parts in layers.items():
             scene.layer(name, parts)
-        return str(server.scene.as_html())
+        title = escape(f"{session.robot.name or 'robot'}, tubeopt")
+        return str(server.scene.as_html()).replace("<title>Viser</title>", f"<title>{title}</title>", 1)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError, SolveError
 from ..stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
+from .panel import Panel
 from .plots import map_plot, s_curve_plot
 from .session import Session
 from .worker import Job
-
-if TYPE_CHECKING:
-    from .panel import Panel
 
 MAP_SAMPLES = 13
 """Points per axis of the small stability map."""

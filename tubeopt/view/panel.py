@@ -9,17 +9,20 @@ import numpy as np
 from ..robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .session import Session, joint_names, space_of
+from .view import View
 from .words import log_words, message_words, readout
 
 if TYPE_CHECKING:
     from .desk import Desk
-    from .server import View
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
 
 EXACT = 6
 """Digits behind the point in the boxes for exact values, deg or mm."""
+
+MIRROR = -1
+"""Stands for the joint that is dragged where it is the direction or the separation."""
 
 LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
@@ -39,6 +42,7 @@ class Panel:
     def __init__(self, gui: Any, desk: Desk, view: View) -> None:
         self._gui, self._desk, self._view = gui, desk, view
         self._shown: dict[int, float] = {}
+        self._layers: dict[str, Any] = {}
         robot = view.robot
         gui.main_panel.dock_right()
         gui.main_panel.set_width(390)
@@ -108,12 +112,27 @@ class Panel:
                 slider.min, slider.max = shown
             if k != dragged:
                 self._put(slider, round(float(value), 1))
+        if self._mirror and dragged != MIRROR:
+            self._sync_mirror(np.degrees(session.equilibrium.rotations))
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * 1e3)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
                 box.value = round(float(value), EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
+
+    def _sync_mirror(self, rotations: np.ndarray) -> None:
+        """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
+        direction, ahead, behind = rotations
+        separation = (ahead - behind) / 2
+        if abs(ahead + behind - 2 * direction) < STEP and -STEP / 2 < separation < self._mirror[1].max + STEP / 2:
+            for slider, value in zip(self._mirror, (direction, max(separation, 0.0)), strict=True):
+                self._put(slider, round(float(value), 1))
+
+    def untick(self, *layers: str) -> None:
+        """Layers are shown no more: what they show is of other tubes. Tells the desk as a click would."""
+        for layer in layers:
+            self._layers[layer].value = False
 
     def offer_reel(self, duration: float) -> None:
         """There is a trajectory of this length, s."""
@@ -176,7 +195,7 @@ class Panel:
             separation = self._gui.add_slider("separation (deg)", 0.0, 120.0, STEP, 0.0, marks=())
 
         async def moved(event: Any) -> None:
-            if event.client is not None:
+            if self._wished(event):
                 self._desk.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
 
         for slider in (direction, separation):
@@ -232,13 +251,14 @@ class Panel:
         self._check("record what the robot passes", False, self._desk.record)
         return time
 
-    def _check(self, label: str, value: bool, act: Any) -> None:
+    def _check(self, label: str, value: bool, act: Any) -> Any:
         box = self._gui.add_checkbox(label, value)
 
         async def changed(event: Any) -> None:
             act(bool(event.target.value))
 
         box.on_update(changed)
+        return box
 
     def _design_controls(self) -> list[tuple[Knob, Any]]:
         out = []
@@ -266,7 +286,7 @@ class Panel:
             layers.append(("obstacles", "obstacles", True))
         layers.append(("volume swept by the trajectory", "swept", False))
         for label, layer, on in layers:
-            self._check(label, on, lambda value, layer=layer: self._desk.show(layer, value))
+            self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._desk.show(layer, value))
         self._button("Forget the trail", self._desk.forget_trail)
 
     def _save_controls(self) -> None:

@@ -17,7 +17,7 @@ from ..stability import Branch, StabilityMap
 from .surfaces import margin_colour
 
 WIDTH, HEIGHT = 340, 190
-LEFT, RIGHT, TOP, BOTTOM = 46, 14, 10, 34
+LEFT, RIGHT, TOP, BOTTOM = 54, 14, 16, 34
 GREY = "#8a8f98"
 
 
@@ -107,6 +107,11 @@ def torsion_plot(equilibrium: Equilibrium) -> str:
         if on.sum() > 1:
             width = 1.4 + 0.9 * i
             body.append(axes.line(s[on] * 1e3, torsion[i, on], tube_colour(i), width=width))
+    names = "".join(f'<tspan dx="5" fill="{tube_colour(i)}">{i + 1}</tspan>' for i in range(len(torsion)))
+    body.append(
+        f'<text x="{WIDTH - RIGHT}" y="{TOP - 5}" text-anchor="end" font-weight="bold">'
+        f'<tspan fill="{GREY}" font-weight="normal">tube</tspan>{names}</text>'
+    )
     return frame(axes, body, "torsion of each tube over arc length")
 
 

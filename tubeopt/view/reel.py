@@ -16,7 +16,7 @@ from ..stability import Path, Snap, follow
 from ..study.csv_file import read_csv
 from ..study.path_file import load_waypoints as load_path
 from ..study.trajectory_file import TIME, load_trajectory
-from .session import Session, check, moved_to
+from .session import Session, check, moved_to, record
 
 TURN_SPEED = np.radians(45.0)
 """Speed (rad/s) of the fastest tube where a file gives no times."""
@@ -97,11 +97,22 @@ def play_to(session: Session, reel: Reel, time: float, *, since: float | None = 
     """The session with its robot at a time of the trajectory, in the state that the trajectory's own history leads to.
 
     Args:
-        since: where the robot was before, s: the snaps in between then go into the log. None logs nothing.
+        since: where the robot was before, s: the snaps in between then go into the log. None is a leap: it logs none,
+            and a recording begins anew.
     """
     t = min(max(float(time), 0.0), reel.duration)
     snaps = () if since is None else snaps_between(reel, since, t)
-    return moved_to(session, state_at(reel, t), snaps)
+    there = state_at(reel, t)
+    moved = moved_to(session, there, snaps)
+    # A leap is no motion that could be recorded: what was before it did not lead here.
+    leapt = since is None and session.recording is not None and not _same(session.equilibrium, there)
+    return record(moved, True) if leapt else moved
+
+
+def _same(one: Equilibrium, other: Equilibrium) -> bool:
+    """Whether two equilibria of a robot are at the same joint values, and on the same branch."""
+    pairs = ((getattr(each, name) for each in (one, other)) for name in ("rotations", "translations", "tip_rotations"))
+    return all(np.allclose(a, b, rtol=0, atol=1e-7) for a, b in pairs)
 
 
 def state_at(reel: Reel, time: float) -> Equilibrium:

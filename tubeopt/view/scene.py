@@ -25,6 +25,9 @@ GHOST_COLOURS = {True: (70, 110, 190), False: (205, 60, 60)}
 """Of other equilibria: stable, unstable."""
 
 GHOST_OPACITY = 0.3
+DOT = 0.0035
+"""Size of a tip of the workspace, as a share of the longest tube."""
+
 OBSTACLE_COLOUR = (150, 120, 95)
 SWEPT_COLOUR = (120, 90, 200)
 
@@ -119,8 +122,9 @@ class Scene:
         n = found.robot.n_tubes
         points = (rows[:, 2 * n : 2 * n + 3] * SCALE).astype(np.float32)
         colours = np.array([margin_colour(margin) for margin in rows[:, -1]], dtype=np.uint8)
+        size = DOT * max(tube.length for tube in found.robot.tubes) * SCALE
         cloud = self._api.add_point_cloud(
-            "/workspace/tips", points, colours, point_size=0.02, point_shape="circle", precision="float32"
+            "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
         )
         self._layers["workspace"] = [cloud]
 

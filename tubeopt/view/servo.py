@@ -56,13 +56,15 @@ def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obsta
     for part in _parts(goal, here.tip):
         found = reach(replace(goal, position=part), here, iterations=ITERATIONS)
         here = found.posture
+        session = moved_to(session, here.equilibrium)
         if not found.reached and float(np.linalg.norm(part - here.tip)) > CLOSE_ENOUGH:
             # From here straight at the target, which may lie around the corner.
             here = reach(goal, here, iterations=ITERATIONS).posture
+            session = moved_to(session, here.equilibrium)
             break
     error = float(np.linalg.norm(goal.position - here.tip))
     held = () if error <= CLOSE_ENOUGH else tuple(_held(goal, here))
-    return Pull(moved_to(session, here.equilibrium), error, held)
+    return Pull(session, error, held)
 
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:

@@ -291,9 +291,11 @@ def redesign(session: Session, robot: Robot) -> Session:
         same = False
     if not same:
         there = forward_kinematics(robot, rotations, translations)
-    fresh = replace(session, equilibrium=there, last=(), trail=None, recording=None, recorded_from=None)
+    fresh = record(replace(session, equilibrium=there, last=(), trail=None), session.recording is not None)
     if not same:
         fresh = note(fresh, "the old shape does not exist with these tubes: assembled afresh")
+    if fresh.recording is not None:
+        fresh = note(fresh, "the recording begins anew: it is of other tubes")
     return moved_to(fresh)
 
 
