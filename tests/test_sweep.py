@@ -119,6 +119,20 @@ def test_workspaces_and_heatings_sweep_too(run: Run, tmp_path: Path) -> None:
     assert float(done["lowest_degC"]) > 200 - 1
 
 
+def test_molds_sweep_too(run: Run, tmp_path: Path) -> None:
+    board = ROOT / "configs" / "molds" / "calcium_silicate.yaml"
+    lossy = tmp_path / "mold.yaml"
+    lossy.write_text(board.read_text() + "springback: {fraction_percent: 10}\n")
+    groove = {"kind": "mold_plan", "robot": THESIS, "tubes": [1], "mold": str(lossy)}
+    vary = [{"key": "robot.tubes[0].radius_mm", "values": [90, 200]},
+            {"key": "mold.springback.fraction_percent", "values": [0, 20]}]  # fmt: skip
+    data = answer(run("sweep", written(tmp_path, study=groove, vary=vary, columns=["grooves"]), "--workers", "1",
+                      "--out", str(tmp_path / "m"), "--json"))  # fmt: skip
+    found = [float(row["grooves[0].mold_radius_mm"]) for row in rows(Path(data["table"]))]
+    # What comes out has the mold's curvature less the lost part of it.
+    assert found == pytest.approx([90, 90 * 0.8, 200, 200 * 0.8], rel=1e-9)
+
+
 def test_a_study_in_a_file_of_its_own(run: Run, tmp_path: Path) -> None:
     path = written(tmp_path, study=str(ROOT / "configs" / "studies" / "thesis_actuated.yaml"))
     out = tmp_path / "out"

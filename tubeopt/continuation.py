@@ -23,11 +23,23 @@ looks like the one that is followed."""
 LARGEST_TWIST = 0.6
 """Largest change (rad) of the twist theta - alpha at a point in one step."""
 
+SOFT_TWIST = 0.1
+"""The same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther apart."""
+
 LARGEST_SHIFT = 0.05
 """Largest change of a translation in one step, as a fraction of the longest tube."""
 
 SHORTEST_STEP = 1e-11
 """Fraction of the path below which a step that fails means that the branch has ended."""
+
+
+def largest_twist(margin: float) -> float:
+    """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
+
+    The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
+    hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
+    """
+    return float(np.clip(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST, LARGEST_TWIST))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +105,7 @@ def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None
         return None
     # Only the coupled tubes: theta of the others is carried along, not solved for.
     change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]
-    if np.abs(change).max(initial=0.0) > LARGEST_TWIST:
+    if np.abs(change).max(initial=0.0) > largest_twist(near.solution.margin):
         return None
     return Point(t, Solution(problem, rotations, result, margin(problem, result.state)))
 

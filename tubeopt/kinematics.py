@@ -8,7 +8,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, JointPath, Point, follow_to
+from .continuation import (
+    LARGEST_RATIO,
+    LARGEST_SHIFT,
+    LARGEST_TURN,
+    LARGEST_TWIST,
+    JointPath,
+    Point,
+    follow_to,
+    largest_twist,
+)
 from .equilibrium import Equilibrium, Status
 from .errors import InputError, SolveError, choice, positive, vector
 from .robots.assembly import Array
@@ -153,7 +162,7 @@ def _compiled(
     answer = solve_compiled(robot, rotations, translations, start)
     if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
         return None
-    if answer["largest_change"] > LARGEST_TWIST:
+    if answer["largest_change"] > (LARGEST_TWIST if guess is None else largest_twist(guess.margin)):
         return None
     how = "tubes without torsion" if start is None else "guess"
     return from_compiled(robot, rotations, shift, answer, (how, began))
@@ -284,7 +293,7 @@ def _near(
     theta = sample_rotation(guess, problem.arc_length) + turn
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
     # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
-    far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > LARGEST_TWIST
+    far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
     if not result.converged or result.contraction > LARGEST_RATIO or far:
         return None
     return Solution(problem, rotations, result, margin(problem, result.state))

@@ -15,9 +15,9 @@ from rich.text import Text
 from ..errors import SolveError
 from ..fabrication.heating_robust import Uncertainty
 from ..fabrication.heating_spec import HeatingSpec
-from ..fabrication.mold import plan_mold
 from ..fabrication.mold_spec import MoldSpec
 from ..fabrication.rig import Rig
+from ..fabrication.robot_mold import chosen_tubes, plan_robot_mold
 from ..fabrication.thermal import gap_transfer, vent_profile
 from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
@@ -26,7 +26,6 @@ from ..study.robot_file import load_robot, save_robot
 from ..tubes import Tube
 from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report, missed
 from .heat_report import HeatReport
-from .mold import chosen_tubes
 from .mold_report import MoldReport
 from .options import JsonOption, RobotArgument
 from .progress import working
@@ -84,19 +83,17 @@ def fabricate(
     spec = HeatingSpec(hold_time=hold_s, objective=objective)
     charges = chosen_charges(charges_percent)
     asked = MoldSpec() if mold is None else load_mold_spec(mold)
-    chosen, left_out = chosen_tubes(made_of.tubes, None)
+    chosen, left_out = chosen_tubes(made_of)
     can_be_saved(out)
     parts = []
     with working("planning molds and schedules") as progress:
         for k, number in enumerate(chosen):
             progress(k, len(chosen))
-            tube = made_of.tubes[number]
+            tube = made_of.tubes[number - 1]
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            planned = MoldReport(
-                plan_mold([tube], mold_spec_for(heated_on, tube, asked)), made_of.name, (number + 1,), ()
-            )
+            planned = plan_robot_mold(made_of, mold_spec_for(heated_on, tube, asked), [number])
             heat = heat_report(heated_on, tube, spec, charges, (Uncertainty(), samples, False))
-            parts.append(TubeParts(number + 1, planned, heat))
+            parts.append(TubeParts(number, MoldReport(planned), heat))
         progress(len(chosen), len(chosen))
     report = FabricationReport(made_of, tuple(parts), tuple(left_out))
     present(report, out=out, as_json=as_json)

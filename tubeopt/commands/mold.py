@@ -9,19 +9,19 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import InputError, positive
-from ..fabrication.mold import plan_mold
 from ..fabrication.mold_heat import HeatSpec
 from ..fabrication.mold_materials import mold_material
 from ..fabrication.mold_ranking import rank_mold_materials
 from ..fabrication.mold_spec import MoldSpec
+from ..fabrication.robot_mold import plan_robot_mold
 from ..fabrication.springback import calibrate_springback
 from ..materials import ZERO_CELSIUS
 from ..study.mold_file import load_mold_spec, load_springback, load_trials
 from ..study.robot_file import load_robot
 from ..tubes import Tube
-from .mold_report import CalibrationReport, MaterialsReport, MoldReport
+from .mold_report import CalibrationReport, MaterialsReport
 from .options import JsonOption, OutOption, PlotOption, RobotArgument
-from .report import can_be_saved, present
+from .report import can_be_saved, present, report
 
 
 class _PlanByDefault(TyperGroup):
@@ -72,41 +72,19 @@ def plan(
         spec = replace(spec, springback=load_springback(springback))
     if cold_length_mm is not None:
         spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / 1e3)
-    numbers, left_out = chosen_tubes(made_of.tubes, tubes)
+    numbers = _tube_numbers(tubes)
     can_be_saved(out)
-    planned = plan_mold([made_of.tubes[k] for k in numbers], spec)
-    report = MoldReport(planned, made_of.name, tuple(k + 1 for k in numbers), tuple(left_out))
-    present(report, out=out, as_json=as_json, plot=plot)
+    present(report(plan_robot_mold(made_of, spec, numbers)), out=out, as_json=as_json, plot=plot)
 
 
-def chosen_tubes(tubes: tuple[Tube, ...], text: str | None) -> tuple[list[int], list[str]]:
-    """Indices of the tubes that a mold is for, and why others are left out.
-
-    Without `text` ("1,3"): every curved tube that is not equal to an earlier one.
-
-    Raises:
-        InputError: no such tube, or none that needs a mold.
-    """
-    if text is not None:
-        numbers = []
-        for part in text.split(","):
-            number = int(part) if part.strip().isdigit() else 0
-            if not 1 <= number <= len(tubes):
-                raise InputError(f"--tubes is {text!r}; it must be numbers from 1 to {len(tubes)}, with commas between")
-            numbers.append(number - 1)
-        return numbers, []
-    numbers, left_out = [], []
-    for k, tube in enumerate(tubes):
-        if tube.curved_length == 0 or tube.curvature == 0:
-            left_out.append(f"tube {k + 1} is straight and needs no mold")
-        elif tube in [tubes[j] for j in numbers]:
-            first = next(j for j in numbers if tubes[j] == tube)
-            left_out.append(f"tube {k + 1} is equal to tube {first + 1} and is set in its groove")
-        else:
-            numbers.append(k)
-    if not numbers:
-        raise InputError("no tube of this robot is curved; none needs a mold")
-    return numbers, left_out
+def _tube_numbers(text: str | None) -> list[int] | None:
+    """`1,3` as numbers; raises InputError for anything else."""
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdigit() for part in parts):
+        raise InputError(f"--tubes is {text!r}; it must be numbers from 1, with commas between")
+    return [int(part) for part in parts]
 
 
 @app.command(epilog="Example: tubeopt mold calibrate configs/molds/example_trials.csv --out results")

@@ -17,30 +17,33 @@ from ..fabrication.mold_files import write_mold
 from ..fabrication.mold_heat import HeatSpec
 from ..fabrication.mold_holes import Hole
 from ..fabrication.mold_ranking import MaterialRating
+from ..fabrication.robot_mold import RobotMold
 from ..fabrication.springback import Calibration, Springback
 from ..materials import ZERO_CELSIUS
 from ..study.files import write_text
 from ..study.mold_file import save_springback, springback_to_dict
 from ..tubes import Tube
-from .report import to_text, two_columns
+from .report import report, to_text, two_columns
 
 MM = 1e3
 
 
 @dataclass(frozen=True)
 class MoldReport:
-    """A planned mold: `numbers` says which tube of the robot each groove is for, `left_out` which have none and why."""
+    """What is said and saved about the mold for tubes of a robot."""
 
-    mold: Mold
-    name: str
-    numbers: tuple[int, ...]
-    left_out: tuple[str, ...] = ()
+    answer: RobotMold
+
+    @property
+    def mold(self) -> Mold:
+        """As planned."""
+        return self.answer.mold
 
     def record(self) -> dict[str, Any]:
         """The answer as JSON: plates, a mapping per groove, holes, checks, remarks."""
         mold = self.mold
         return {
-            "robot": self.name,
+            "robot": self.answer.name,
             "material": mold.spec.material.name,
             "size_mm": [extent * MM for extent in mold.size],
             "thickness_mm": mold.spec.plate.thickness * MM,
@@ -51,14 +54,14 @@ class MoldReport:
             "grooves": [self._groove(k) for k in range(len(mold.grooves))],
             "holes": [_hole(hole) for hole in mold.holes],
             "checks": [_check(check) for check in mold.checks],
-            "remarks": [*self.left_out, *mold.remarks],
+            "remarks": [*self.answer.left_out, *mold.remarks],
         }
 
     def _groove(self, k: int) -> dict[str, Any]:
         groove = self.mold.grooves[k]
         predicted = predict_tube(self.mold, k)
         return (
-            {"tube": self.numbers[k]}
+            {"tube": self.answer.numbers[k]}
             | groove_record(groove)
             | {
                 "predicted": {
@@ -73,15 +76,15 @@ class MoldReport:
         """A row per property, a column per groove; then the remarks."""
         mold = self.mold
         size = " x ".join(f"{extent * MM:g}" for extent in mold.size)
-        title = Text(f"{self.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm", style="italic")
+        title = Text(f"{self.answer.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm", style="italic")
         table = Table(box=None, padding=(0, 2, 0, 0))
         table.add_column("tube", style="bold", no_wrap=True)
-        for number in self.numbers:
+        for number in self.answer.numbers:
             table.add_column(str(number), justify="right")
         records = [groove_record(groove) for groove in mold.grooves]
         for key, words in _ROWS.items():
             table.add_row(words, *(f"{record[key]:.4g}" for record in records))
-        lines = [Text(f"remark: {line}", style="yellow") for line in (*self.left_out, *mold.remarks)]
+        lines = [Text(f"remark: {line}", style="yellow") for line in (*self.answer.left_out, *mold.remarks)]
         return Group(title, table, *lines)
 
     def save(self, directory: Path) -> list[Path]:
@@ -91,7 +94,7 @@ class MoldReport:
         record, sheet = directory / "mold.json", directory / "setup.pdf"
         write_text(record, to_text(self.record()))
         files = write_mold(self.mold, directory)
-        plot_setup_sheet(self.mold, sheet, title=self.name)
+        plot_setup_sheet(self.mold, sheet, title=self.answer.name)
         return [record, *files, sheet]
 
     def draw(self, directory: Path) -> list[Path]:
@@ -311,3 +314,8 @@ def _rating(r: MaterialRating) -> dict[str, Any]:
         "reasons": list(r.reasons),
         "source": m.source,
     }
+
+
+@report.register
+def _(answer: RobotMold) -> MoldReport:
+    return MoldReport(answer)

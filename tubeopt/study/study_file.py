@@ -20,6 +20,7 @@ from .checked import Positive, check_kind
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
+from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
 from .validation_study import ValidationStudy
@@ -63,6 +64,7 @@ STUDY_KINDS: dict[str, type[Study]] = {
     "plan": PlanStudy,
     "workspace": WorkspaceStudy,
     "heating": HeatingStudy,
+    "mold_plan": MoldStudy,
 }
 """What the key `kind` of a study file may say."""
 

@@ -6,7 +6,7 @@
       - {key: "rotations_deg[0]", from: 0, to: 360, count: 37}
       - {key: "robot.tubes[0].curvature_per_m", values: [6, 8, 10]}
 
-Keys are paths in the study; through `robot` and `rig` they go on into the files of those.
+Keys are paths in the study; through `robot`, `rig` and `mold` they go on into the files of those.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from ..errors import InputError, nearest
 from .base import Study, Whole
 from .checked import Entry, Number, check, check_kind
+from .mold_file import mold_spec_from_dict
 from .rig_file import rig_from_dict
 from .robot_file import robot_from_dict
 from .study_file import STUDY_KINDS
@@ -37,7 +38,11 @@ from .yaml_file import load_yaml
 
 Data = dict[str, Any]
 
-FILES: dict[str, Callable[[object, str], Any]] = {"robot": robot_from_dict, "rig": rig_from_dict}
+FILES: dict[str, Callable[[object, str], Any]] = {
+    "robot": robot_from_dict,
+    "rig": rig_from_dict,
+    "mold": mold_spec_from_dict,
+}
 """Keys of studies that name files into which keys that vary go on."""
 
 
@@ -99,7 +104,7 @@ class SweepEntry(Entry):
 class StudyAt:
     """A study with some of its keys set anew: a function of their values, for the workers of a sweep.
 
-    data: the study's; robot and rig are loaded, or as data where their own keys vary.   where: the file it is from.
+    data: the study's; robot, rig and mold are loaded, or as data where their own keys vary.   where: its file.
     summarise: turns the study's answer into plain data.   columns: beginnings of the names that are kept.
     """
 
