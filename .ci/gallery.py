@@ -48,6 +48,7 @@ class Problem:
     def title(self) -> str:
         """The name of the script in words."""
         words = re.sub(r"fig_(\d+)_(\d+)", r"Figure \1.\2", self.name).replace("_", " ")
+        words = words.replace("s curve", "S-curve")
         words = re.sub(r"\b(crl|etr|ctr)\b", lambda match: match[0].upper(), words)
         return words[0].upper() + words[1:]
 
@@ -90,7 +91,17 @@ def _drawn(code: str) -> list[Path]:
 
 def all_problems(records: Path | None = None) -> list[Problem]:
     """Every script, by name."""
-    return [read_problem(script, records) for script in sorted(PROBLEMS.glob("*.py"))]
+    return [read_problem(script, records) for script in _scripts()]
+
+
+def _scripts() -> list[Path]:
+    """All scripts by name, figure 2.9 before 2.10."""
+    return sorted(
+        PROBLEMS.glob("*.py"),
+        key=lambda script: [
+            (int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", script.stem)
+        ],
+    )
 
 
 def page(problem: Problem) -> str:
@@ -145,7 +156,7 @@ def _records() -> Path | None:
 
 def on_config(config: Any) -> Any:
     """Enter all pages below "Gallery" in the navigation."""
-    pages = ["gallery/index.md", *(f"gallery/{script.stem}.md" for script in sorted(PROBLEMS.glob("*.py")))]
+    pages = ["gallery/index.md", *(f"gallery/{script.stem}.md" for script in _scripts())]
     config.nav = [{"Gallery": pages} if "Gallery" in entry else entry for entry in config.nav]
     return config
 

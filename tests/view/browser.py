@@ -109,6 +109,12 @@ class Tab:
         self.box(label).fill(str(value))
         self.page.wait_for_timeout(100)
 
+    def wait_for_box(self, label: str, value: str) -> None:
+        """Wait until a number box holds this."""
+        self.page.wait_for_function(
+            "([box, value]) => box.value === value", arg=[self.box(label).element_handle(), value]
+        )
+
     def download(self, label: str) -> bytes:
         """What a button saves."""
         with self.page.expect_download() as waiting:

@@ -132,6 +132,12 @@ def test_a_trajectory_has_its_own_history() -> None:
     assert len(play_to(session, reel, 5.0, since=4.0).log) == 1
     assert not play_to(session, reel, 5.0).log
     assert np.degrees(play_to(session, reel, 5.0).equilibrium.rotations[0]) == pytest.approx(225)
+    played = play_to(record(play_to(session, reel, 4.0), True), reel, 5.0, since=4.0)
+    assert [len(each.recording or ()) for each in (played, play_to(played, reel, 5.0), play_to(played, reel, 2.0))] == [
+        2,
+        3,
+        1,
+    ]
 
 
 def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
@@ -203,6 +209,7 @@ def test_saved_files_are_read_back(tmp_path: Path) -> None:
 
 
 def test_a_page_for_a_colleague_needs_nothing_else() -> None:
-    page = export.scene_html(open_session(THESIS), {})
+    page = export.scene_html(open_session(replace(THESIS, name="A & B")), {})
+    assert "<title>A &amp; B, tubeopt</title>" in page
     assert page.lstrip().lower().startswith("<!doctype html")
     assert "__VISER_EMBED_DATA__" in page

@@ -12,10 +12,11 @@ from PIL import Image
 
 from tubeopt import find_snap, forward_kinematics, load_robot
 from tubeopt.study.target_file import load_joints
+from tubeopt.view import View
 from tubeopt.view.reel import load_waypoints
 
-from ..examples import THESIS
-from .browser import Tab
+from ..examples import CONFIGS, THESIS
+from .browser import Tab, served
 
 
 def tip(*rotations_deg: float, translations_mm: tuple[float, ...] = (0.0, 0.0, 0.0), **options: Any) -> np.ndarray:
@@ -101,6 +102,34 @@ def test_the_tip_is_led_and_stops_at_its_limit(tab: Tab) -> None:
     assert "at its end" in message or "margin" in message or "touching" in message
 
 
+def test_the_hand_takes_over_what_is_played(tab: Tab) -> None:
+    tab.tab("Play")
+    tab.press("Play / pause")
+    tab.page.wait_for_timeout(300)
+    tab.tab("Joints")
+    tab.type("rotation of tube 3", 45)
+    tab.page.wait_for_timeout(1000)
+    held = tab.tip
+    tab.page.wait_for_timeout(500)
+    assert np.array_equal(tab.tip, held)
+    assert tab.box("rotation of tube 3").input_value() == "45"
+
+
+def test_direction_and_separation_tell_where_an_eccentric_robot_is(context: Any) -> None:
+    robot = load_robot(CONFIGS / "thesis_etr.yaml")
+    with served(View(robot)) as url:
+        tab = Tab(context, url)
+        tab.type("separation (deg)", 60)
+        tab.wait_for_tip(forward_kinematics(robot, np.radians([0, 60, -60])).tip_position)
+        tab.type("direction (deg)", 350)
+        tab.wait_for("message", "rotation of tube 2 is 410 deg; it must be from -360 to 360 deg")
+        tab.wait_for_box("direction (deg)", "0")
+        assert tab.box("separation (deg)").input_value() == "60"
+        tab.press("Home")
+        tab.wait_for_box("separation (deg)", "0")
+        tab.page.close()
+
+
 def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(tab: Tab, tmp_path: Path) -> None:
     """What is saved is what the library reads back."""
     tab.tab("Play")
@@ -121,10 +150,15 @@ def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(tab: 
     assert load_joints(tmp_path / "joints.yaml", THESIS)[0] == pytest.approx(np.radians([200, 0, 0]))
     with Image.open(io.BytesIO(tab.download("Picture (PNG)"))) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 24) or []) > 100
+    tab.tab("Layers")
+    tab.box("volume swept by the trajectory").click()
+    tab.wait_for("message", "the arm sweeps")
     tab.tab("Design")
     tab.type("tube 1: curvature (1/m)", 4)
     tab.wait_for("certificate", "cannot snap")
     (tmp_path / "robot.yaml").write_bytes(tab.download("Save robot as YAML"))
     changed = load_robot(tmp_path / "robot.yaml")
     assert changed.tubes[0].curvature == 4.0
+    tab.tab("Layers")
+    assert not tab.box("volume swept by the trajectory").is_checked()
     tab.wait_for_tip(forward_kinematics(changed, np.radians([200, 0, 0])).tip_position)

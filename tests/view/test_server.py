@@ -15,7 +15,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.view import View, serve
-from tubeopt.view.host import is_own
+from tubeopt.view.host import address_of, is_own
 
 from ..command_line import CRL as CRL_FILE
 from ..command_line import ROOT, Run, refused
@@ -64,6 +64,13 @@ def test_own_pages() -> None:
     assert not is_own("robot.lab:8080", "http://evil.example", "0.0.0.0")
 
 
+def test_addresses_are_what_a_browser_here_can_open() -> None:
+    assert address_of("127.0.0.1", 8080) == "http://127.0.0.1:8080"
+    assert address_of("0.0.0.0", 8080) == "http://127.0.0.1:8080"
+    assert address_of("::1", 80) == address_of("::", 80) == "http://[::1]:80"
+    assert address_of("robot.lab", 8080) == "http://robot.lab:8080"
+
+
 def test_a_port_that_is_taken_is_not_changed_silently() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -103,6 +110,8 @@ def test_the_command_ends_cleanly_on_ctrl_c(how: signal.Signals) -> None:
     ("arguments", "message"),
     [
         ((FILE, "--port", "80000"), "--port is 80000; it must be a whole number from 0 to 65535"),
+        ((FILE, "--port", "nan"), "--port is nan; it must be a whole number from 0 to 65535"),
+        ((FILE, "--port", "-inf"), "--port is -inf; it must be a whole number from 0 to 65535"),
         ((FILE, "--port", "http"), "--port is http; it must be a whole number from 0 to 65535"),
         (("nowhere.yaml",), "nowhere.yaml: there is no such file"),
         (

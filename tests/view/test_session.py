@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeopt import InputError, find_equilibria, find_snap, forward_kinematics, load_robot, snap_free_certificate
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    SolveError,
+    Tube,
+    find_equilibria,
+    find_snap,
+    forward_kinematics,
+    load_robot,
+    snap_free_certificate,
+)
 from tubeopt.obstacles import Sphere
 from tubeopt.robots.assembly import Array
 from tubeopt.view.designs import knobs, with_knob
@@ -64,6 +74,33 @@ def test_one_way_in_many_steps_or_in_one_is_the_same() -> None:
     assert steps.equilibrium.tip_position == pytest.approx(leap.equilibrium.tip_position, abs=1e-9)
     assert steps.log[0].text == leap.log[0].text
     assert len(steps.trail) == pytest.approx(len(leap.trail), abs=15)  # type: ignore[arg-type]
+
+
+def test_a_slider_does_not_step_over_a_narrow_fold() -> None:
+    """Hysteresis 0.4 deg wide: one event of a slider is much longer than that, from wherever before the fold it starts.
+
+    On both sides Newton's method is at ease, and the branches are nearer to each other than a step.
+    """
+    tubes = (
+        Tube(3e-3, 2.2e-3, straight_length=0.03, curved_length=0.04, curvature=40.0),
+        Tube(4e-3, 3.4e-3, straight_length=0.01, curved_length=0.035, curvature=36.0),
+    )
+    home = move(open_session(ConcentricRobot(tubes)), (0.0, 0.0), (0.03, 0.01))
+    way = [(np.radians([angle, 0.0]), home.equilibrium.translations) for angle in (0, 360)]
+    snap = find_snap(home.robot, way[0], way[1])
+    assert snap is not None
+    fold = np.degrees(snap.rotations[0])
+    assert 180.1 < fold < 180.3
+    for before, after in [(0.02, 2), (6, 5), (fold - 180, 15)]:
+        near = turned(home, fold - before)
+        assert not near.log
+        past = turned(near, fold + after)
+        assert len(past.log) == 1
+        assert past.last[0].rotations == pytest.approx(snap.rotations, abs=1e-8)
+        with pytest.raises(SolveError, match="snaps"):
+            forward_kinematics(
+                home.robot, past.equilibrium.rotations, past.equilibrium.translations, guess=near.equilibrium
+            )
 
 
 def test_words_of_the_state() -> None:
@@ -144,6 +181,31 @@ def test_recording_holds_every_place() -> None:
     assert np.degrees(np.array(session.recording)[:, 0]) == pytest.approx([0, 10, 20, 30])
     assert len(clear_trail(session).trail) == 1  # type: ignore[arg-type]
     assert record(session, False).recording is None
+
+
+def test_a_recording_of_other_tubes_begins_anew() -> None:
+    session = turned(record(open_session(THESIS), True), 30)
+    changed = turned(redesign(session, with_knob(THESIS, knobs(THESIS)[0], 9.0)), 40)
+    assert changed.recording is not None
+    assert np.degrees(np.array(changed.recording)[[0, -1], 0]) == pytest.approx([30, 40])
+    assert changed.recorded_from is not None
+    assert changed.recorded_from.robot == changed.robot
+    assert "the recording begins anew" in changed.log[-1].text
+
+
+def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
+    """In joint values it is no straight line, so that both ends would not tell how the robot got there."""
+    session = record(open_session(THESIS), True)
+    start, target = session.equilibrium.tip_position, np.array([0.05, -0.06, 0.2])
+    led = pull(session, target)
+    assert led.reached
+    recording = led.session.recording
+    assert recording is not None
+    assert len(recording) > 4
+    for row in recording[1:]:
+        tip = forward_kinematics(THESIS, row[:3], row[3:]).tip_position
+        share = float((tip - start) @ (target - start) / ((target - start) @ (target - start)))
+        assert tip == pytest.approx(start + share * (target - start), abs=2e-6)
 
 
 # --- the tip ---------------------------------------------------------------------------------------------------------

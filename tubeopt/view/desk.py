@@ -33,7 +33,7 @@ from .session import (
     record,
     redesign,
 )
-from .surfaces import Part, between
+from .surfaces import between
 from .swept import swept_volume
 from .view import View
 from .worker import Worker
@@ -390,8 +390,4 @@ class Desk:
             seen = self._client.camera
             height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
             return "view.png", export.png(self._client.get_render(height, width, transport_format="png", timeout=60))
-        layers: dict[str, Sequence[Part]] = {}
-        if self._view.obstacles:
-            reach = max(tube.length for tube in self.session.robot.tubes)
-            layers["obstacles"] = obstacle_parts(self._view.obstacles, reach)
-        return "view.html", export.scene_html(self.session, layers).encode()
+        return "view.html", export.scene_html(self.session, self.scene.contents, trail=self._trail).encode()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -89,11 +89,12 @@ def png(picture: np.ndarray) -> bytes:
     return out.getvalue()
 
 
-def scene_html(session: Session, layers: dict[str, Sequence[Part]]) -> str:
+def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
     """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
 
     Args:
         layers: further parts by the names of their layers.
+        trail: whether the way of the tip is shown.
 
     Raises:
         InputError: viser is not installed.
@@ -105,7 +106,7 @@ def scene_html(session: Session, layers: dict[str, Sequence[Part]]) -> str:
         scene = Scene(server.scene)
         scene.set_stage(session.equilibrium)
         scene.show(session.equilibrium)
-        scene.show_trail(session, True)
+        scene.show_trail(session, trail)
         for name, parts in layers.items():
             scene.layer(name, parts)
         title = escape(f"{session.robot.name or 'robot'}, tubeopt")

@@ -145,9 +145,10 @@ class Panel:
         self._put(self._time, round(seconds, 3))
 
     def _put(self, widget: Any, value: float) -> None:
-        """Set a widget without taking it for a wish of the user."""
-        self._shown[id(widget)] = value
-        widget.value = value
+        """Set a widget without taking it for a wish of the user; what shows it already is left to the hand."""
+        if self._shown.get(id(widget)) != value:
+            self._shown[id(widget)] = value
+            widget.value = value
 
     def _wished(self, event: Any) -> bool:
         """Whether an event is a user's, and not an echo of what was put there."""

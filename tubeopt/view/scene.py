@@ -44,6 +44,7 @@ class Scene:
         self._api, self._prefix = api, prefix
         self._parts: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {}
+        self._contents: dict[str, tuple[Part, ...]] = {}
         self._trail: Any = None
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
@@ -104,12 +105,19 @@ class Scene:
     def layer(self, name: str, parts: Iterable[Part]) -> None:
         """Replace everything in a named layer."""
         self.clear(name)
-        self._layers[name] = [self._add(f"/{name}/{part.name}", part) for part in parts]
+        self._contents[name] = tuple(parts)
+        self._layers[name] = [self._add(f"/{name}/{part.name}", part) for part in self._contents[name]]
 
     def clear(self, name: str) -> None:
         """Take a layer away."""
+        self._contents.pop(name, None)
         for handle in self._layers.pop(name, []):
             handle.remove()
+
+    @property
+    def contents(self) -> dict[str, tuple[Part, ...]]:
+        """The surfaces of every layer that is shown now; points are none."""
+        return dict(self._contents)
 
     def has(self, name: str) -> bool:
         """Whether a layer shows something."""
