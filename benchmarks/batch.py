@@ -30,7 +30,9 @@ TARGET, RATIO, PEER = 60e-6, 1000, 126e-6
 """Seconds per configuration and core, times as fast as `solve_bvp`, and what compiled code of others takes per solve
 without a margin, at an error of 50 micrometres (s)."""
 
-BVP_TOLERANCE = 1e-9
+BVP_TOLERANCES = (1e-9, 1e-10)
+"""Of `solve_bvp`: the first makes its tips a few times less accurate in the median than those of the batch, the second
+about as accurate; the second is what the target is held against."""
 
 MEMORY = """
 import numpy as np
@@ -56,7 +58,7 @@ class Measurement:
     least_margin: float
     largest_error: float
     checked: int
-    bvp: float
+    bvp: dict[float, float]
     memory: dict[int, float]
 
 
@@ -90,7 +92,7 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int, most: in
         start = forward_kinematics(robot, alpha[k], shift[k]).torsion[:, 0]
         errors.append(np.linalg.norm(many.tip_position[k] - shoot(robot, alpha[k], shift[k], start).tip_position))
     joints = list(zip(alpha[:bvps], shift[:bvps], strict=True))
-    runs = solve_bvp(robot, joints, BVP_TOLERANCE, jacobians=False, warm=False)
+    runs = {tol: solve_bvp(robot, joints, tol, jacobians=False, warm=False) for tol in BVP_TOLERANCES}
     counts = [n for n in (10_000, 100_000, 1_000_000) if n <= most]
     return Measurement(
         robot=robot.name,
@@ -102,19 +104,20 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int, most: in
         least_margin=float(many.margin.min()),
         largest_error=float(np.max(errors)),
         checked=len(errors),
-        bvp=summarise(s for s, _ in runs).median,
+        bvp={tol: summarise(s for s, _ in found).median for tol, found in runs.items()},
         memory={n: fresh_process(MEMORY.format(path=str(path), count=n), 1).median for n in counts},
     )
 
 
 def verdicts(m: Measurement) -> list[str]:
     """Every target beside what was measured."""
-    ratio = m.bvp / m.per_solve
+    loose, tight = BVP_TOLERANCES
+    ratio = m.bvp[tight] / m.per_solve
     return [
         f"{m.robot}: {1e6 * m.per_solve:.1f} us per configuration and core, margin included; target "
         f"{1e6 * TARGET:.0f} us: {'reached' if m.per_solve <= TARGET else 'MISSED'}",
-        f"{m.robot}: solve_bvp (tol {BVP_TOLERANCE:g}, cold) {1e3 * m.bvp:.1f} ms, {ratio:.0f} times as long; target "
-        f"{RATIO}: {'reached' if ratio >= RATIO else 'MISSED'}",
+        f"{m.robot}: solve_bvp (tol {tight:g}, cold) {1e3 * m.bvp[tight]:.1f} ms, {ratio:.0f} times as long; target "
+        f"{RATIO}: {'reached' if ratio >= RATIO else 'MISSED'} (at tol {loose:g}: {m.bvp[loose] / m.per_solve:.0f})",
         f"{m.robot}: {m.converged} of {m.solves} converged, {m.stable} stable, least margin {m.least_margin:.3f}; tips "
         f"within {m.largest_error:.1e} m of shooting on {m.checked}",
     ]
@@ -125,7 +128,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.batch", description=__doc__.split("\n")[0])
     parser.add_argument("--robot", type=Path, action="append", help="robot file; default: thesis CTR and CRL CTR")
     parser.add_argument("--solves", type=int, default=10_000, help="configurations (default 10000)")
-    parser.add_argument("--bvp", type=int, default=10, help="solves by solve_bvp (default 10)")
+    parser.add_argument("--bvp", type=int, default=20, help="solves by solve_bvp (default 20)")
     parser.add_argument("--most", type=int, default=1_000_000, help="largest batch whose memory is measured")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     arguments = parser.parse_args()
