@@ -472,3 +472,13 @@ def test_an_answer_pickles() -> None:
     again = pickle.loads(pickle.dumps(answer))
     np.testing.assert_array_equal(again.rotations, answer.rotations)
     assert again.status is InverseStatus.REACHED
+
+
+def test_a_time_limit_ends_the_search() -> None:
+    far = [0.0, 0.0, 2.0]
+    inverse_kinematics(THESIS, forward_kinematics(THESIS, [0.3, 0.2, 0.1]).tip_position)  # the table is built
+    with pytest.raises(SolveError, match=r"was found within 0\.001 s") as told:
+        inverse_kinematics(THESIS, far, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
+    assert told.value.solution.statistics.tries == 1
+    with pytest.raises(InputError, match="time_limit is 0; it must be greater than 0"):
+        InverseOptions(time_limit=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -96,6 +97,7 @@ class InverseOptions:
         method: "auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone.
         starts: most starting configurations.
         distinct: answers of `all_solutions` differ somewhere along the arm by this share of its length.
+        time_limit: s, after which no further start is tried; infinite by default.
 
     Raises:
         InputError: a value that is not allowed.
@@ -109,6 +111,7 @@ class InverseOptions:
     method: str = "auto"
     starts: int = 48
     distinct: float = 0.05
+    time_limit: float = math.inf
 
     def __post_init__(self) -> None:
         if self.objective is not None:
@@ -117,6 +120,8 @@ class InverseOptions:
         for name in ("clearance", "carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
         positive("distinct", self.distinct)
+        if self.time_limit != math.inf:
+            positive("time_limit", self.time_limit)
         if self.direction_weight is not None:
             positive("direction_weight", self.direction_weight)
         count = finite("starts", self.starts)

@@ -126,7 +126,7 @@ class Hunt:
                 yield answer, False
         stalled: list[Posture] = []
         for start in self._starts(4 * most):
-            if self.tries >= most or (not found and self._hopeless()):
+            if self.late or self.tries >= most or (not found and self._hopeless()):
                 break
             answers = list(self._from(start, "table"))
             if not answers:
@@ -138,6 +138,8 @@ class Hunt:
             return
         if self.options.method == "auto" and programmable(self.goal):
             for start in sorted(stalled, key=self.goal.position_error)[:PROGRAM_STARTS]:
+                if self.late:
+                    break
                 for answer in self._finished(self._by_program(start), "table", "nlp"):
                     found = True
                     yield answer, False
@@ -145,8 +147,15 @@ class Hunt:
             # All searches ended in an obstacle. One that starts clear of them stays clear.
             clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
             for start in islice(clear, CLEAR_STARTS):
+                if self.late:
+                    break
                 for answer in self._from(start, "table"):
                     yield answer, False
+
+    @property
+    def late(self) -> bool:
+        """Whether the time limit is reached."""
+        return time.perf_counter() - self.began >= self.options.time_limit
 
     def _at_reference(self) -> Posture | None:
         """The reference itself, brought inside of the limits."""
@@ -282,17 +291,19 @@ class Hunt:
     def failure(self, on_failure: str) -> InverseSolution:
         """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
         goal = self.goal
+        within = f" within {self.options.time_limit:g} s" if self.late else ""
         if self.closest is None:
             blocked = " and clear of the obstacles" if goal.obstacles else ""
             raise SolveError(
-                f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}{blocked}"
+                f"no start was found{within}: no known configuration has a margin of at least {goal.min_margin:g}"
+                f"{blocked}"
             )
         at = self.closest.posture
         closest = self._packed(at, InverseStatus.CLOSEST, ("table", "gauss_newton"))
         if on_failure == "closest":
             return closest
         why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
-        raise SolveError(f"no answer was found in {self.tries} starts: {missed_by(goal, at)}: {why}", closest)
+        raise SolveError(f"no answer was found{within} in {self.tries} starts: {missed_by(goal, at)}: {why}", closest)
 
 
 def _difference(one: InverseSolution, other: InverseSolution) -> float:

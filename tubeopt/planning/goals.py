@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -70,14 +71,16 @@ def check_start(task: Task, start: Equilibrium) -> None:
     _allowed(task, "start", start)
 
 
-def ends(task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = False) -> list[End]:
-    """The equilibria that meet a goal, the nearest first.
+def ends(
+    task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = False, seconds: float = math.inf
+) -> list[End]:
+    """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for so many seconds.
 
     Raises:
         InputError: a goal that is none, or out of range.
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
-    found = _equilibria(task, start, goal)
+    found = _equilibria(task, start, goal, seconds)
     reasons, good = [], []
     for e in found:
         try:
@@ -97,14 +100,24 @@ def ends(task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = Fals
 
 
 def other_ends(
-    task: Task, start: Equilibrium, goal: Any, known: Sequence[End], *, modulo_turns: bool = False
+    task: Task,
+    start: Equilibrium,
+    goal: Any,
+    known: Sequence[End],
+    *,
+    modulo_turns: bool = False,
+    seconds: float = math.inf,
 ) -> list[End]:
     """Further equilibria that meet the goal, if it is one of the tip, the nearest first: its other postures."""
     wanted = _tip_goal(goal)
     if wanted is None:
         return []
     here, found = task.chart.of(start), []
-    for e in _postures(task, start, wanted):
+    try:
+        postures = _postures(task, start, wanted, seconds)
+    except SolveError:  # none in so short a time
+        return []
+    for e in postures:
         try:
             _allowed(task, "goal", e)
         except SolveError:
@@ -130,7 +143,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
     return TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m"))
 
 
-def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
+def _equilibria(task: Task, start: Equilibrium, goal: Any, seconds: float) -> list[Equilibrium]:
     space = task.chart.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium
@@ -140,7 +153,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
         return [goal]
     wanted = _tip_goal(goal)
     if wanted is not None:
-        return _posed(task, start, wanted)
+        return _posed(task, start, wanted, seconds)
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     try:
@@ -153,7 +166,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any) -> list[Equilibrium]:
     return sorted(found, key=lambda e: -e.margin)
 
 
-def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
+def _posed(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
     miss = least_miss(task.chart, position)
@@ -161,24 +174,28 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
         raise SolveError(
             f"no plan exists: the goal is out of reach, the tip comes no closer to it than {miss * 1e3:.4g} mm"
         )
-    return [inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal)).equilibrium]
+    try:
+        answer = inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal, seconds))
+    except SolveError as error:
+        raise SolveError(f"no plan was found, since no joint values meet the goal: {error}") from None
+    return [answer.equilibrium]
 
 
-def _postures(task: Task, start: Equilibrium, goal: TipGoal) -> list[Equilibrium]:
+def _postures(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> list[Equilibrium]:
     """All equilibria whose tip has a pose, as far as inverse kinematics finds them."""
     robot = task.chart.space.robot
-    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_inverse(task, start, goal))
+    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_inverse(task, start, goal, seconds))
     return [answer.equilibrium for answer in answers]
 
 
-def _inverse(task: Task, start: Equilibrium, goal: TipGoal) -> dict[str, Any]:
+def _inverse(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> dict[str, Any]:
     return {
         "direction": goal.direction,
         "seed": start,
         "min_margin": task.min_margin + 2 * FINISHED,
         "limits": limits_of(task.chart.space),
         "obstacles": task.obstacles,
-        "options": InverseOptions(clearance=task.clearance),
+        "options": InverseOptions(clearance=task.clearance, time_limit=seconds),
     }
 
 

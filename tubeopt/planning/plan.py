@@ -38,6 +38,9 @@ PROOF, PROOF_SAMPLE = 0.1, 1e-3
 ATTEMPTS = 3
 """Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
 
+SHARE_OF_GOAL = 0.6
+"""Share of the time limit after which the search for joints that meet a goal of the tip tries no further start."""
+
 FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
 """Seconds below which only the nearest posture for a goal of the tip is tried, and what part of more it gets."""
 
@@ -78,7 +81,8 @@ def plan_trajectory(
     task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
-    goals = ends(task, first, goal, modulo_turns=options.modulo_turns)
+    seconds = SHARE_OF_GOAL * options.time_limit
+    goals = ends(task, first, goal, modulo_turns=options.modulo_turns, seconds=seconds)
     faults: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
         goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
@@ -109,7 +113,9 @@ def _way(
     if way.points is not None or not postures:
         return goals, way
     rest = Clock(left - search.seconds)
-    others = other_ends(task, first, goal, goals, modulo_turns=options.modulo_turns)
+    others = other_ends(
+        task, first, goal, goals, modulo_turns=options.modulo_turns, seconds=0.5 * (rest.limit - rest.seconds)
+    )
     goals = [*goals, *others]
     again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
     return goals, replace(again, motions=way.motions + again.motions)
