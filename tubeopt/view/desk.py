@@ -23,16 +23,7 @@ from .plots import torsion_plot
 from .reel import Reel, load_waypoints, make_reel, play_to
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
-from .session import (
-    Session,
-    clear_trail,
-    go_home,
-    move,
-    move_joint,
-    other_equilibria,
-    record,
-    redesign,
-)
+from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
 from .surfaces import between
 from .swept import swept_volume
 from .view import View
@@ -63,6 +54,7 @@ class Desk:
         self._trail = True
         self._target: Any = None
         self._pulling = False
+        self._stale = False
         self.panel = Panel(client.gui, self, view)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._worker = Worker(
@@ -169,7 +161,15 @@ class Desk:
     # --- in the worker -----------------------------------------------------------------------------------------------
 
     def _do(self, job: Callable[[], object], *, key: str | None = None) -> None:
-        self._worker.post(job, key=key)
+        def go() -> None:
+            try:
+                job()
+            finally:
+                # What waited did not show the change that left it to be shown.
+                if self._stale and not self._worker.waiting:
+                    self._refresh()
+
+        self._worker.post(go, key=key)
 
     def _by_hand(self, job: Callable[[], object], *, key: str | None = None) -> None:
         """Have something done to the robot; a trajectory that is being played pauses for it."""
@@ -217,11 +217,13 @@ class Desk:
             self.panel.untick("workspace", "swept")
         said = words()
         self._say(said, bad=bool(said))
+        self._stale = True
         if not self._worker.waiting:
             self._refresh(None if said else dragged)
 
     def _refresh(self, dragged: int | None = None) -> None:
         """Show the session; the slider that is being dragged is left to the hand."""
+        self._stale = False
         equilibrium = self.session.equilibrium
         with self._client.atomic():
             self.scene.show(equilibrium)

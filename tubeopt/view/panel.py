@@ -42,6 +42,7 @@ class Panel:
     def __init__(self, gui: Any, desk: Desk, view: View) -> None:
         self._gui, self._desk, self._view = gui, desk, view
         self._shown: dict[int, float] = {}
+        self._in_hand: set[int] = set()
         self._layers: dict[str, Any] = {}
         robot = view.robot
         gui.main_panel.dock_right()
@@ -110,10 +111,10 @@ class Panel:
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
             if (slider.min, slider.max) != shown:
                 slider.min, slider.max = shown
-            if k != dragged:
+            if k != dragged or not self._held(slider):
                 self._put(slider, round(float(value), 1))
-        if self._mirror and dragged != MIRROR:
-            self._sync_mirror(np.degrees(session.equilibrium.rotations))
+        if self._mirror:
+            self._sync_mirror(np.degrees(session.equilibrium.rotations), dragged=dragged == MIRROR)
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * 1e3)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
@@ -121,13 +122,14 @@ class Panel:
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
 
-    def _sync_mirror(self, rotations: np.ndarray) -> None:
+    def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
         direction, ahead, behind = rotations
         separation = (ahead - behind) / 2
         if abs(ahead + behind - 2 * direction) < STEP and -STEP / 2 < separation < self._mirror[1].max + STEP / 2:
             for slider, value in zip(self._mirror, (direction, max(separation, 0.0)), strict=True):
-                self._put(slider, round(float(value), 1))
+                if not dragged or not self._held(slider):
+                    self._put(slider, round(float(value), 1))
 
     def untick(self, *layers: str) -> None:
         """Layers are shown no more: what they show is of other tubes. Tells the desk as a click would."""
@@ -147,14 +149,20 @@ class Panel:
     def _put(self, widget: Any, value: float) -> None:
         """Set a widget without taking it for a wish of the user; what shows it already is left to the hand."""
         if self._shown.get(id(widget)) != value:
+            self._in_hand.discard(id(widget))
             self._shown[id(widget)] = value
             widget.value = value
+
+    def _held(self, widget: Any) -> bool:
+        """Whether a widget shows what the hand last put there: a trajectory may have moved it since."""
+        return id(widget) in self._in_hand
 
     def _wished(self, event: Any) -> bool:
         """Whether an event is a user's, and not an echo of what was put there."""
         wish = event.client is not None and abs(event.target.value - self._shown.get(id(event.target), np.inf)) > 1e-6
         if wish:
             self._shown[id(event.target)] = event.target.value
+            self._in_hand.add(id(event.target))
         return bool(wish)
 
     # --- built -------------------------------------------------------------------------------------------------------
