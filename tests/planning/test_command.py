@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,16 @@ def test_films_end_in_a_known_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(InputError, match=r"must end in \.gif or \.mp4"):
         animate_trajectory(plan, tmp_path / "film.avi")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="MP4 needs ffmpeg")
+def test_a_film_in_mp4(tmp_path: Path) -> None:
+    plan = plan_trajectory(
+        load_robot(THESIS), ([0.0] * 3, None), ([0.1, 0.0, 0.0], None), options=PlanOptions(objective="none")
+    )
+    film = animate_trajectory(plan, tmp_path / "film.mp4", frames=5)
+    assert film.read_bytes()[4:8] == b"ftyp"
+    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
 
 def test_a_search_that_runs_out_of_time_saves_what_it_found(
