@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from ..batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
@@ -15,7 +16,7 @@ from ..tubes import Tube
 from .checks import whole
 from .pool import Progress, executor, run_all
 from .pose import Pose
-from .solved import solve_pose, without_solving
+from .solved import without_solving
 
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of the normal distribution."""
@@ -170,11 +171,8 @@ def _batch(
         certificates[k] = min(
             Pose(without_solving(tubes, np.minimum(row, straight))).certificate[0] for row in translations
         )
-        for p, (rotations, shift) in enumerate(poses):
-            try:
-                pose = Pose(solve_pose(tubes, np.asarray(rotations), np.minimum(shift, straight)))
-            except SolveError:
-                continue
-            if pose.margin > 0:
-                tips[k, p] = pose.position[-1]
+        if poses:
+            rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
+            found = forward_kinematics_batch(ConcentricRobot(tubes), rotations, np.minimum(shift, straight))
+            tips[k, found.stable] = found.tip_position[found.stable]
     return certificates, tips
