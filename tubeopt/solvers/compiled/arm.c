@@ -81,7 +81,7 @@ static int softest(const Unknowns *q, const State *state, double *h, double *z) 
     for (int k = 0; k < q->size; k++) z[k] = 1 + (7 * k) % 5;
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
-    least_eigenvalue(h, q->size, STRIDE, z, 1);
+    least_eigenvalue(h, q->size, STRIDE, ROUGH_STEP, z, 1);
     return 1;
 }
 
@@ -119,7 +119,7 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
         for (int k = 0; k < fine->size; k++) z[k] = 1 + (7 * k) % 5;
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;
-    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, z, 0));
+    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_STEP, z, 0));
 }
 
 /* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what

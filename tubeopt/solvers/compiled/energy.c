@@ -12,10 +12,10 @@ typedef struct {
     const Layout *layout;
     const Tubes *tubes;
     const Tableau *tableau;
-    int points, size, first[N], count[N];
+    int points, size, first[N], count[N], lead[N];
     int piece[MOST_POINTS], place[MOST_POINTS][N], point[MOST_UNKNOWNS];
     double s[MOST_POINTS], weight[MOST_POINTS];
-    double factor[FACTOR_SIZE], *part[N]; /* L of each tube, (count, count) by rows */
+    double factor[FACTOR_SIZE], *part[N]; /* L of each tube, (count, lead) by rows, 0 above the diagonal */
 #if ECCENTRIC
     double compliance[FACTOR_SIZE]; /* L L' of each tube, as `factor` */
 #endif
@@ -32,28 +32,30 @@ typedef struct {
 static int factorise(Unknowns *q, int tube) {
     const Tableau *t = q->tableau;
     const Layout *l = q->layout;
-    int n = q->count[tube], k = t->degree;
+    int n = q->count[tube], lead = q->lead[tube], k = t->degree;
     double *a = q->part[tube], local[MOST_DEGREE][MOST_DEGREE], scale = 1 / q->tubes->kt[tube];
     for (int i = 0; i < k; i++)
         for (int j = 0; j < k; j++) {
             local[i][j] = 0;
             for (int m = 0; m < k; m++) local[i][j] += t->matrix[i * k + m] * t->matrix[j * k + m] / t->weights[m];
         }
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < n; i++) {
+        for (int j = i + 1; j < lead; j++) a[i * lead + j] = 0;
         for (int j = 0; j <= i; j++) {
             int x = q->point[q->first[tube] + i], y = q->point[q->first[tube] + j], p = q->piece[x];
             double green = p == q->piece[y] ? l->start[p] + l->length[p] * local[x % k][y % k] : q->s[y];
-            a[i * n + j] = (l->transmission[tube] + green) * scale;
+            a[i * lead + j] = (l->transmission[tube] + green) * scale;
 #if ECCENTRIC
             double *whole = q->compliance + (a - q->factor);
-            whole[i * n + j] = whole[j * n + i] = a[i * n + j];
+            whole[i * lead + j] = whole[j * lead + i] = a[i * lead + j];
 #endif
         }
+    }
     for (int j = 0; j < n; j++) {
-        double pivot = a[j * n + j] - dot(a + j * n, a + j * n, j);
+        double *row = a + j * lead, pivot = row[j] - dot(row, row, j);
         if (!(pivot > 0)) return 0;
-        a[j * n + j] = pivot = sqrt(pivot);
-        for (int i = j + 1; i < n; i++) a[i * n + j] = (a[i * n + j] - dot(a + i * n, a + j * n, j)) / pivot;
+        row[j] = sqrt(pivot);
+        for (int i = j + 1; i < n; i++) a[i * lead + j] = (a[i * lead + j] - dot(a + i * lead, row, j)) / row[j];
     }
     return 1;
 }
@@ -78,12 +80,13 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
             int p = q->piece[x], mine = all ? l->present[p][i] : l->curved[p][i];
             q->place[x][i] = mine ? q->size - q->first[i] : -1;
             if (q->place[x][i] < 0) continue;
-            if (q->size == MOST_UNKNOWNS) return 0;
+            if (q->size == MOST_UNKNOWNS - 4) return 0; /* room to fill up to a multiple of four */
             q->point[q->size++] = x;
         }
         q->count[i] = q->size - q->first[i];
+        q->lead[i] = filled_up(q->count[i]);
         q->part[i] = q->factor + used;
-        used += (size_t)q->count[i] * q->count[i];
+        used += (size_t)q->count[i] * q->lead[i];
         if (!factorise(q, i)) return 0;
     }
     return 1;
@@ -93,7 +96,7 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
 static void times_factor(const Unknowns *q, const double *x, double *out) {
     for (int i = 0; i < N; i++)
         for (int a = 0; a < q->count[i]; a++)
-            out[q->first[i] + a] = dot(q->part[i] + a * q->count[i], x + q->first[i], a + 1);
+            out[q->first[i] + a] = dot(q->part[i] + a * q->lead[i], x + q->first[i], a + 1);
 }
 
 /* The largest turn that a step in z makes, rad. */
@@ -107,7 +110,7 @@ static void to_unknowns(const Unknowns *q, const double *alpha, double theta[][N
     for (int i = 0; i < N; i++) {
         double *x = z + q->first[i];
         for (int a = 0; a < q->count[i]; a++) {
-            const double *row = q->part[i] + a * q->count[i];
+            const double *row = q->part[i] + a * q->lead[i];
             x[a] = (theta[q->point[q->first[i] + a]][i] - alpha[i] - dot(row, x, a)) / row[a];
         }
     }
@@ -138,7 +141,7 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
     for (int i = 0; i < N; i++) {
         double *g = state->gradient + q->first[i];
         for (int a = 0; a < q->count[i]; a++) {
-            const double *row = q->part[i] + a * q->count[i];
+            const double *row = q->part[i] + a * q->lead[i];
             int x = q->point[q->first[i] + a];
             double load = q->weight[x] * state->moment[x][i];
             for (int r = 0; r <= a; r++) g[r] += row[r] * load;
@@ -146,25 +149,32 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
     }
 }
 
-/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE. */
-static void second_variation(const Unknowns *q, const State *state, double *restrict h) {
-    for (int r = 0; r < q->size; r++) {
-        memset(h + (size_t)r * STRIDE, 0, q->size * sizeof(double));
-        h[(size_t)r * STRIDE + r] = 1;
-    }
+/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE, in squares of four by four: each is laid over what the one
+   before it has too much. */
+static void second_variation(const Unknowns *q, const State *state, double *h) {
     for (int i = 0; i < N; i++)
-        for (int j = i; j < N; j++)
+        for (int j = i; j < N; j++) {
+            double value[MOST_POINTS];
+            int place[MOST_POINTS];
             for (int a = 0; a < q->count[i]; a++) {
                 int x = q->point[q->first[i] + a], c = q->place[x][j];
-                if (c < 0) continue;
-                const double *left = q->part[i] + a * q->count[i], *restrict right = q->part[j] + c * q->count[j];
-                double value = q->weight[x] * state->slope[x][j * N + i];
-                for (int r = 0; r <= a; r++) {
-                    double *restrict row = h + (size_t)(q->first[i] + r) * STRIDE + q->first[j];
-                    double scale = value * left[r];
-                    for (int k = i == j ? r : 0; k <= c; k++) row[k] += scale * right[k];
-                }
+                value[a] = c < 0 ? 0 : q->weight[x] * state->slope[x][j * N + i];
+                place[a] = c < 0 ? 0 : c;
             }
+            for (int r = 0; r < q->count[i]; r += 4)
+                for (int k = i == j ? r : 0, from = r; k < q->count[j]; k += 4) {
+                    Four sum[4] = {{0}};
+                    while (from < q->count[i] && place[from] < k) from++; /* L is 0 above its diagonal */
+                    for (int a = from; a < q->count[i]; a++) {
+                        Four left = value[a] * FOUR(q->part[i] + a * q->lead[i] + r);
+                        Four right = FOUR(q->part[j] + place[a] * q->lead[j] + k);
+                        for (int v = 0; v < 4; v++) sum[v] += left[v] * right;
+                    }
+                    double *square = h + (size_t)(q->first[i] + r) * STRIDE + q->first[j] + k;
+                    for (int v = 0; v < 4; v++) FOUR(square + (size_t)v * STRIDE) = sum[v];
+                }
+        }
+    for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += 1;
 }
 
 /* The largest violation of the collocation equations, rad. */

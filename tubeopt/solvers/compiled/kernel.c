@@ -10,7 +10,7 @@
 #define MOST_POINTS (MOST_PIECES * MOST_DEGREE)
 #define MOST_SHAPE (MOST_PIECES * STEPS + 1)
 #define STRIDE MOST_UNKNOWNS
-#define FACTOR_SIZE (MOST_UNKNOWNS * MOST_UNKNOWNS)
+#define FACTOR_SIZE (MOST_UNKNOWNS * (MOST_UNKNOWNS + 4))
 
 #include "layout.c"
 #include "linear.c"
@@ -58,10 +58,13 @@ static int newton_from(double theta[][N], const double *alpha, Workspace *w, int
 
 /* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
 static int from_untwisted(const Method *method, const double *alpha, Workspace *w, int *iterations, double *ratio) {
-    State *state = &w->state;
     double theta[MOST_POINTS][N];
-    memset(state->z, 0, sizeof state->z);
-    if (descend(&w->coarse, alpha, state, &w->trial, w->matrix, COARSE_STEP, iterations)) return DECLINED;
+    memset(w->state.z, 0, sizeof w->state.z);
+#if ECCENTRIC
+    memset(w->state.extra, 0, sizeof w->state.extra); /* of the solve before */
+#endif
+    const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, w->matrix, COARSE_STEP, iterations);
+    if (!state) return DECLINED;
     integrate(&w->coarse, alpha, state, &w->arm);
     interpolate(&w->coarse, &w->arm, UNKNOWNS(w), method->twice, theta);
     return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);

@@ -37,8 +37,8 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fass
 DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
 
-MOST_PIECES, MOST_UNKNOWNS = 32, 168
-"""What the kernel has room for; larger arms go to the general solver."""
+MOST_PIECES, MOST_UNKNOWNS = 32, 172
+"""What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
 
 COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
 """A descent on the coarse points ends with a step below the first, rad; Newton keeps its factors below the second."""
@@ -46,8 +46,9 @@ COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
 MOST_WARM_ITERATIONS = 12
 """From a guess: more than what Newton needs close by, since steps with kept factors count too."""
 
-LANCZOS, EIGENVALUE_STEP = 48, 1e-9
-"""Most Lanczos steps for the margin, which ends when two more raise 1 / margin by less than this fraction."""
+LANCZOS, EIGENVALUE_STEP, ROUGH_STEP = 48, 1e-9, 1e-4
+"""Most Lanczos steps for the margin, which ends when two more raise 1 / margin by less than a fraction: that of the
+solution, and that of the coarse points, which only tell where to start."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
@@ -103,6 +104,7 @@ def source(n: int, eccentric: bool) -> str:
         "CHORD_STEP": CHORD_STEP,
         "LANCZOS": LANCZOS,
         "EIGENVALUE_STEP": EIGENVALUE_STEP,
+        "ROUGH_STEP": ROUGH_STEP,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
@@ -111,7 +113,8 @@ def source(n: int, eccentric: bool) -> str:
     kernel = (HERE / "kernel.c").read_text()
     for name, text in parts.items():
         kernel = kernel.replace(f'#include "{name}.c"\n', text)
-    return f"{defines}{generator.dump()}\n{kernel}"
+    sine = (HERE / "sine.c").read_text()
+    return f"{defines}{sine}\n{generator.dump()}\n{kernel}"
 
 
 def _compiler() -> list[str] | None:

@@ -1,34 +1,85 @@
-/* Dense linear algebra for matrices of a few dozen rows, stored by rows with leading dimension `stride`. */
+/* Dense linear algebra for matrices of a few dozen rows, stored by rows with leading dimension `stride`.
 
-/* Upper R with A = R'R in the upper triangle of a; 0 where A is not positive definite. */
-static int cholesky(double *restrict a, int n, int stride) {
-    for (int k = 0; k < n; k++) {
-        double *row = a + (size_t)k * stride;
-        if (!(row[k] > 1e-13)) return 0;
-        double inverse = 1 / sqrt(row[k]);
-        for (int j = k; j < n; j++) row[j] *= inverse;
-        for (int i = k + 1; i < n; i++) {
-            double *restrict below = a + (size_t)i * stride;
-            double factor = row[i];
-            for (int j = i; j < n; j++) below[j] -= factor * row[j];
+   Cholesky's factors are worked on in squares of four by four, rows and columns filled up with those of the unit matrix
+   to a multiple of four: `a` and `x` need room for these. */
+
+typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+#define FOUR(place) (*(Four *)(place))
+
+static int filled_up(int n) { return (n + 3) / 4 * 4; }
+
+/* The square at a[0] = R'R, upper triangle in place, with the inverse of R's diagonal; 0 where that cannot be. */
+static int cholesky_of_four(double *a, int stride) {
+    for (int k = 0; k < 4; k++) {
+        double *row = a + k * stride, pivot = row[k];
+        if (!(pivot > 1e-13)) return 0;
+        row[k] = 1 / sqrt(pivot);
+        for (int j = k + 1; j < 4; j++) row[j] *= row[k];
+        for (int i = k + 1; i < 4; i++)
+            for (int j = i; j < 4; j++) a[i * stride + j] -= row[i] * row[j];
+    }
+    return 1;
+}
+
+/* Upper R with A = R'R in the upper triangle of a, the inverse of its diagonal on the diagonal; 0 where A is not
+   positive definite. */
+static int cholesky(double *a, int n, int stride) {
+    int whole = filled_up(n);
+    for (int r = 0; r < whole; r++)
+        for (int j = r < n ? n : 0; j < whole; j++) a[(size_t)r * stride + j] = r == j;
+    for (int k = 0; k < whole; k += 4) {
+        double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
+        if (!cholesky_of_four(r0 + k, stride)) return 0;
+        for (int j = k + 4; j < whole; j += 4) {
+            FOUR(r0 + j) *= r0[k];
+            FOUR(r1 + j) = (FOUR(r1 + j) - r0[k + 1] * FOUR(r0 + j)) * r1[k + 1];
+            FOUR(r2 + j) = (FOUR(r2 + j) - r0[k + 2] * FOUR(r0 + j) - r1[k + 2] * FOUR(r1 + j)) * r2[k + 2];
+            FOUR(r3 + j) = (FOUR(r3 + j) - r0[k + 3] * FOUR(r0 + j) - r1[k + 3] * FOUR(r1 + j) -
+                            r2[k + 3] * FOUR(r2 + j)) * r3[k + 3];
+        }
+        for (int i = k + 4; i < whole; i += 4) {
+            Four f0 = FOUR(r0 + i), f1 = FOUR(r1 + i), f2 = FOUR(r2 + i), f3 = FOUR(r3 + i);
+            for (int j = i; j < whole; j += 4) {
+                Four v0 = FOUR(r0 + j), v1 = FOUR(r1 + j), v2 = FOUR(r2 + j), v3 = FOUR(r3 + j);
+                for (int r = 0; r < 4; r++)
+                    FOUR(a + (size_t)(i + r) * stride + j) -= f0[r] * v0 + f1[r] * v1 + f2[r] * v2 + f3[r] * v3;
+            }
         }
     }
     return 1;
 }
 
+static double sum_of_four(Four x) { return (x[0] + x[1]) + (x[2] + x[3]); }
+
 /* x <- (R'R)^-1 x */
-static void cholesky_solve(const double *restrict a, int n, int stride, double *restrict x) {
-    for (int k = 0; k < n; k++) {
-        const double *row = a + (size_t)k * stride;
-        double value = x[k] / row[k];
-        x[k] = value;
-        for (int j = k + 1; j < n; j++) x[j] -= row[j] * value;
+static void cholesky_solve(const double *a, int n, int stride, double *x) {
+    int whole = filled_up(n);
+    for (int j = n; j < whole; j++) x[j] = 0;
+    for (int k = 0; k < whole; k += 4) {
+        const double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
+        double x0 = x[k] * r0[k], x1 = (x[k + 1] - r0[k + 1] * x0) * r1[k + 1];
+        double x2 = (x[k + 2] - r0[k + 2] * x0 - r1[k + 2] * x1) * r2[k + 2];
+        double x3 = (x[k + 3] - r0[k + 3] * x0 - r1[k + 3] * x1 - r2[k + 3] * x2) * r3[k + 3];
+        FOUR(x + k) = (Four){x0, x1, x2, x3};
+        for (int j = k + 4; j < whole; j += 4)
+            FOUR(x + j) -= x0 * FOUR(r0 + j) + x1 * FOUR(r1 + j) + x2 * FOUR(r2 + j) + x3 * FOUR(r3 + j);
     }
-    for (int k = n - 1; k >= 0; k--) {
-        const double *row = a + (size_t)k * stride;
-        double sum = x[k];
-        for (int j = k + 1; j < n; j++) sum -= row[j] * x[j];
-        x[k] = sum / row[k];
+    for (int k = whole - 4; k >= 0; k -= 4) {
+        const double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
+        Four s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
+        for (int j = k + 4; j < whole; j += 4) {
+            Four y = FOUR(x + j);
+            s0 += FOUR(r0 + j) * y;
+            s1 += FOUR(r1 + j) * y;
+            s2 += FOUR(r2 + j) * y;
+            s3 += FOUR(r3 + j) * y;
+        }
+        double x3 = (x[k + 3] - sum_of_four(s3)) * r3[k + 3];
+        double x2 = (x[k + 2] - sum_of_four(s2) - r2[k + 3] * x3) * r2[k + 2];
+        double x1 = (x[k + 1] - sum_of_four(s1) - r1[k + 3] * x3 - r1[k + 2] * x2) * r1[k + 1];
+        double x0 = (x[k] - sum_of_four(s0) - r0[k + 3] * x3 - r0[k + 2] * x2 - r0[k + 1] * x1) * r0[k];
+        FOUR(x + k) = (Four){x0, x1, x2, x3};
     }
 }
 
@@ -81,54 +132,55 @@ static void lu_solve(const double *restrict a, int n, int stride, const int *piv
     }
 }
 
-/* Largest eigenvalue of the symmetric tridiagonal matrix (d, e) of n rows, not below `least`, by bisection on
-   the Sturm sequence. */
-static double largest_of_tridiagonal(const double *d, const double *e, int n, double least) {
-    double low = fmax(d[0], least), high = low;
-    for (int i = 0; i < n; i++) {
-        double reach = (i ? fabs(e[i - 1]) : 0) + (i + 1 < n ? fabs(e[i]) : 0);
-        low = fmax(low, d[i]);
-        high = fmax(high, d[i] + reach);
-    }
-    for (int step = 0; step < 60 && high - low > 1e-13 * high; step++) {
-        double x = (low + high) / 2, q = 1;
-        int above = 0;
+/* Largest eigenvalue of the symmetric tridiagonal matrix (d, e) of n rows, e not 0: Laguerre's method on its
+   characteristic polynomial, which from above all roots comes down to the largest one without passing it. */
+static double largest_of_tridiagonal(const double *d, const double *e, int n) {
+    double x = d[0];
+    for (int i = 0; i < n; i++) x = fmax(x, d[i] + (i ? fabs(e[i - 1]) : 0) + (i + 1 < n ? fabs(e[i]) : 0));
+    for (int step = 0; step < 60; step++) {
+        /* q: ratio of successive leading minors of x - T; a, b: q'/q, q''/q; sums are those of p'/p and of its slope. */
+        double a = 0, b = 0, inverse = 0, first = 0, second = 0;
         for (int i = 0; i < n; i++) {
-            q = d[i] - x - (i ? e[i - 1] * e[i - 1] / q : 0);
-            if (fabs(q) < 1e-300) q = 1e-300;
-            above += q > 0;
+            double squared = i ? e[i - 1] * e[i - 1] * inverse : 0, q = x - d[i] - squared;
+            if (!(q > 0)) return x; /* at the root, to rounding */
+            double once = 1 + squared * a, twice = squared * (b - 2 * a * a);
+            inverse = 1 / q;
+            a = once * inverse;
+            b = twice * inverse;
+            first += a;
+            second += a * a - b;
         }
-        if (above) low = x; else high = x;
+        double spread = (n - 1) * (n * second - first * first), down = n / (first + sqrt(fmax(spread, 0)));
+        x -= down;
+        if (down < 1e-14 * fabs(x)) break;
     }
-    return (low + high) / 2;
+    return x;
 }
 
 /* Least eigenvalue of A = R'R (cholesky): the largest of its inverse by Lanczos with reorthogonalisation from `vector`,
-   where the eigenvector is left if `wanted`. */
-static double least_eigenvalue(const double *r, int n, int stride, double *vector, int wanted) {
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], diagonal[LANCZOS], beside[LANCZOS], value = 0;
+   where the eigenvector is left if `wanted`. It ends when two more steps raise the largest by less than `step` of it. */
+static double least_eigenvalue(const double *r, int n, int stride, double step, double *vector, int wanted) {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], diagonal[LANCZOS], beside[LANCZOS], value = 0, before = 0, lower;
     int steps = n < LANCZOS ? n : LANCZOS, m = 0;
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[0][k] = vector[k] / norm;
     for (;; m++) {
-        double *restrict next = basis[m + 1], before;
+        double *restrict next = basis[m + 1], whole;
         memcpy(next, basis[m], n * sizeof(double));
         cholesky_solve(r, n, stride, next);
         diagonal[m] = dot(next, basis[m], n);
         do { /* Twice is enough: again only where most of the vector went away. */
-            before = dot(next, next, n);
+            whole = dot(next, next, n);
             for (int j = 0; j <= m; j++) {
                 double along = dot(next, basis[j], n);
                 for (int k = 0; k < n; k++) next[k] -= along * basis[j][k];
             }
             beside[m] = sqrt(dot(next, next, n));
-        } while (beside[m] * beside[m] < 1e-2 * before && beside[m] > 1e-13);
-        int last = m + 1 == steps || beside[m] < 1e-13;
-        if (last || m % 2) {
-            double lower = value;
-            value = largest_of_tridiagonal(diagonal, beside, m + 1, lower);
-            if (last || value - lower < EIGENVALUE_STEP * value) break;
-        }
+        } while (beside[m] * beside[m] < 1e-2 * whole && beside[m] > 1e-13);
+        lower = before;
+        before = value;
+        value = largest_of_tridiagonal(diagonal, beside, m + 1);
+        if (m + 1 == steps || beside[m] < 1e-13 || value - lower < step * value) break;
         for (int k = 0; k < n; k++) next[k] /= beside[m];
     }
     if (!wanted) return 1 / value;

@@ -16,9 +16,10 @@ static int downhill(const Unknowns *q, const State *state, double *h, double *st
     return 0;
 }
 
-/* Newton on the energy, steps shortened until it falls, until they turn no point by more than `small`, rad. */
-static int descend(const Unknowns *q, const double *alpha, State *state, State *trial, double *h, double small,
-                   int *iterations) {
+/* Newton on the energy, steps shortened until it falls, until they turn no point by more than `small`, rad. Returns
+   where it ends, `state` or `trial`; NULL where it is declined. */
+static State *descend(const Unknowns *q, const double *alpha, State *state, State *trial, double *h, double small,
+                      int *iterations) {
     double step[MOST_UNKNOWNS];
     evaluate(q, alpha, state);
     for (int k = 0; k < MOST_ITERATIONS; k++) {
@@ -26,17 +27,19 @@ static int descend(const Unknowns *q, const double *alpha, State *state, State *
         int convex = downhill(q, state, h, step);
         double size = turn_of(q, step), scale = size > LONGEST_STEP ? LONGEST_STEP / size : 1;
         double slope = dot(state->gradient, step, q->size);
-        if (!isfinite(size)) return DECLINED;
+        if (!isfinite(size)) return NULL;
         for (int half = 0;; half++, scale /= 2) {
             for (int r = 0; r < q->size; r++) trial->z[r] = state->z[r] + scale * step[r];
             evaluate(q, alpha, trial);
             if (trial->energy <= state->energy + 1e-4 * scale * slope + 1e-13 * fabs(state->energy)) break;
-            if (half == 40) return DECLINED;
+            if (half == 40) return NULL;
         }
-        memcpy(state, trial, sizeof(State));
-        if (size <= small) return convex ? SOLVED : DECLINED;
+        State *left = state;
+        state = trial;
+        trial = left;
+        if (size <= small) return convex ? state : NULL;
     }
-    return DECLINED;
+    return NULL;
 }
 
 /* Full Newton steps at a place close to a minimum; `contraction` is the largest ratio of successive steps. A step

@@ -46,7 +46,7 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
             double sum = state->theta[x][i] - alpha[i];
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                sum += compliance[a * q->count[i] + c] * q->weight[y] * state->moment[y][i];
+                sum += compliance[a * q->lead[i] + c] * q->weight[y] * state->moment[y][i];
             }
             for (int y = 0; y < q->points; y++) sum -= e->up_to[x][y] * state->extra[y][i];
             e->residual[q->first[i] + a] = sum;
@@ -69,7 +69,7 @@ static void stretched_jacobian(const Unknowns *q, const State *state, const Stre
             }
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                through[y] += compliance[a * q->count[i] + c] * q->weight[y];
+                through[y] += compliance[a * q->lead[i] + c] * q->weight[y];
             }
             for (int j = 0; j < N; j++)
                 for (int c = 0; c < q->count[j]; c++) {
