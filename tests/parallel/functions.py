@@ -9,11 +9,17 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
+
 from tubeopt import InputError
 
 
 def square(x: int) -> int:
     return x * x
+
+
+def evaluated(function: ca.Function, x: float) -> float:
+    return float(function(x))
 
 
 def picky(x: int) -> int:

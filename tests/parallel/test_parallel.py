@@ -5,19 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import casadi as ca
 import pytest
 
 from tubeopt import InputError
 from tubeopt.parallel import Failure, each, executor
 
-from .functions import Weighed, picky, slow, square
+from .functions import Weighed, evaluated, picky, slow, square
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,6 +37,14 @@ def test_the_function_arrives_once_per_worker() -> None:
     assert {(o.index, o.value[0]) for o in found if o.value} == {(k, 3 * k) for k in range(40)}
     assert {o.value[2] for o in found if o.value} == {1}
     assert os.getpid() not in {o.value[1] for o in found if o.value}
+
+
+def test_functions_of_casadi_travel_as_casadi_writes_them() -> None:
+    theta = ca.SX.sym("theta")
+    function = ca.Function("f", [theta], [ca.sin(theta) ** 2])
+    assert function.serialize().encode() in pickle.dumps(function)
+    found = {outcome.index: outcome for outcome in each(partial(evaluated, function), range(6), workers=2)}
+    assert [found[k].value for k in range(6)] == pytest.approx([math.sin(k) ** 2 for k in range(6)], abs=1e-15)
 
 
 def test_what_raises_costs_its_own_item_only() -> None:
@@ -106,7 +117,7 @@ def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
 def _alive(process: int) -> bool:
     try:
         return Path(f"/proc/{process}/stat").read_text().split()[2] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the second where it ends while it is read
         return False
 
 

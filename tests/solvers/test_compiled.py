@@ -204,3 +204,13 @@ def test_long_arms_go_to_the_general_solver() -> None:
     one = forward_kinematics(robot, (0.0, 0.02, 0.04))
     assert one.residual < 1e-9
     assert one.statistics.elements > 16
+
+
+@compiler
+def test_whole_turns_change_nothing() -> None:
+    """Turning every joint by the same 150 turns, near the most that is allowed, leaves the shape as it was."""
+    random = np.random.default_rng(8)
+    alpha = random.uniform(-np.pi, np.pi, (50, 3))
+    here, there = (forward_kinematics_batch(CRL, alpha + 2 * np.pi * turns) for turns in (0, 150))
+    assert there.tip_position == pytest.approx(here.tip_position, abs=1e-13)
+    assert there.margin == pytest.approx(here.margin, abs=1e-9)

@@ -44,11 +44,12 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, and what it answers, whole and by field."""
+    """Memory of one thread for one kernel: what it works in, and what it answers, whole and by field; where they are."""
 
     workspace: Array
     answer: Any
     fields: dict[str, Any]
+    at: tuple[int, int]
 
 
 _rooms = threading.local()
@@ -59,11 +60,11 @@ def _room(kernel: Library) -> _Room:
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
         fields = {name: answer[name] for name in kernel.answer.names or ()}
-        rooms[kernel] = _Room(np.zeros(kernel.workspace_size // 8 + 1), answer, fields)
+        workspace = np.zeros(kernel.workspace_size // 8 + 1)
+        rooms[kernel] = _Room(workspace, answer, fields, (_at(workspace), _at(answer)))
     return rooms[kernel]
 
 
-@lru_cache(maxsize=64)
 def _tubes(robot: Robot) -> Array:
     """The C struct Tubes of a robot."""
     home = robot.assembly(robot.home_translations)
@@ -83,8 +84,34 @@ def kernel_of(robot: Robot) -> Library | None:
     return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
 
+@lru_cache(maxsize=64)
+def _prepared(robot: Robot) -> tuple[Library, Array, int] | None:
+    """Kernel of a robot, its tubes, and where these are; None where there is no kernel."""
+    kernel = kernel_of(robot)
+    if kernel is None:
+        return None
+    tubes = _tubes(robot)
+    return kernel, tubes, _at(tubes)
+
+
 def _at(array: NDArray[Any]) -> int:
     return int(array.ctypes.data)
+
+
+def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[Array, int, int, Any]:
+    """All that goes in, in one piece of memory, since asking NumPy for an address takes a microsecond: that memory,
+    where rotations and translations are in it, and the C struct Guess."""
+    parts = [rotations, translations]
+    if start is not None:
+        parts += [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
+    flat = np.concatenate([part.ravel() for part in parts])
+    places = [_at(flat)]
+    for part in parts:
+        places.append(places[-1] + 8 * part.size)
+    if start is None:
+        return flat, places[0], places[1], None
+    guess = _Guess(len(start.arc_length), len(start.point), *places[2:-1])
+    return flat, places[0], places[1], ctypes.byref(guess)
 
 
 def solve_compiled(
@@ -94,19 +121,13 @@ def solve_compiled(
 
     None where the kernel declines or there is none.
     """
-    kernel = kernel_of(robot)
-    if kernel is None:
+    prepared = _prepared(robot)
+    if prepared is None:
         return None
-    room, guess, tubes = _room(kernel), None, _tubes(robot)
-    if start is not None:
-        arrays = [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
-        arrays = [np.ascontiguousarray(a, dtype=float) for a in arrays]
-        guess = ctypes.byref(_Guess(len(arrays[0]), len(arrays[3]), *(_at(a) for a in arrays)))
-    joints = np.concatenate([rotations, translations])
-    here = _at(joints)
-    status = kernel.solve(
-        _at(tubes), kernel.method, here, here + 8 * len(rotations), guess, _at(room.workspace), _at(room.answer)
-    )
+    kernel, _, tubes = prepared
+    room = _room(kernel)
+    _memory, alpha, shift, guess = _pack(rotations, translations, start)
+    status = kernel.solve(tubes, kernel.method, alpha, shift, guess, *room.at)
     return room.fields if status == SOLVED else None
 
 
@@ -116,12 +137,13 @@ def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> 
 
     None where there is no kernel. The interpreter is free while it runs.
     """
-    kernel = kernel_of(robot)
-    if kernel is None:
+    prepared = _prepared(robot)
+    if prepared is None:
         return None
-    room, count, tubes = _room(kernel), len(rotations), _tubes(robot)
+    kernel, _, tubes = prepared
+    room, count = _room(kernel), len(rotations)
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
-    arguments = [_at(tubes), kernel.method, count, _at(alpha), _at(shift), _at(table), _at(declined)]
-    kernel.solve_many(*arguments, _at(room.workspace), _at(room.answer))
+    places = (_at(a) for a in (alpha, shift, table, declined))
+    kernel.solve_many(tubes, kernel.method, count, *places, *room.at)
     return table, declined.astype(bool)
