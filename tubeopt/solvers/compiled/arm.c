@@ -76,12 +76,17 @@ static int never_softens(const Unknowns *q, const State *state, double *h) {
     return cholesky(h, q->size, STRIDE);
 }
 
+/* A direction that has something of every other. */
+static void anywhere(double *z, int n) {
+    for (int k = 0; k < n; k++) z[k] = 1 + (7 * k) % 5;
+}
+
 /* Softest direction z of the second variation at `state`; 0 where it is not stable. */
 static int softest(const Unknowns *q, const State *state, double *h, double *z) {
-    for (int k = 0; k < q->size; k++) z[k] = 1 + (7 * k) % 5;
+    anywhere(z, q->size);
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
-    least_eigenvalue(h, q->size, STRIDE, ROUGH_STEP, z, 1);
+    least_eigenvalue(h, q->size, STRIDE, ROUGH_ERROR, z);
     return 1;
 }
 
@@ -115,11 +120,10 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     evaluate(coarse, alpha, rough);
     memset(z, 0, sizeof z);
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
-    if (!(dot(z, z, fine->size) > 1e-30))
-        for (int k = 0; k < fine->size; k++) z[k] = 1 + (7 * k) % 5;
+    if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;
-    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_STEP, z, 0));
+    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_ERROR, z));
 }
 
 /* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what

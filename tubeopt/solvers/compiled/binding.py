@@ -44,7 +44,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, and what it answers, whole and by field; where they are."""
+    """Memory of one thread for one kernel: what it works in, what it answers, whole and by field; where both are."""
 
     workspace: Array
     answer: Any

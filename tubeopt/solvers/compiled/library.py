@@ -46,8 +46,8 @@ COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
 MOST_WARM_ITERATIONS = 12
 """From a guess: more than what Newton needs close by, since steps with kept factors count too."""
 
-LANCZOS, EIGENVALUE_STEP, ROUGH_STEP = 48, 1e-9, 1e-4
-"""Most Lanczos steps for the margin, which ends when two more raise 1 / margin by less than a fraction: that of the
+LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
+"""Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
 COUPLING_FLOOR = 1e-10
@@ -103,8 +103,8 @@ def source(n: int, eccentric: bool) -> str:
         "COARSE_STEP": COARSE_STEP,
         "CHORD_STEP": CHORD_STEP,
         "LANCZOS": LANCZOS,
-        "EIGENVALUE_STEP": EIGENVALUE_STEP,
-        "ROUGH_STEP": ROUGH_STEP,
+        "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
+        "ROUGH_ERROR": ROUGH_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())

@@ -157,10 +157,22 @@ static double largest_of_tridiagonal(const double *d, const double *e, int n) {
     return x;
 }
 
+/* The eigenvector y of the tridiagonal matrix to `value`, its largest eigenvalue, unit length. */
+static void vector_of_tridiagonal(const double *d, const double *e, int n, double value, double *y) {
+    double q = 0, squared = y[0] = 1;
+    for (int j = 0; j + 1 < n; j++) {
+        q = value - d[j] - (j ? e[j - 1] * e[j - 1] / q : 0);
+        y[j + 1] = y[j] * q / e[j];
+        squared += y[j + 1] * y[j + 1];
+    }
+    for (int j = 0; j < n; j++) y[j] /= sqrt(squared);
+}
+
 /* Least eigenvalue of A = R'R (cholesky): the largest of its inverse by Lanczos with reorthogonalisation from `vector`,
-   where the eigenvector is left if `wanted`. It ends when two more steps raise the largest by less than `step` of it. */
-static double least_eigenvalue(const double *r, int n, int stride, double step, double *vector, int wanted) {
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], diagonal[LANCZOS], beside[LANCZOS], value = 0, before = 0, lower;
+   where the eigenvector is left. Without coupling all eigenvalues are 1, and with it they gather there: the square of the
+   residual over the distance from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
+static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value;
     int steps = n < LANCZOS ? n : LANCZOS, m = 0;
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[0][k] = vector[k] / norm;
@@ -177,21 +189,14 @@ static double least_eigenvalue(const double *r, int n, int stride, double step, 
             }
             beside[m] = sqrt(dot(next, next, n));
         } while (beside[m] * beside[m] < 1e-2 * whole && beside[m] > 1e-13);
-        lower = before;
-        before = value;
         value = largest_of_tridiagonal(diagonal, beside, m + 1);
-        if (m + 1 == steps || beside[m] < 1e-13 || value - lower < step * value) break;
+        vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
+        double residual = beside[m] * y[m];
+        if (m + 1 == steps || beside[m] < 1e-13 || residual * residual < small * value * (value - 1)) break;
         for (int k = 0; k < n; k++) next[k] /= beside[m];
     }
-    if (!wanted) return 1 / value;
-    /* The eigenvector of the tridiagonal matrix, row by row. */
-    double here = 1, back = 0;
     memset(vector, 0, n * sizeof(double));
-    for (int j = 0; j <= m; j++) {
-        for (int k = 0; k < n; k++) vector[k] += here * basis[j][k];
-        double next = ((value - diagonal[j]) * here - (j ? beside[j - 1] * back : 0)) / beside[j];
-        back = here;
-        here = next;
-    }
+    for (int j = 0; j <= m; j++)
+        for (int k = 0; k < n; k++) vector[k] += y[j] * basis[j][k];
     return 1 / value;
 }
