@@ -88,7 +88,7 @@ def forward_kinematics_batch(
     alpha, shift = joint_arrays(robot, rotations, translations)
     positive("tolerance", tolerance)
     choice("on_failure", on_failure, ("return", "raise"))
-    if not isinstance(workers, int) or workers < 0:
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise InputError(f"workers is {workers!r}; it must be 0 (one per core) or a number of threads")
     _admissible(robot, shift)
     table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
@@ -127,8 +127,10 @@ def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | N
 def _table(name: str, values: ArrayLike) -> Array:
     try:
         array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} is no array of numbers; it must be (N, n)") from None
+    if not array.ndim:
+        raise InputError(f"{name} is {values!r}; it must be an array (N, n)")
     if not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0][0])
         raise InputError(f"{name}[{row}] is {array[row].tolist()}; every number must be finite")

@@ -38,6 +38,8 @@ def finite(name: str, value: Any) -> float:
     """Return `value` as a finite float, else raise InputError naming it."""
     try:
         number = float(value)
+    except OverflowError:
+        raise InputError(f"{name} is an integer beyond 1e308; it must be a finite number") from None
     except (TypeError, ValueError):
         raise InputError(f"{name} is {value!r}; it must be a number") from None
     if not math.isfinite(number):
@@ -67,7 +69,7 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
     if array.shape != (size,):
         got = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"

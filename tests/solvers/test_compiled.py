@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shlex
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from tubeopt import (
 )
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled import binding
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.binding import kernel_of
 
@@ -68,6 +70,11 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
     assert one.mesh_error == pytest.approx(other.mesh_error, rel=0.1, abs=1e-11)
     assert one.tip_error == pytest.approx(other.tip_error, rel=0.3, abs=1e-12)
     assert one.statistics.elements == other.statistics.elements
+
+
+def _with_kernel(robot: Robot, kernel: building.Library) -> tuple[building.Library, Array, int]:
+    tubes = binding._tubes(robot)
+    return kernel, tubes, binding._at(tubes)
 
 
 def joints_of(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:
@@ -120,6 +127,20 @@ def test_of_several_equilibria_both_find_the_same() -> None:
     for k in range(15, 45):
         alpha = np.random.default_rng([6, k]).uniform(-np.pi, np.pi, 3)
         check_same(forward_kinematics(robot, alpha), general(robot, alpha))
+
+
+@compiler
+def test_many_tubes_that_overlap() -> None:
+    """Six tubes that begin and end one after the other have some two hundred unknowns: the kernel has room for them."""
+    diameter, curved = 4e-4 * np.arange(1, 7), np.linspace(0.09, 0.05, 6)
+    curvature = (6.0, -9.0, 8.0, 12.0, -5.0, 10.0)
+    tubes = (Tube(d, d - 1e-4, 0.03, c, k) for d, c, k in zip(diameter, curved, curvature, strict=True))
+    robot = ConcentricRobot(tuple(tubes))
+    alpha, shift = np.array([0.3, -0.8, 1.4, 0.1, -1.9, 0.7]), np.linspace(0.01, 0.0, 6)
+    answer = binding.solve_compiled(robot, alpha, shift)
+    assert answer is not None
+    assert answer["points"] == 54
+    check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
 
 
 @compiler
@@ -195,6 +216,30 @@ def test_the_kernel_is_built_once_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_
     assert building._build("int answer(void) { return 42; }") == path
     assert path.stat().st_mtime_ns == written
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@compiler
+def test_a_compiler_that_cannot_tune_for_the_processor_will_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As clang on some ARM machines, which knows no -march=native. Without fused multiplication sines come from the
+    library; the answers are the same to round-off."""
+    own = building._compiler()
+    assert own is not None
+    words = f'for word; do [ "$word" = {building.OWN_PROCESSOR} ] && exit 1; done\nexec {shlex.join(own)} "$@"\n'
+    plain = tmp_path / "plain-cc"
+    plain.write_text(f"#!/bin/sh\n{words}")
+    plain.chmod(0o755)
+    monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
+    monkeypatch.setenv("CC", str(plain))
+    robot = random_robot(np.random.default_rng([9, 2]), 2)
+    alpha = np.random.default_rng(9).uniform(-np.pi, np.pi, (50, 2))
+    here = forward_kinematics_batch(robot, alpha)
+    other = building.library.__wrapped__(2, False)
+    assert other is not None
+    monkeypatch.setattr(binding, "_prepared", lambda robot: _with_kernel(robot, other))
+    there = forward_kinematics_batch(robot, alpha)
+    assert there.tip_position == pytest.approx(here.tip_position, abs=1e-13)
+    assert there.margin == pytest.approx(here.margin, abs=1e-9)
+    assert there.residual.max() < 1e-10
 
 
 @compiler

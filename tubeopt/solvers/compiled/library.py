@@ -31,13 +31,16 @@ from .. import newton
 
 HERE = Path(__file__).parent
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
+FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
 """Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
+
+OWN_PROCESSOR = "-march=native"
+"""Uses all that the processor has. Not every compiler knows it for every processor: left out where it fails."""
 
 DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
 
-MOST_PIECES, MOST_UNKNOWNS = 32, 172
+MOST_PIECES, MOST_UNKNOWNS = 32, 404
 """What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
 
 COARSE_STEP, CHORD_STEP = 1e-3, 1e-3
@@ -134,7 +137,7 @@ def _build(text: str) -> Path | None:
     if compiler is None:
         return None
     machine = f"{platform.machine()} {platform.system()} {_processor()}"
-    name = hashlib.sha256("\0".join((text, *compiler, *FLAGS, machine)).encode()).hexdigest()[:32]
+    name = hashlib.sha256("\0".join((text, *compiler, *FLAGS, OWN_PROCESSOR, machine)).encode()).hexdigest()[:32]
     for folder in (cache_directory, _own_folder):
         path = folder() / "kernels" / f"{name}.so"
         if path.exists():
@@ -143,13 +146,22 @@ def _build(text: str) -> Path | None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=path.parent) as work:
                 (Path(work) / "kernel.c").write_text(text)
-                command = [*compiler, *FLAGS, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
-                subprocess.run(command, cwd=work, check=True, capture_output=True, timeout=120)
+                _compile(compiler, work)
                 os.replace(Path(work) / "kernel.so", path)
             return path
         except (OSError, subprocess.SubprocessError):
             continue
     return None
+
+
+def _compile(compiler: list[str], folder: str) -> None:
+    """kernel.c -> kernel.so in a folder; raises SubprocessError or OSError where the compiler cannot."""
+    rest = ["-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
+    for tuned in ([OWN_PROCESSOR], []):
+        done = subprocess.run([*compiler, *FLAGS, *tuned, *rest], cwd=folder, capture_output=True, timeout=120)
+        if done.returncode == 0:
+            return
+    done.check_returncode()
 
 
 @lru_cache(maxsize=1)
@@ -161,11 +173,11 @@ def _own_folder() -> Path:
 
 
 def _processor() -> str:
-    """Model of the processor, for which the kernel is tuned."""
+    """What the processor can do, for which the kernel is tuned: Linux calls it flags, on ARM features."""
     info = Path("/proc/cpuinfo")
     if not info.exists():
         return platform.processor()
-    return next((line for line in info.read_text().splitlines() if line.startswith("flags")), "")
+    return next((line for line in info.read_text().splitlines() if line.startswith(("flags", "Features"))), "")
 
 
 def _answer(n: int) -> np.dtype[np.void]:
