@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
 from ..equilibrium import Equilibrium
@@ -15,7 +16,16 @@ from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, margin, on_centreline, to_unknowns, unstable_directions
+from ..transcription.reduced import (
+    Index,
+    ReducedProblem,
+    evaluate,
+    margin,
+    on_centreline,
+    residual,
+    to_unknowns,
+    unstable_directions,
+)
 from .shooting import profiles, to_base
 
 TURN = 2 * np.pi
@@ -28,6 +38,9 @@ FINEST_GRID = {1: 6144, 2: 640}
 RANDOM_STARTS = 4096
 """Starting points for four tubes and more."""
 
+SIDES = (0.1, 0.2, 0.4)
+"""How far to either side of a fold, rad of tip angle, a pair of equilibria is looked for."""
+
 SAME = 1e-5
 """Equilibria whose rotations differ by less (rad) everywhere are one."""
 
@@ -39,7 +52,8 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
     computed for tip angles on a grid over one turn of each relative angle (the others follow by symmetry, see
     `stability.shooting`), every cell that may hold a solution is solved, and the grid is refined until the set no
     longer changes and its topological degree, the sum of (-1)^index, is 1, as it must be. For more tubes the starting
-    points are a Sobol sequence, and the degree is the only check.
+    points are a Sobol sequence, and the degree is the only check. For tubes off the centreline the search is that of
+    the same tubes on it, and of folds nearby; each equilibrium is solved with the offsets, and the degree is theirs.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
@@ -61,37 +75,70 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
 def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
     """All solutions of a reduced problem; raises SolveError where their degree is not 1.
 
-    For tubes off the centreline the search is done on it, where turning all joints turns the whole; each equilibrium is
-    then solved with the offsets.
+    For tubes off the centreline see `_with_offsets`.
     """
     if problem.assembly.eccentric:
-        return _with_offsets(problem, rotations, all_solutions(on_centreline(problem), rotations))
+        return _with_offsets(problem, rotations)
+    found, settled = _search(problem, rotations)
+    if not settled:
+        raise SolveError(_incomplete(len(found), degree(found)))
+    return found
+
+
+def _search(problem: ReducedProblem, rotations: Array) -> tuple[list[Solution], bool]:
+    """Solutions from ever finer grids of tip angles, until no more are found and their degree is 1; whether so."""
     free = _coupled_tubes(problem)
-    dimension = max(len(free) - 1, 0)
-    if dimension == 0:
-        return _solve(problem, rotations, rotations[None])
-    previous: list[Solution] = []
+    if len(free) < 2:
+        return _solve(problem, rotations, rotations[None]), True
+    found: list[Solution] = []
     for starts in _starts(problem, rotations, free):
-        found = _merge([*previous, *_solve(problem, rotations, starts)])
-        if len(found) == len(previous) and degree(found) == 1:
+        before = len(found)
+        found = _merge([*found, *_solve(problem, rotations, starts)])
+        if len(found) == before and degree(found) == 1:
+            return found, True
+    return found, False
+
+
+def _with_offsets(problem: ReducedProblem, rotations: Array) -> list[Solution]:
+    """All solutions for tubes off the centreline.
+
+    The search is done on the centreline, where turning all joints turns the whole; each equilibrium is then solved with
+    the offsets. These also move the folds, where a pair comes or goes: so there are starts too at tip angles that
+    nearly bring the joints, on the centreline, to where they should be. How nearly, the residual tells that the
+    solutions leave there.
+    """
+    centred = on_centreline(problem)
+    free = _coupled_tubes(centred)
+    found = _solve_from(problem, rotations, [s.result.state.theta for s in _search(centred, rotations)[0]])
+    left = [residual(centred, evaluate(centred, rotations, s.result.state.z)) for s in found]
+    reach = 2 * max(left, default=0.0)
+    for finer in (2, 4):
+        if reach and len(free) - 1 in FIRST_GRID:
+            tips = _almost(centred, rotations, free, finer * FIRST_GRID[len(free) - 1], reach)
+            found = _merge([*found, *_solve_from(problem, rotations, profiles(centred, tips) if len(tips) else [])])
+        if _orientation(found) == 1:
             return found
-        previous = found
-    raise SolveError(
-        f"{len(previous)} equilibria were found, of degree {degree(previous)} instead of 1: one is missing, or the "
-        "joint values are at a fold, where two are one"
-    )
+    raise SolveError(_incomplete(len(found), _orientation(found)))
 
 
-def _with_offsets(problem: ReducedProblem, rotations: Array, concentric: list[Solution]) -> list[Solution]:
+def _incomplete(count: int, degree: int) -> str:
+    why = f"of degree {degree} instead of 1" if degree != 1 else "more of them on every finer grid"
+    return f"{count} equilibria were found, {why}: one is missing, or the joint values are at a fold, where two are one"
+
+
+def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Array]) -> list[Solution]:
+    """Newton on the collocation equations from rotations (N, n) at their points, one after the other."""
     out = []
-    for solution in concentric:
-        result = newton(problem, rotations, to_unknowns(problem, rotations, solution.result.state.theta))
-        if not result.converged:
-            raise SolveError(
-                "an equilibrium of the tubes on the centreline has none close by with their offsets: a fold"
-            )
-        out.append(Solution(problem, rotations, result, margin(problem, result.state)))
+    for theta in profiles:
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+        if result.converged:
+            out.append(Solution(problem, rotations, result, margin(problem, result.state)))
     return _merge(out)
+
+
+def _orientation(solutions: list[Solution]) -> int:
+    """The topological degree by the signs of the Jacobians, which need not be symmetric."""
+    return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))
 
 
 def degree(solutions: list[Solution]) -> int:
@@ -122,6 +169,12 @@ def _starts(problem: ReducedProblem, rotations: Array, free: Index) -> Iterator[
 
 def _candidates(problem: ReducedProblem, rotations: Array, free: Index, size: int) -> Array:
     """Tip angles of every cell of a grid that may hold a solution, after a few Newton steps."""
+    return _shoot(problem, rotations, free, _cells(problem, rotations, free, size, 0.0))
+
+
+def _cells(problem: ReducedProblem, rotations: Array, free: Index, size: int, reach: float) -> Array:
+    """Tip angles in the middle of every cell of a grid that may bring the joints within `reach` (rad) of where they
+    should be."""
     dimension = len(free) - 1
     axis = np.arange(size) * TURN / size
     mesh = np.stack(np.meshgrid(*[axis] * dimension, indexing="ij"), axis=-1)
@@ -135,13 +188,41 @@ def _candidates(problem: ReducedProblem, rotations: Array, free: Index, size: in
     low, high = corners.min(0), corners.max(0)
     # A cell is a candidate if in every component some whole number of turns lies in its range, widened by half of
     # it, since the function bends inside the cell.
-    slack = (high - low) / 2 + 1e-9
+    slack = (high - low) / 2 + reach / TURN + 1e-9
     hit = (np.floor(high + slack) >= np.ceil(low - slack)).all(-1)
     cells = np.argwhere(hit)
     start = np.tile(rotations, (len(cells), 1))
     start[:, free] = 0.0
     start[:, free[:-1]] = (cells + 0.5) * TURN / size
-    return _shoot(problem, rotations, free, start)
+    return start
+
+
+def _almost(problem: ReducedProblem, rotations: Array, free: Index, size: int, reach: float) -> Array:
+    """Tip angles to either side of those that bring the joints within `reach` (rad) of where they should be, but not
+    there: of folds nearby."""
+    tips = _cells(problem, rotations, free, size, reach)
+    for _ in range(12):
+        if not len(tips):
+            return tips
+        gap, slope = _gap(problem, rotations, free, tips), _slope(problem, free, tips)
+        # Levenberg's steps come to rest where the joints come closest.
+        square = slope @ slope.swapaxes(1, 2) + reach**2 * np.eye(len(free) - 1)
+        _move(tips, free, -(slope.swapaxes(1, 2) @ np.linalg.solve(square, gap[:, :, None]))[:, :, 0])
+    gap = np.abs(_gap(problem, rotations, free, tips)).max(1)
+    tips = tips[(gap > 1e-6) & (gap < reach)]
+    tips = tips[np.unique(np.round(tips[:, free] / SIDES[0]), axis=0, return_index=True)[1]]
+    if not len(tips):
+        return np.asarray(tips)
+    soft = np.linalg.svd(_slope(problem, free, tips))[2][:, -1]
+    sides = np.concatenate([tips] * 2 * len(SIDES))
+    sides[:, free[:-1]] += np.concatenate([sign * side * soft for side in SIDES for sign in (-1, 1)])
+    return _unwound(problem, rotations, free, sides, np.inf)
+
+
+def _move(tips: Array, free: Index, step: NDArray[np.floating[Any]]) -> None:
+    """A step of the relative tip angles, held to a fraction of a turn: from a steep place it may leave for anywhere."""
+    size = np.abs(step).max(1)
+    tips[:, free[:-1]] += step * np.minimum(1.0, 0.5 / np.maximum(size, 1e-12))[:, None]
 
 
 def _corner(gap: Array, offset: tuple[int, ...]) -> Array:
@@ -162,22 +243,28 @@ def _relative(angles: Array, free: Index) -> Array:
 def _shoot(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
     """Newton steps on the relative tip angles; then tip angles, unwound, whose joints are as wanted. Drops what does
     not get close."""
-    target = _relative(rotations[None], free)
     for _ in range(8):
         if not len(tips):
             return tips
-        gap = _relative(to_base(problem, tips), free) - target
-        gap -= TURN * np.round(gap / TURN)
+        gap = _gap(problem, rotations, free, tips)
         slope = _slope(problem, free, tips)
-        step = np.linalg.solve(slope + 1e-12 * np.eye(len(free) - 1), -gap[:, :, None])[:, :, 0]
-        size = np.abs(step).max(1)
-        # Steps are held to a fraction of a turn: a Newton step from a steep place may leave for anywhere.
-        tips[:, free[:-1]] += step * np.minimum(1.0, 0.5 / np.maximum(size, 1e-12))[:, None]
+        _move(tips, free, np.linalg.solve(slope + 1e-12 * np.eye(len(free) - 1), -gap[:, :, None])[:, :, 0])
+    return _unwound(problem, rotations, free, tips, 1e-2)
+
+
+def _gap(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
+    """(B, d) how far the relative joint rotations are from where they should be, up to whole turns."""
+    gap = _relative(to_base(problem, tips), free) - _relative(rotations[None], free)
+    return np.asarray(gap - TURN * np.round(gap / TURN))
+
+
+def _unwound(problem: ReducedProblem, rotations: Array, free: Index, tips: Array, close: float) -> Array:
+    """Tip angles whose joints are `close` (rad) to where they should be, without whole turns and without doubles."""
     base = to_base(problem, tips)
-    gap = _relative(base, free) - target
+    gap = _relative(base, free) - _relative(rotations[None], free)
     turns = np.round(gap / TURN)
-    close = np.abs(gap - TURN * turns).max(1) < 1e-2
-    tips, base, turns = tips[close], base[close], turns[close]
+    kept = np.abs(gap - TURN * turns).max(1) < close
+    tips, base, turns = tips[kept], base[kept], turns[kept]
     tips[:, free[:-1]] -= TURN * turns
     base[:, free[:-1]] -= TURN * turns
     # Turn everything so that the outermost joint is where it should be.
@@ -201,14 +288,7 @@ def _slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
 
 def _solve(problem: ReducedProblem, rotations: Array, tips: Array) -> list[Solution]:
     """Newton on the collocation equations from each set of tip angles."""
-    if not len(tips):
-        return []
-    out = []
-    for theta in profiles(problem, tips):
-        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        if result.converged:
-            out.append(Solution(problem, rotations, result, margin(problem, result.state)))
-    return _merge(out)
+    return _solve_from(problem, rotations, profiles(problem, tips)) if len(tips) else []
 
 
 def _merge(solutions: list[Solution]) -> list[Solution]:
