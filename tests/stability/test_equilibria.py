@@ -16,6 +16,7 @@ from tubeopt import (
     EccentricRobot,
     Equilibrium,
     InputError,
+    SegmentedEccentricRobot,
     Tube,
     find_equilibria,
     forward_kinematics,
@@ -193,3 +194,14 @@ def test_pairs_that_the_offsets_part(
         assert check.tip_position < 1e-8
         assert check.base_rotation < 1e-6
         assert check.end_torsion < 1e-4
+
+
+def test_a_segment_of_straight_tubes_has_no_equilibria_of_its_own() -> None:
+    """The straight tubes are solved for too, but on the centreline nothing couples them."""
+    segments = (Tube(1.0e-3, 0.8e-3, 0.1, 0.06, 20.0), Tube(1.6e-3, 1.3e-3, 0.01, 0.08, 0.0))
+    robot = SegmentedEccentricRobot(segments)
+    rotations = np.array([0.4, 2.5, -2.2, 0.3, -0.5, 0.1])
+    found = find_equilibria(robot, rotations)
+    assert sum((-1) ** equilibrium.index for equilibrium in found) == 1
+    reached = forward_kinematics(robot, rotations)
+    assert min(np.linalg.norm(e.tip_position - reached.tip_position) for e in found) < 1e-10

@@ -110,8 +110,7 @@ def _with_offsets(problem: ReducedProblem, rotations: Array) -> list[Solution]:
     centred = on_centreline(problem)
     free = _coupled_tubes(centred)
     found = _solve_from(problem, rotations, [s.result.state.theta for s in _search(centred, rotations)[0]])
-    left = [residual(centred, evaluate(centred, rotations, s.result.state.z)) for s in found]
-    reach = 2 * max(left, default=0.0)
+    reach = 2 * max((_left(centred, rotations, s.result.state.theta) for s in found), default=0.0)
     for finer in (2, 4):
         if reach and len(free) - 1 in FIRST_GRID:
             tips = _almost(centred, rotations, free, finer * FIRST_GRID[len(free) - 1], reach)
@@ -119,6 +118,11 @@ def _with_offsets(problem: ReducedProblem, rotations: Array) -> list[Solution]:
         if _orientation(found) == 1:
             return found
     raise SolveError(_incomplete(len(found), _orientation(found)))
+
+
+def _left(problem: ReducedProblem, rotations: Array, theta: Array) -> float:
+    """What rotations (N, n) leave in the equations of a problem, rad."""
+    return residual(problem, evaluate(problem, rotations, to_unknowns(problem, rotations, theta)))
 
 
 def _incomplete(count: int, degree: int) -> str:
