@@ -24,7 +24,6 @@ from ..transcription.reduced import (
     on_centreline,
     residual,
     to_unknowns,
-    unstable_directions,
 )
 from .shooting import profiles, to_base
 
@@ -115,9 +114,9 @@ def _with_offsets(problem: ReducedProblem, rotations: Array) -> list[Solution]:
         if reach and len(free) - 1 in FIRST_GRID:
             tips = _almost(centred, rotations, free, finer * FIRST_GRID[len(free) - 1], reach)
             found = _merge([*found, *_solve_from(problem, rotations, profiles(centred, tips) if len(tips) else [])])
-        if _orientation(found) == 1:
+        if degree(found) == 1:
             return found
-    raise SolveError(_incomplete(len(found), _orientation(found)))
+    raise SolveError(_incomplete(len(found), degree(found)))
 
 
 def _left(problem: ReducedProblem, rotations: Array, theta: Array) -> float:
@@ -140,14 +139,12 @@ def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Ar
     return _merge(out)
 
 
-def _orientation(solutions: list[Solution]) -> int:
-    """The topological degree by the signs of the Jacobians, which need not be symmetric."""
-    return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))
-
-
 def degree(solutions: list[Solution]) -> int:
-    """Sum of (-1)^index: 1 for a complete set, since the equations deform into those without coupling."""
-    return sum((-1) ** unstable_directions(s.problem, s.result.state) for s in solutions)
+    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index on the centreline.
+
+    It is 1 for a complete set, since the equations deform into those without coupling.
+    """
+    return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))
 
 
 def _coupled_tubes(problem: ReducedProblem) -> Index:
