@@ -48,8 +48,8 @@ def _series(x: Any, k: int) -> Any:
     return total
 
 
-def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
-    """Pose after a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
+def _magnus(curvature: Any, length: Any) -> tuple[Any, Any]:
+    """The twist whose exponential is a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
     twist = [(ca.vertcat(curvature[:, k], 0), ca.vertcat(0, 0, 1)) for k in range(3)]
     a1 = _combine((length, twist[1]))
     a2 = _combine((np.sqrt(15) / 3 * length, twist[2]), (-np.sqrt(15) / 3 * length, twist[0]))
@@ -57,5 +57,31 @@ def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tu
     c1 = _bracket(a1, a2)
     c2 = _combine((-1 / 60, _bracket(a1, _combine((2, a3), (1, c1)))))
     last = _bracket(_combine((-20, a1), (-1, a3), (1, c1)), _combine((1, a2), (1, c2)))
-    turn, shift = _exponential(*_combine((1, a1), (1 / 12, a3), (1 / 240, last)))
+    return _combine((1, a1), (1 / 12, a3), (1 / 240, last))
+
+
+def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
+    """Pose after a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
+    turn, shift = _exponential(*_magnus(curvature, length))
     return rotation @ turn, position + rotation @ shift
+
+
+def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
+    """`magnus_step` of a pose whose rotation is a unit quaternion (4,), scalar first: 7 numbers instead of 12, and the
+    norm is kept."""
+    omega, v = _magnus(curvature, length)
+    quarter = ca.dot(omega, omega) / 4
+    turn = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
+    _, shift = _exponential(omega, v)
+    return quaternion_product(quaternion, turn), position + rotation_matrix(quaternion) @ shift
+
+
+def quaternion_product(a: Any, b: Any) -> Any:
+    """a b of quaternions (4,), scalar first."""
+    return ca.vertcat(a[0] * b[0] - ca.dot(a[1:], b[1:]), a[0] * b[1:] + b[0] * a[1:] + ca.cross(a[1:], b[1:]))
+
+
+def rotation_matrix(quaternion: Any) -> Any:
+    """(3, 3) of a unit quaternion (4,), scalar first."""
+    w, v = quaternion[0], quaternion[1:]
+    return (w**2 - ca.dot(v, v)) * ca.DM.eye(3) + 2 * v @ v.T + 2 * w * ca.skew(v)

@@ -1,0 +1,88 @@
+"""CasADi functions of one piece, built once and mapped over the pieces of every block."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from ..mechanics.shape import quaternion_product, rotation_matrix
+from .piece import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
+
+OPTIONS = {"cse": True}
+
+
+@lru_cache(maxsize=64)
+def torsion_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> defect (n, K), theta and w (n,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def pose_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> q (4,), p (3,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    q, p, arguments = *_pose(), torsion.piece.arguments
+    turn, shift, _ = shape_of(torsion)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    return ca.Function("pose", [q, p, *arguments], end, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def places_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> positions (3, 4) of its shape points after its beginning."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    places = [p + rotation_matrix(q) @ shift for _, shift, _ in shape_of(torsion)]
+    return ca.Function("places", [q, p, *torsion.piece.arguments], [ca.horzcat(*places)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def inside_function(grid: Grid) -> ca.Function:
+    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    x = ca.SX.sym("x")
+    turn, shift, _ = shape_of(torsion, x)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    theta, w = torsion.rotation(x), torsion.torsion(x)
+    outputs = [*end, theta, w, torsion.piece.section(theta).curvature]
+    return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def energy_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> its elastic energy, J."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def curvature_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> theta (n, K) and u (2, K) at its points."""
+    piece = symbols(grid)
+    u = ca.horzcat(*(piece.section(piece.inner[:, k]).curvature for k in range(grid.degree)))
+    return ca.Function("curvature", piece.arguments, [piece.inner, u], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def fields_function(grid: Grid) -> ca.Function:
+    """(Jacobi fields (2n, n) at the end, margin, arguments of a piece) -> Jacobi fields at its beginning."""
+    torsion = torsion_of(symbols(grid))
+    n = grid.n_tubes
+    fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
+    before = softened_fields(torsion, fields, margin)
+    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [before], OPTIONS)
+
+
+@lru_cache(maxsize=16)
+def determinant_function(n: int) -> ca.Function:
+    """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not."""
+    matrix = ca.SX.sym("matrix", n, n)
+    return ca.Function("determinant", [matrix], [ca.det(matrix)], OPTIONS)
+
+
+def _pose() -> tuple[Any, Any]:
+    return ca.SX.sym("q", 4), ca.SX.sym("p", 3)

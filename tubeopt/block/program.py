@@ -1,0 +1,127 @@
+"""What a block needs of the program to which it is added: unknowns, constraints and numbers; two kinds offer it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+
+
+class Program(Protocol):
+    """A nonlinear program under construction."""
+
+    def variable(
+        self,
+        name: str | Sequence[str],
+        size: int = 1,
+        *,
+        guess: ArrayLike = 0.0,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+    ) -> Any:
+        """A column of `size` unknowns."""
+
+    def subject_to(
+        self,
+        name: str | Sequence[str],
+        expression: Any,
+        *,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+    ) -> None:
+        """Demand lower <= expression <= upper."""
+
+    def parameter(self, name: str, value: ArrayLike) -> Any:
+        """A column of numbers that may be changed between solves."""
+
+    def set_value(self, parameter: Any, value: ArrayLike) -> None:
+        """Give a parameter other numbers."""
+
+    def set_guess(self, variable: Any, value: ArrayLike) -> None:
+        """Start the next solve there."""
+
+    def enter(self, block: Any) -> None:
+        """Take note of a block, which can be asked about its solution."""
+
+
+class OptiProgram:
+    """A `casadi.Opti` as a Program. Names are not kept, since Opti has none."""
+
+    def __init__(self, opti: ca.Opti) -> None:
+        self.opti = opti
+
+    def variable(
+        self,
+        name: str | Sequence[str],
+        size: int = 1,
+        *,
+        guess: ArrayLike = 0.0,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+    ) -> Any:
+        """A column of unknowns, in its own units; Opti is given it over its scale."""
+        factor = np.broadcast_to(np.asarray(scale, dtype=float), (size,))
+        symbol = self.opti.variable(size)
+        low, high = (np.broadcast_to(np.asarray(bound, dtype=float), (size,)) for bound in (lower, upper))
+        self.set_guess(symbol * ca.DM(factor), guess)
+        if np.isfinite(low).any() or np.isfinite(high).any():
+            self.opti.subject_to(self.opti.bounded(low / factor, symbol, high / factor))
+        return symbol * ca.DM(factor)
+
+    def subject_to(
+        self,
+        name: str | Sequence[str],
+        expression: Any,
+        *,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+    ) -> None:
+        """Demand lower <= expression <= upper, divided by their scale."""
+        size = expression.numel()
+        low, high, factor = (np.broadcast_to(np.asarray(v, dtype=float), (size,)) for v in (lower, upper, scale))
+        scaled = ca.vec(expression) / ca.DM(factor)
+        if (low == high).all():
+            self.opti.subject_to(scaled == ca.DM(low / factor))
+        else:
+            self.opti.subject_to(self.opti.bounded(low / factor, scaled, high / factor))
+
+    def parameter(self, name: str, value: ArrayLike) -> Any:
+        """Numbers that may be changed."""
+        numbers = np.asarray(value, dtype=float).ravel()
+        symbol = self.opti.parameter(len(numbers))
+        self.opti.set_value(symbol, numbers)
+        return symbol
+
+    def set_value(self, parameter: Any, value: ArrayLike) -> None:
+        """Give a parameter other numbers."""
+        self.opti.set_value(parameter, np.asarray(value, dtype=float).ravel())
+
+    def set_guess(self, variable: Any, value: ArrayLike) -> None:
+        """Start there; Opti solves for the variable behind the scale."""
+        size = variable.numel()
+        self.opti.set_initial(variable, ca.DM(np.broadcast_to(np.asarray(value, dtype=float), (size,))))
+
+    def enter(self, block: Any) -> None:
+        """Opti keeps no list of blocks."""
+
+
+def as_program(opti: Any) -> Program:
+    """The Program behind a `casadi.Opti` or a `tubeopt.Problem`.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if isinstance(opti, ca.Opti):
+        return OptiProgram(opti)
+    if all(hasattr(opti, name) for name in ("variable", "subject_to", "parameter", "enter")):
+        return opti  # type: ignore[no-any-return]
+    raise InputError(f"opti is a {type(opti).__name__}; it must be a casadi.Opti or a tubeopt.Problem")
