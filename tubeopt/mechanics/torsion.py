@@ -89,18 +89,23 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> An
     return u
 
 
-def _eccentric_slopes(theta: Any, stiffness: Any, moment: Any, offset: Any, angle: Any) -> tuple[Any, Any, Any]:
-    """du/dtheta, dM/dtheta, dg/dtheta of tubes at offsets, by the implicit function theorem."""
+def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, Any]:
+    """Jacobians of curvature, moment and stretch of a cross-section with respect to `wrt`, dense.
+
+    Of tubes at offsets, whose curvature is the root of an equation, by the implicit function theorem.
+    """
+    theta, stiffness, moment, *place = inputs
+    if not place:
+        flat = [ca.jacobian(value, wrt) for value in (here.curvature, here.moment)]
+        return ca.densify(flat[0]), ca.densify(flat[1]), ca.DM.zeros(theta.shape[0], wrt.numel())
     u = ca.SX.sym("u", 2)
-    stretch = _stretch(u, offset, angle)
+    stretch = _stretch(u, *place)
     balance = u * ca.sum1(stiffness / stretch) - _pull(theta, moment)
-    here = _at_curvature(u, theta, stiffness, moment, stretch)
-    turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, theta)
-    moments = ca.jacobian(here.moment, theta) + ca.jacobian(here.moment, u) @ turned
-    slopes = [ca.densify(s) for s in (turned, moments, ca.jacobian(stretch, u) @ turned)]
-    inputs = [theta, stiffness, moment, offset, angle]
-    solved = _offset_curvature(_pull(theta, moment), stiffness, offset, angle)
-    out = ca.Function("slopes", [u, *inputs], slopes)(solved, *inputs)
+    at = _at_curvature(u, theta, stiffness, moment, stretch)
+    turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, wrt)
+    moments = ca.jacobian(at.moment, wrt) + ca.jacobian(at.moment, u) @ turned
+    slopes = [ca.densify(part) for part in (turned, moments, ca.jacobian(stretch, u) @ turned)]
+    out = ca.Function("slopes", [u, *inputs], slopes)(here.curvature, *inputs)
     return out[0], out[1], out[2]
 
 
@@ -109,27 +114,28 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """CasADi functions of (theta, stiffness, moment[, offset, angle]) at one cross-section of n tubes.
 
     `curvature`: u.  `stiffness_slope`, with a further argument y (n,): d(dM/dtheta y)/dtheta (n, n).
-     `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
+    `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
     eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
-    with respect to theta.
+    with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives (n, 3 n), (n, 3 n), (2, 3 n),
+    (1, 3 n) with respect to theta, kb and m.
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
     here = cross_section(theta, stiffness, moment, offset, angle) if eccentric else cross_section(*inputs)
-    if eccentric:
-        turned, stiff, stretched = _eccentric_slopes(theta, stiffness, moment, offset, angle)
-        outputs = [here.moment, stiff, here.bending_energy, here.stretch, stretched]
-    else:
-        turned, stiff = (ca.densify(ca.jacobian(value, theta)) for value in (here.curvature, here.moment))
-        outputs = [here.moment, stiff, here.bending_energy]
+    given = ca.vertcat(theta, stiffness, moment)
+    slopes = _slopes(here, inputs, given)
+    turned, stiff, stretched = (part[:, :n] for part in slopes)
+    outputs = [here.moment, stiff, here.bending_energy] + ([here.stretch, stretched] if eccentric else [])
     y = ca.SX.sym("y", n)
     form = ca.bilin(stiff, y, y)
+    bent = ca.densify(ca.gradient(here.bending_energy, given).T)
     table = {
         "curvature": (inputs, [here.curvature]),
         "curvature_slope": (inputs, [turned]),
         "balance": (inputs, outputs),
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
         "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
-        "variation": ([*inputs, y], [form, ca.gradient(form, theta)]),
+        "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
+        "linear": (inputs, [here.moment, ca.SX(here.stretch), here.curvature, here.bending_energy, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

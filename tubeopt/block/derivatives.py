@@ -1,0 +1,456 @@
+"""Derivatives of an equilibrium by the implicit function theorem: of the tip, of any point of the arm, of energy and
+margin, with respect to joint values and to every dimension and stiffness of the tubes.
+
+What moves along the arm is taken at fixed arc lengths; a breakpoint that moves uncovers a stretch on which another
+cross-section takes over, which is a jump of the rates there. The pose follows from d phi = int R du ds and
+dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change of the second variation at its mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import ROUND_OFF, Array, Assembly, merge, where
+from ..robots.breakpoints import DIMENSIONS
+from ..transcription.buffered import section_function
+from .linear import (
+    Arm,
+    Chain,
+    Response,
+    Slopes,
+    chain_of,
+    respond,
+    rotation_change,
+    rotations_at,
+    slopes_at,
+    softest,
+)
+from .piece import ENDS
+
+PARAMETERS = ("rotations", "translations", *DIMENSIONS)
+"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
+
+FLAT = 1 - 1e-9
+"""Margin above which nothing softens: the greatest value, 1, which does not change."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Jump:
+    """A breakpoint that moves with column `column` of the parameters, where piece `index` begins; kb, m (n,) of the
+    cross-section that the motion uncovers, less those of what was there."""
+
+    column: int
+    index: int
+    gained: tuple[Array, Array]
+    lost: tuple[Array, Array]
+
+
+class Derivatives:
+    """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for.
+
+    Args:
+        arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
+        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect to its
+            translation in equal parts, so that the chain rule holds for every motion that is possible.
+        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
+            derivatives differ.
+        margin: of the equilibrium.
+
+    Raises:
+        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        assembly: Assembly,
+        carriages: tuple[tuple[int, ...], ...],
+        *,
+        wrt: Sequence[str] = ("rotations", "translations"),
+        side: int = 1,
+        margin: float = 1.0,
+    ) -> None:
+        if side not in (1, -1):
+            raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
+        for name in wrt:
+            if name not in PARAMETERS:
+                raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+        self.arm, self.assembly, self.carriages = arm, assembly, carriages
+        self.wrt, self.side, self.value = tuple(wrt), side, margin
+        self._blocks = [len(carriages) if name == "translations" else arm.n_tubes for name in self.wrt]
+
+    # --- what changes -------------------------------------------------------------------------------------------------
+
+    @property
+    def _size(self) -> int:
+        return sum(self._blocks)
+
+    def _first(self, name: str) -> int | None:
+        """The first column of a parameter, None where it is not asked for."""
+        return sum(self._blocks[: self.wrt.index(name)]) if name in self.wrt else None
+
+    @cached_property
+    def _data(self) -> Array:
+        """(P, 3n, Q) change of kb, m and kt."""
+        arm, n = self.arm, self.arm.n_tubes
+        out = np.zeros((arm.n_pieces, 3 * n, self._size))
+        present, tube = arm.stiffness > 0, np.arange(n)
+        kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
+        curved = self._curved
+        for name, rows in (
+            ("curvature", ((n, kb * curved),)),
+            ("bending_stiffness", ((0, present), (n, kappa * curved))),
+            ("torsional_stiffness", ((2 * n, np.ones((arm.n_pieces, n))),)),
+        ):
+            first = self._first(name)
+            if first is not None:
+                for row, values in rows:
+                    out[:, row + tube, first + tube] = values
+        return out
+
+    @property
+    def _curved(self) -> Array:
+        """(P, n) whether each tube is on its curved part, straight or not."""
+        middle = (self.arm.start + self.arm.length / 2)[:, None]
+        return np.asarray((middle > self.assembly.transition) & (middle < self.assembly.end))
+
+    @cached_property
+    def _transmitted(self) -> Array:
+        """(n, Q) change of |beta|."""
+        out = np.zeros((self.arm.n_tubes, self._size))
+        first = self._first("translations")
+        if first is not None:
+            for c, tubes in enumerate(self.carriages):
+                out[list(tubes), first + c] = -1.0
+        first = self._first("straight_length")
+        if first is not None:
+            out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
+        return out
+
+    @cached_property
+    def _jumps(self) -> tuple[_Jump, ...]:
+        """Every breakpoint in front of the plate that a parameter moves."""
+        n, out = self.arm.n_tubes, []
+        first = self._first("translations")
+        if first is not None:
+            for c, tubes in enumerate(self.carriages):
+                out += self._moved(first + c, tubes, tubes)
+        first = self._first("curved_length")
+        if first is not None:
+            for i in range(n):
+                out += self._moved(first + i, (), (i,))
+        return tuple(out)
+
+    def _moved(self, column: int, begins: Sequence[int], ends: Sequence[int]) -> list[_Jump]:
+        """Jumps where the transitions of tubes `begins` and the ends of tubes `ends` move."""
+        assembly, nudge = self.assembly, self.side * ROUND_OFF
+        kb, curvature = assembly.bending_stiffness, assembly.curvature
+        shift = [np.where(np.isin(np.arange(len(kb)), tubes), 2 * nudge, 0.0) for tubes in (begins, ends)]
+        bent = [i for i in begins if assembly.end[i] - assembly.transition[i] > ROUND_OFF]
+        out = []
+        for s in merge(np.concatenate([assembly.end[list(ends)], assembly.transition[bent]])).tolist():
+            if s < -ROUND_OFF or (s <= ROUND_OFF and self.side < 0):
+                continue
+            before = where(assembly.transition, assembly.end, curvature, s + nudge)
+            after = where(assembly.transition + shift[0], assembly.end + shift[1], curvature, s + nudge)
+            lost, gained = ((kb * present, kb * curvature * curved) for present, curved in (before, after))
+            if any((a != b).any() for a, b in zip(gained, lost, strict=True)):
+                out.append(_Jump(column, int(np.argmin(np.abs(self._cuts - s))), gained, lost))
+        return out
+
+    @property
+    def _cuts(self) -> Array:
+        """(P + 1,) arc lengths between the pieces, plate and tip included."""
+        return np.append(self.arm.start, self.arm.start[-1] + self.arm.length[-1])
+
+    @cached_property
+    def _states(self) -> tuple[Array, Array]:
+        """(P + 1, n) theta and w between the pieces."""
+        tip = rotations_at(self.arm, self.slopes, np.ones(1))[-1]
+        return np.concatenate([self.arm.theta, tip]), np.concatenate([self.arm.twist, np.zeros_like(tip)])
+
+    @cached_property
+    def _gains(self) -> list[tuple[_Jump, Array, Array, Array, float]]:
+        """Of every jump: what theta' and w' (n,), u (2,) and the energy per length gain, per unit of the parameter."""
+        n, place, out = self.arm.n_tubes, self.arm.place, []
+        if not self._jumps:
+            return out
+        theta, twist = (table[[jump.index for jump in self._jumps]] for table in self._states)
+        function = section_function("linear", len(self._jumps), n, bool(place))
+        sides = []
+        for kind in ("gained", "lost"):
+            kb, m = (np.array([getattr(jump, kind)[k] for jump in self._jumps]) for k in range(2))
+            there = kb.any(1)
+            kb[~there] = 1.0
+            moment, stretch, u, bending = (part.copy() for part in function(theta, kb, m, *place)[:4])
+            stretch[~there], u[~there], bending[~there] = 1.0, 0.0, 0.0
+            torsion = (stretch * twist**2) @ self.arm.torsional_stiffness / 2
+            sides.append((stretch * twist, moment / self.arm.torsional_stiffness, u, bending[:, 0] + torsion))
+        gain = [self.side * (a - b) for a, b in zip(*sides, strict=True)]
+        return [(jump, gain[0][k], gain[1][k], gain[2][k], float(gain[3][k])) for k, jump in enumerate(self._jumps)]
+
+    # --- torsion ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Cross-sections at the points, with their derivatives."""
+        return slopes_at(self.arm, self.arm.inner)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Linear maps of the pieces."""
+        return chain_of(self.arm, self.slopes)
+
+    @cached_property
+    def response(self) -> Response:
+        """Change of theta and w along the arm, by carriages."""
+        arm, n = self.arm, self.arm.n_tubes
+        base = self._transmitted * arm.twist[0][:, None]
+        first = self._first("rotations")
+        if first is not None:
+            base[np.arange(n), first + np.arange(n)] = 1.0
+        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self._size))
+        for jump, turned, gained, *_ in self._gains:
+            jumps[jump.index, :n, jump.column] += turned
+            jumps[jump.index, n:, jump.column] += gained
+        return respond(arm, self.chain, base, self._data, jumps)
+
+    @cached_property
+    def tip_rotations(self) -> Array:
+        """(n, Q) of theta at each tube's own end."""
+        n = self.arm.n_tubes
+        ends = np.clip(self.assembly.end, 0.0, self._cuts[-1])
+        index = np.argmin(np.abs(self._cuts - ends[:, None]), axis=1)
+        return self.per_tube(self.response.end[index, np.arange(n)])
+
+    # --- shape --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _bent(self) -> tuple[Array, Array]:
+        """(P, 5, 2) curvature at ENDS of every piece, and its change (P, 5, 2, Q) at fixed arc lengths."""
+        theta = rotations_at(self.arm, self.slopes, ENDS)
+        here = slopes_at(self.arm, theta)
+        change = rotation_change(self.arm, self.slopes, self.response, self._data, ENDS)
+        n = self.arm.n_tubes
+        by_data = here.curvature_slope[..., n:] @ self._data[:, None, : 2 * n]
+        return here.curvature, here.curvature_slope[..., :n] @ change + by_data
+
+    @cached_property
+    def _turned(self) -> tuple[Array, Array, Array, Array]:
+        """World turn rates R du (P, 5, 3, Q) at ENDS, frames and positions there, and those of the jumps (J, 3)."""
+        index = np.arange(self.arm.n_pieces)[:, None] * (len(ENDS) - 1) + np.arange(len(ENDS))
+        frame, position = self.arm.frame[index], self.arm.position[index]
+        own = [self.arm.frame[jump.index * (len(ENDS) - 1)][:, :2] @ u for jump, _, _, u, _ in self._gains]
+        return frame[..., :2] @ self._bent[1], frame, position, np.reshape(own, (-1, 3))
+
+    @cached_property
+    def _tip(self) -> tuple[Array, Array]:
+        """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
+        rate, _, position, jumps = self._turned
+        weighted = rate * (self.arm.length[:, None] * _newton_cotes(len(ENDS)))[..., None, None]
+        turn = weighted.sum((0, 1))
+        lever = self.arm.position[-1] - position
+        moved = _cross(weighted, lever).sum((0, 1))
+        for (jump, *_), gain in zip(self._gains, jumps, strict=True):
+            turn[:, jump.column] += gain
+            at = self.arm.position[jump.index * (len(ENDS) - 1)]
+            moved[:, jump.column] += np.cross(gain, self.arm.position[-1] - at)
+        return moved + self._pushed, turn
+
+    @property
+    def _pushed(self) -> Array:
+        """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
+        out = np.zeros((3, self._size))
+        longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
+        moving: list[tuple[int, list[int]]] = []
+        for name, groups in (("translations", self.carriages), ("curved_length", None)):
+            first = self._first(name)
+            if first is not None:
+                tubes = groups or [(i,) for i in range(self.arm.n_tubes)]
+                moving += [(first + c, list(group)) for c, group in enumerate(tubes)]
+        for column, tubes in moving:
+            mine = longest[tubes]
+            if mine.any() and (self.side > 0 or mine.sum() == longest.sum()):
+                out[:, column] = self.arm.frame[-1][:, 2]
+        return out
+
+    @property
+    def tip_position(self) -> Array:
+        """(3, Q) of the tip, m."""
+        return self.per_tube(self._tip[0])
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, Q) turn vector of the tip frame in the plate frame, rad."""
+        return self.per_tube(self._tip[1])
+
+    @cached_property
+    def position(self) -> Array:
+        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        rate, _, place, jumps = self._turned
+        turn = _cumulate(self.arm.length, rate)
+        out = _cross(turn, self.arm.position) - _cumulate(self.arm.length, _cross(rate, place))
+        for (jump, *_), gain in zip(self._gains, jumps, strict=True):
+            k = jump.index * (len(ENDS) - 1)
+            out[k:, :, jump.column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
+        out[-1] = self._tip[0]
+        return self.per_tube(out)
+
+    @cached_property
+    def bend(self) -> Array:
+        """(Q,) of int |u|^2 ds, 1/m."""
+        u, change = self._bent
+        weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
+        out = 2 * np.einsum("px,pxa,pxaq->q", weights, u, change)
+        for (jump, *_), square in zip(self._gains, self._square_gains(), strict=True):
+            out[jump.column] += square
+        return self.per_tube(out)
+
+    def _square_gains(self) -> list[float]:
+        """Gain of |u|^2 at every jump."""
+        out = []
+        for jump in self._jumps:
+            squares = []
+            for kb, m in (jump.gained, jump.lost):
+                theta = self._states[0][jump.index : jump.index + 1]
+                function = section_function("curvature", 1, self.arm.n_tubes, bool(self.arm.place))
+                squares.append(float((function(theta, kb, m, *self.arm.place)[0] ** 2).sum()) if kb.any() else 0.0)
+            out.append(self.side * (squares[0] - squares[1]))
+        return out
+
+    # --- energy and margin --------------------------------------------------------------------------------------------
+
+    @cached_property
+    def energy(self) -> Array:
+        """(Q,) of the elastic energy, J."""
+        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
+        t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
+        columns = self._columns
+        rate = at.rate_slope @ columns - (at.rate / kt)[..., None] * self._data[:, None, 2 * n :]
+        w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
+        dw = self.response.state[:-1, None, n:] + h[..., None] * np.einsum("xk,pkiq->pxiq", t.adjoint, rate)
+        density = np.einsum("pkc,pkcq->pkq", at.bending_slope, columns)
+        density += np.einsum("pki,pkiq->pkq", kt * at.stretch * w, dw)
+        density += np.einsum("pki,pkiq->pkq", kt * w**2 / 2, at.stretch_slope @ columns)
+        density += np.einsum("pki,piq->pkq", at.stretch * w**2 / 2, self._data[:, 2 * n :])
+        out = np.einsum("p,k,pkq->q", arm.length, t.weights, density)
+        for jump, *_, gain in self._gains:
+            out[jump.column] += gain
+        base, change = arm.twist[0], self.response.end[0, n:]
+        out += (kt * base**2 / 2) @ self._transmitted + (kt * arm.transmission * base) @ change
+        first = self._first("torsional_stiffness")
+        if first is not None:
+            out[first : first + n] += arm.transmission * base**2 / 2
+        return self.per_tube(out)
+
+    @property
+    def _columns(self) -> Array:
+        """(P, K, 3n, Q) change of theta, kb and m at the points."""
+        n, inner = self.arm.n_tubes, self.response.inner
+        data = np.broadcast_to(self._data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self._size))
+        return np.concatenate([inner, data], axis=2)
+
+    @cached_property
+    def margin(self) -> Array:
+        """(Q,) of the margin of concentric tubes; NaN where it is a double eigenvalue."""
+        arm, n = self.arm, self.arm.n_tubes
+        out = np.zeros(self._size)
+        if self.value >= FLAT:
+            # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
+            return self.per_tube(out)
+        mode = self._mode
+        if mode is None:
+            return self.per_tube(np.full(self._size, np.nan))
+        y, slope, start = mode
+        form, gradient = self._variation(arm.inner, y)
+        weights = arm.length[:, None] * arm.tableau.weights
+        total = float((weights * form).sum()) / (self.value - 1)
+        out = np.einsum("pk,pkc,pkcq->q", weights, gradient, self._columns)
+        kt, released = arm.torsional_stiffness, 1 - self.value
+        # At fixed y(s) a longer transmission is a softer spring, kt / |beta|.
+        out -= released * (kt * slope[0] ** 2) @ self._transmitted
+        first = self._first("torsional_stiffness")
+        if first is not None:
+            inside = np.einsum("pk,pki->i", weights, slope[1] ** 2)
+            out[first : first + n] += released * (inside + arm.transmission * slope[0] ** 2)
+        for jump, gain in zip(self._jumps, self._variation_gains(start), strict=True):
+            out[jump.column] += gain
+        return self.per_tube(out / total)
+
+    @cached_property
+    def _mode(self) -> tuple[Array, tuple[Array, Array], Array] | None:
+        """y (P, K, n) at the points, y' at the plate (n,) and at the points, y (P + 1, n) between the pieces."""
+        arm, n, at = self.arm, self.arm.n_tubes, self.slopes
+        softened = chain_of(arm, at, self.value)
+        found = softest(arm, softened)
+        if found is None:
+            return None
+        state = found[:-1]
+        y = (softened.inner_state @ state[..., None]).reshape(arm.n_pieces, -1, n)
+        rate = (at.rate_slope[..., :n] @ y[..., None])[..., 0] / (1 - self.value)
+        inside = state[:, None, n:] + arm.length[:, None, None] * (arm.tableau.adjoint @ rate)
+        return y, (state[0, n:], inside), found[:, :n]
+
+    def _variation(self, theta: Array, y: Array) -> tuple[Array, Array]:
+        """y' V'' y (P, K) and its gradient (P, K, 3n) by theta, kb and m."""
+        arm, n = self.arm, self.arm.n_tubes
+        count = theta.shape[1]
+        kb, m = (np.repeat(table, count, axis=0) for table in (arm.stiffness, arm.moment))
+        out = section_function("variation", len(kb), n, False)(theta.reshape(-1, n), kb, m, y.reshape(-1, n))
+        return out[0].reshape(theta.shape[:2]).copy(), out[1].reshape(*theta.shape[:2], 3 * n).copy()
+
+    def _variation_gains(self, y: Array) -> list[float]:
+        """Gain of y' V'' y at every jump."""
+        function = section_function("variation", 1, self.arm.n_tubes, False)
+        out = []
+        for jump in self._jumps:
+            theta = self._states[0][jump.index : jump.index + 1]
+            forms = [
+                float(function(theta, kb, m, y[jump.index : jump.index + 1])[0][0, 0]) if kb.any() else 0.0
+                for kb, m in (jump.gained, jump.lost)
+            ]
+            out.append(self.side * (forms[0] - forms[1]))
+        return out
+
+    def per_tube(self, columns: Array) -> Array:
+        """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
+        n, first = self.arm.n_tubes, self._first("translations")
+        if first is None or len(self.carriages) == n:
+            return columns
+        parts = [columns[..., :first], np.zeros((*columns.shape[:-1], n)), columns[..., first + len(self.carriages) :]]
+        for c, tubes in enumerate(self.carriages):
+            parts[1][..., list(tubes)] = columns[..., first + c, None] / len(tubes)
+        return np.concatenate(parts, axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _newton_cotes(count: int) -> Array:
+    """Weights on [0, 1] of the closed rule at `count` equidistant points."""
+    x = np.linspace(0.0, 1.0, count)
+    return np.asarray(np.linalg.solve(np.vander(x, increasing=True).T, 1.0 / np.arange(1, count + 1)))
+
+
+@lru_cache(maxsize=1)
+def _integrals() -> Array:
+    """(5, 5) integrals from 0 to each of ENDS of the polynomials that are 1 at one of ENDS and 0 at the others."""
+    powers = np.arange(1, len(ENDS) + 1)
+    table: Array = (ENDS[:, None] ** powers / powers) @ np.linalg.inv(np.vander(ENDS, increasing=True))
+    return table
+
+
+def _cumulate(length: Array, values: Array) -> Array:
+    """Integrals (m, ...) from the plate to every shape point of values (P, 5, ...) along the pieces."""
+    inner = np.einsum("jk,pk...->pj...", _integrals(), values) * length.reshape(-1, *[1] * (values.ndim - 1))
+    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
+    table = before[:, None] + inner
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
+
+
+def _cross(columns: Array, arm: Array) -> Array:
+    """(..., 3, c) cross product of every column with vectors (..., 3)."""
+    return np.asarray(np.cross(columns, arm[..., None], axis=-2))
