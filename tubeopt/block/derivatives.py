@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..robots.assembly import ROUND_OFF, Array, Assembly, merge, where
+from ..robots.assembly import ROUND_OFF, Array, Assembly, where
 from ..robots.breakpoints import DIMENSIONS
 from ..transcription.buffered import section_function
 from .linear import (
@@ -40,14 +41,17 @@ FLAT = 1 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class _Jump:
-    """A breakpoint that moves with column `column` of the parameters, where piece `index` begins; kb, m (n,) of the
-    cross-section that the motion uncovers, less those of what was there."""
+class _Jumps:
+    """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and kb, m
+    (J, n) of the cross-section that the motion uncovers (`gained`) and of what was there (`lost`)."""
 
-    column: int
-    index: int
+    column: NDArray[np.intp]
+    index: NDArray[np.intp]
     gained: tuple[Array, Array]
     lost: tuple[Array, Array]
+
+    def __len__(self) -> int:
+        return len(self.column)
 
 
 class Derivatives:
@@ -133,37 +137,44 @@ class Derivatives:
         return out
 
     @cached_property
-    def _jumps(self) -> tuple[_Jump, ...]:
-        """Every breakpoint in front of the plate that a parameter moves."""
-        n, out = self.arm.n_tubes, []
+    def _movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
+        """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
+        out: list[tuple[int, tuple[int, ...], tuple[int, ...]]] = []
         first = self._first("translations")
         if first is not None:
-            for c, tubes in enumerate(self.carriages):
-                out += self._moved(first + c, tubes, tubes)
+            out += [(first + c, tubes, tubes) for c, tubes in enumerate(self.carriages)]
         first = self._first("curved_length")
         if first is not None:
-            for i in range(n):
-                out += self._moved(first + i, (), (i,))
-        return tuple(out)
-
-    def _moved(self, column: int, begins: Sequence[int], ends: Sequence[int]) -> list[_Jump]:
-        """Jumps where the transitions of tubes `begins` and the ends of tubes `ends` move."""
-        assembly, nudge = self.assembly, self.side * ROUND_OFF
-        kb, curvature = assembly.bending_stiffness, assembly.curvature
-        shift = [np.where(np.isin(np.arange(len(kb)), tubes), 2 * nudge, 0.0) for tubes in (begins, ends)]
-        bent = [i for i in begins if assembly.end[i] - assembly.transition[i] > ROUND_OFF]
-        out = []
-        for s in merge(np.concatenate([assembly.end[list(ends)], assembly.transition[bent]])).tolist():
-            if s < -ROUND_OFF or (s <= ROUND_OFF and self.side < 0):
-                continue
-            before = where(assembly.transition, assembly.end, curvature, s + nudge)
-            after = where(assembly.transition + shift[0], assembly.end + shift[1], curvature, s + nudge)
-            lost, gained = ((kb * present, kb * curvature * curved) for present, curved in (before, after))
-            if any((a != b).any() for a, b in zip(gained, lost, strict=True)):
-                out.append(_Jump(column, int(np.argmin(np.abs(self._cuts - s))), gained, lost))
+            out += [(first + i, (), (i,)) for i in range(self.arm.n_tubes)]
         return out
 
-    @property
+    @cached_property
+    def _jumps(self) -> _Jumps:
+        """Every breakpoint in front of the plate that a parameter moves."""
+        assembly, n, nudge = self.assembly, self.arm.n_tubes, self.side * ROUND_OFF
+        begin, end = assembly.transition.tolist(), assembly.end.tolist()
+        least = -ROUND_OFF if self.side > 0 else ROUND_OFF
+        column, place = [], []
+        begins, ends = (np.zeros((self._size, n), dtype=bool) for _ in range(2))
+        for c, first, last in self._movers:
+            begins[c, list(first)], ends[c, list(last)] = True, True
+            own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
+            for k, s in enumerate(own):
+                if s > least and not (k and s - own[k - 1] <= ROUND_OFF):
+                    column.append(c)
+                    place.append(s)
+        at = np.array(place)[:, None] + nudge
+        lost = where(assembly.transition, assembly.end, assembly.curvature, at)
+        moved = (table[column] * (2 * nudge) for table in (begins, ends))
+        after = (old + shift for old, shift in zip((assembly.transition, assembly.end), moved, strict=True))
+        gained = where(*after, assembly.curvature, at)
+        changed = np.flatnonzero((gained[0] != lost[0]).any(1) | (gained[1] != lost[1]).any(1))
+        kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
+        sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
+        index = np.abs(self._cuts - at[changed]).argmin(axis=1) if len(changed) else changed
+        return _Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
+
+    @cached_property
     def _cuts(self) -> Array:
         """(P + 1,) arc lengths between the pieces, plate and tip included."""
         return np.append(self.arm.start, self.arm.start[-1] + self.arm.length[-1])
@@ -175,24 +186,25 @@ class Derivatives:
         return np.concatenate([self.arm.theta, tip]), np.concatenate([self.arm.twist, np.zeros_like(tip)])
 
     @cached_property
-    def _gains(self) -> list[tuple[_Jump, Array, Array, Array, float]]:
-        """Of every jump: what theta' and w' (n,), u (2,) and the energy per length gain, per unit of the parameter."""
-        n, place, out = self.arm.n_tubes, self.arm.place, []
-        if not self._jumps:
-            return out
-        theta, twist = (table[[jump.index for jump in self._jumps]] for table in self._states)
-        function = section_function("linear", len(self._jumps), n, bool(place))
-        sides = []
-        for kind in ("gained", "lost"):
-            kb, m = (np.array([getattr(jump, kind)[k] for jump in self._jumps]) for k in range(2))
-            there = kb.any(1)
-            kb[~there] = 1.0
-            moment, stretch, u, bending = (part.copy() for part in function(theta, kb, m, *place)[:4])
-            stretch[~there], u[~there], bending[~there] = 1.0, 0.0, 0.0
-            torsion = (stretch * twist**2) @ self.arm.torsional_stiffness / 2
-            sides.append((stretch * twist, moment / self.arm.torsional_stiffness, u, bending[:, 0] + torsion))
-        gain = [self.side * (a - b) for a, b in zip(*sides, strict=True)]
-        return [(jump, gain[0][k], gain[1][k], gain[2][k], float(gain[3][k])) for k, jump in enumerate(self._jumps)]
+    def _gains(self) -> tuple[Array, Array, Array, Array]:
+        """What theta' and w' (J, n), u (J, 2), and energy per length and |u|^2 (J, 2) gain at the jumps, per unit of
+        their parameters."""
+        jumps, n, place, kt = self._jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
+        count = len(jumps)
+        if not count:
+            return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, 2)), np.zeros((0, 2))
+        theta, twist = (np.concatenate([table[jumps.index]] * 2) for table in self._states)
+        kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
+        empty = ~kb.any(1)
+        kb[empty] = 1.0
+        function = section_function("linear", 2 * count, n, bool(place))
+        moment, stretch, u, bending = (part.copy() for part in function(theta, kb, m, *place)[:4])
+        stretch[empty], u[empty], bending[empty] = 1.0, 0.0, 0.0
+        density = bending[:, 0] + (stretch * twist**2) @ kt / 2
+        scalars = np.column_stack([density, (u**2).sum(1)])
+        rates = stretch * twist, moment / kt, u, scalars
+        turned, gained, bent, more = (self.side * (rate[:count] - rate[count:]) for rate in rates)
+        return turned, gained, bent, more
 
     # --- torsion ------------------------------------------------------------------------------------------------------
 
@@ -215,9 +227,8 @@ class Derivatives:
         if first is not None:
             base[np.arange(n), first + np.arange(n)] = 1.0
         jumps = np.zeros((arm.n_pieces + 1, 2 * n, self._size))
-        for jump, turned, gained, *_ in self._gains:
-            jumps[jump.index, :n, jump.column] += turned
-            jumps[jump.index, n:, jump.column] += gained
+        turned, gained, *_ = self._gains
+        np.add.at(jumps, (self._jumps.index, slice(None), self._jumps.column), np.concatenate([turned, gained], axis=1))
         return respond(arm, self.chain, base, self._data, jumps)
 
     @cached_property
@@ -241,41 +252,34 @@ class Derivatives:
         return here.curvature, here.curvature_slope[..., :n] @ change + by_data
 
     @cached_property
-    def _turned(self) -> tuple[Array, Array, Array, Array]:
-        """World turn rates R du (P, 5, 3, Q) at ENDS, frames and positions there, and those of the jumps (J, 3)."""
+    def _turned(self) -> tuple[Array, Array, Array]:
+        """World turn rates R du (P, 5, 3, Q) at ENDS, positions there, and turns of the jumps (J, 3)."""
         index = np.arange(self.arm.n_pieces)[:, None] * (len(ENDS) - 1) + np.arange(len(ENDS))
         frame, position = self.arm.frame[index], self.arm.position[index]
-        own = [self.arm.frame[jump.index * (len(ENDS) - 1)][:, :2] @ u for jump, _, _, u, _ in self._gains]
-        return frame[..., :2] @ self._bent[1], frame, position, np.reshape(own, (-1, 3))
+        own = self.arm.frame[self._jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
+        return frame[..., :2] @ self._bent[1], position, own[..., 0]
 
     @cached_property
     def _tip(self) -> tuple[Array, Array]:
         """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
-        rate, _, position, jumps = self._turned
+        rate, position, jumps = self._turned
         weighted = rate * (self.arm.length[:, None] * _newton_cotes(len(ENDS)))[..., None, None]
         turn = weighted.sum((0, 1))
         lever = self.arm.position[-1] - position
-        moved = _cross(weighted, lever).sum((0, 1))
-        for (jump, *_), gain in zip(self._gains, jumps, strict=True):
-            turn[:, jump.column] += gain
-            at = self.arm.position[jump.index * (len(ENDS) - 1)]
-            moved[:, jump.column] += np.cross(gain, self.arm.position[-1] - at)
-        return moved + self._pushed, turn
+        moved = _cross(weighted, lever).sum((0, 1)) + self._pushed
+        behind = self.arm.position[-1] - self.arm.position[self._jumps.index * (len(ENDS) - 1)]
+        np.add.at(turn.T, self._jumps.column, jumps)
+        np.add.at(moved.T, self._jumps.column, _cross(jumps[..., None], behind)[..., 0])
+        return moved, turn
 
     @property
     def _pushed(self) -> Array:
         """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
         out = np.zeros((3, self._size))
         longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
-        moving: list[tuple[int, list[int]]] = []
-        for name, groups in (("translations", self.carriages), ("curved_length", None)):
-            first = self._first(name)
-            if first is not None:
-                tubes = groups or [(i,) for i in range(self.arm.n_tubes)]
-                moving += [(first + c, list(group)) for c, group in enumerate(tubes)]
-        for column, tubes in moving:
-            mine = longest[tubes]
-            if mine.any() and (self.side > 0 or mine.sum() == longest.sum()):
+        for column, _, tubes in self._movers:
+            mine = sum(longest[i] for i in tubes)
+            if mine and (self.side > 0 or mine == longest.sum()):
                 out[:, column] = self.arm.frame[-1][:, 2]
         return out
 
@@ -292,12 +296,12 @@ class Derivatives:
     @cached_property
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
-        rate, _, place, jumps = self._turned
+        rate, place, jumps = self._turned
         turn = _cumulate(self.arm.length, rate)
         out = _cross(turn, self.arm.position) - _cumulate(self.arm.length, _cross(rate, place))
-        for (jump, *_), gain in zip(self._gains, jumps, strict=True):
-            k = jump.index * (len(ENDS) - 1)
-            out[k:, :, jump.column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
+        for column, index, gain in zip(self._jumps.column, self._jumps.index, jumps, strict=True):
+            k = index * (len(ENDS) - 1)
+            out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
         out[-1] = self._tip[0]
         return self.per_tube(out)
 
@@ -307,21 +311,8 @@ class Derivatives:
         u, change = self._bent
         weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
         out = 2 * np.einsum("px,pxa,pxaq->q", weights, u, change)
-        for (jump, *_), square in zip(self._gains, self._square_gains(), strict=True):
-            out[jump.column] += square
+        np.add.at(out, self._jumps.column, self._gains[3][:, 1])
         return self.per_tube(out)
-
-    def _square_gains(self) -> list[float]:
-        """Gain of |u|^2 at every jump."""
-        out = []
-        for jump in self._jumps:
-            squares = []
-            for kb, m in (jump.gained, jump.lost):
-                theta = self._states[0][jump.index : jump.index + 1]
-                function = section_function("curvature", 1, self.arm.n_tubes, bool(self.arm.place))
-                squares.append(float((function(theta, kb, m, *self.arm.place)[0] ** 2).sum()) if kb.any() else 0.0)
-            out.append(self.side * (squares[0] - squares[1]))
-        return out
 
     # --- energy and margin --------------------------------------------------------------------------------------------
 
@@ -339,8 +330,7 @@ class Derivatives:
         density += np.einsum("pki,pkiq->pkq", kt * w**2 / 2, at.stretch_slope @ columns)
         density += np.einsum("pki,piq->pkq", at.stretch * w**2 / 2, self._data[:, 2 * n :])
         out = np.einsum("p,k,pkq->q", arm.length, t.weights, density)
-        for jump, *_, gain in self._gains:
-            out[jump.column] += gain
+        np.add.at(out, self._jumps.column, self._gains[3][:, 0])
         base, change = arm.twist[0], self.response.end[0, n:]
         out += (kt * base**2 / 2) @ self._transmitted + (kt * arm.transmission * base) @ change
         first = self._first("torsional_stiffness")
@@ -378,8 +368,7 @@ class Derivatives:
         if first is not None:
             inside = np.einsum("pk,pki->i", weights, slope[1] ** 2)
             out[first : first + n] += released * (inside + arm.transmission * slope[0] ** 2)
-        for jump, gain in zip(self._jumps, self._variation_gains(start), strict=True):
-            out[jump.column] += gain
+        np.add.at(out, self._jumps.column, self._variation_gains(start))
         return self.per_tube(out / total)
 
     @cached_property
@@ -404,18 +393,16 @@ class Derivatives:
         out = section_function("variation", len(kb), n, False)(theta.reshape(-1, n), kb, m, y.reshape(-1, n))
         return out[0].reshape(theta.shape[:2]).copy(), out[1].reshape(*theta.shape[:2], 3 * n).copy()
 
-    def _variation_gains(self, y: Array) -> list[float]:
-        """Gain of y' V'' y at every jump."""
-        function = section_function("variation", 1, self.arm.n_tubes, False)
-        out = []
-        for jump in self._jumps:
-            theta = self._states[0][jump.index : jump.index + 1]
-            forms = [
-                float(function(theta, kb, m, y[jump.index : jump.index + 1])[0][0, 0]) if kb.any() else 0.0
-                for kb, m in (jump.gained, jump.lost)
-            ]
-            out.append(self.side * (forms[0] - forms[1]))
-        return out
+    def _variation_gains(self, y: Array) -> Array:
+        """(J,) gain of y' V'' y at the jumps."""
+        jumps, count = self._jumps, len(self._jumps)
+        if not count:
+            return np.zeros(0)
+        kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
+        kb[~kb.any(1)] = 1.0
+        theta, mode = (np.concatenate([table[jumps.index]] * 2) for table in (self._states[0], y))
+        form = section_function("variation", 2 * count, self.arm.n_tubes, False)(theta, kb, m, mode)[0][:, 0]
+        return np.asarray(self.side * (form[:count] - form[count:]))
 
     def per_tube(self, columns: Array) -> Array:
         """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
@@ -453,4 +440,6 @@ def _cumulate(length: Array, values: Array) -> Array:
 
 def _cross(columns: Array, arm: Array) -> Array:
     """(..., 3, c) cross product of every column with vectors (..., 3)."""
-    return np.asarray(np.cross(columns, arm[..., None], axis=-2))
+    x, y, z = (columns[..., k, :] for k in range(3))
+    a, b, c = (arm[..., k, None] for k in range(3))
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-2)

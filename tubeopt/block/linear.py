@@ -8,12 +8,13 @@ cross-section, and the boundary conditions at the plate and at the tip close the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from ..robots.assembly import Array
 from ..transcription.buffered import section_function
-from ..transcription.tableau import Tableau
+from ..transcription.tableau import Tableau, tableau
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,26 @@ class Chain:
     end_data: Array
 
 
+@lru_cache(maxsize=32)
+def _kron_of(family: str, degree: int, n: int) -> tuple[Array, Array, Array]:
+    t = tableau(family, degree)
+    return np.kron(t.matrix, np.eye(n)), np.kron(t.adjoint, np.eye(n)), np.kron(t.weights, np.eye(n))
+
+
+def _kron(t: Tableau, n: int) -> tuple[Array, Array, Array]:
+    """Matrix, adjoint and weights of a tableau for n tubes at once."""
+    return _kron_of(t.family, t.degree, n)
+
+
+@lru_cache(maxsize=64)
+def _basis_of(family: str, degree: int, x: tuple[float, ...], integrals: int) -> Array:
+    return tableau(family, degree).lagrange(x, integrals=integrals)
+
+
+def _basis(t: Tableau, x: Array, integrals: int) -> Array:
+    return _basis_of(t.family, t.degree, tuple(x.tolist()), integrals)
+
+
 def _spread(matrix: Array, blocks: Array) -> Array:
     """(P, K n, K c) of sum_j: matrix (K, K) between points times blocks (P, K, n, c) at the second point."""
     pieces, count, n, c = blocks.shape
@@ -115,7 +136,7 @@ def chain_of(arm: Arm, at: Slopes, softening: float = 0.0) -> Chain:
     rate = at.rate_slope[..., :n] / (1 - softening)
     by_data = np.concatenate([at.rate_slope[..., n:], -_diagonal(at.rate / arm.torsional_stiffness)], axis=3)
     gained = by_data.reshape(pieces, count * n, 3 * n)
-    adjoint = np.kron(t.adjoint, np.eye(n))
+    adjoint = _kron(t, n)[1]
     # Of w at the points: by theta at the points, by the data.
     twist_inner, twist_data = h * _spread(t.adjoint, rate), h * (adjoint @ gained)
     stretch = at.stretch.reshape(pieces, count * n, 1)
@@ -129,7 +150,7 @@ def chain_of(arm: Arm, at: Slopes, softening: float = 0.0) -> Chain:
             block = slice(k * n, (k + 1) * n)
             slope_inner[:, block, block] += more[:, k, :, :n]
             slope_data[:, block, : 2 * n] += more[:, k, :, n:]
-    spread = np.kron(t.matrix, np.eye(n))
+    spread = _kron(t, n)[0]
     matrix = np.eye(count * n) - h * (spread @ slope_inner)
     right_state = h * (spread @ slope_state)
     right_state[:, :, :n] += np.tile(np.eye(n), (count, 1))
@@ -143,7 +164,7 @@ def _ends(t: Tableau, h: Array, slopes: tuple[Array, ...], solved: Array) -> Cha
     rate, gained, slope_inner, slope_state, slope_data = slopes
     pieces, count, n, _ = rate.shape
     state, data = solved[:, :, : 2 * n], solved[:, :, 2 * n :]
-    weights = np.kron(t.weights, np.eye(n))
+    weights = _kron(t, n)[2]
     turned = h * (weights @ slope_inner)
     moved = h * (t.weights[None, :, None, None] * rate).transpose(0, 2, 1, 3).reshape(pieces, n, count * n)
     identity = np.eye(n)
@@ -225,10 +246,10 @@ DOUBLE = 1e-8
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
     """theta (P, len(x), n) at fractions x of every piece."""
     t, h = arm.tableau, arm.length[:, None, None]
-    theta = arm.theta[:, None] + x[:, None] * h * arm.twist[:, None] + h**2 * (t.lagrange(x, integrals=2) @ at.rate)
+    theta = arm.theta[:, None] + x[:, None] * h * arm.twist[:, None] + h**2 * (_basis(t, x, 2) @ at.rate)
     if arm.place:
         inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        theta = theta + h * (t.lagrange(x, integrals=1) @ ((at.stretch - 1) * inside))
+        theta = theta + h * (_basis(t, x, 1) @ ((at.stretch - 1) * inside))
     return np.asarray(theta)
 
 
@@ -238,10 +259,16 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     columns = np.concatenate([response.inner, np.broadcast_to(data[:, None, : 2 * n], (*response.inner.shape[:2], 2 * n, data.shape[2]))], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
-    out = start + x[:, None, None] * h * twist + h**2 * np.einsum("xk,pkiq->pxiq", t.lagrange(x, integrals=2), rate)
+    out = start + x[:, None, None] * h * twist + h**2 * _along(_basis(t, x, 2), rate)
     if arm.place:
         inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
-        turned = twist + h * np.einsum("xk,pkiq->pxiq", t.adjoint, rate)
+        turned = twist + h * _along(t.adjoint, rate)
         extra = (at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns)
-        out = out + h * np.einsum("xk,pkiq->pxiq", t.lagrange(x, integrals=1), extra)
+        out = out + h * _along(_basis(t, x, 1), extra)
     return np.asarray(out)
+
+
+def _along(matrix: Array, values: Array) -> Array:
+    """(P, X, n, Q) of a matrix (X, K) applied to the points of values (P, K, n, Q)."""
+    pieces, count, n, size = values.shape
+    return np.asarray((matrix @ values.reshape(pieces, count, n * size)).reshape(pieces, len(matrix), n, size))
