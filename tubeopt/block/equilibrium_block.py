@@ -233,7 +233,15 @@ class EquilibriumBlock:
         out = []
         for k in range(self.layout.n_pieces - 1):
             inner = torsion[2][:, k * degree : (k + 1) * degree]
-            own = [torsion[0][:, k], torsion[1][:, k], inner, kb[:, k], m[:, k], assembly.torsional_stiffness, length[k]]
+            own = [
+                torsion[0][:, k],
+                torsion[1][:, k],
+                inner,
+                kb[:, k],
+                m[:, k],
+                assembly.torsional_stiffness,
+                length[k],
+            ]
             q, p = (np.array(part).ravel() for part in step(q, p, *own, *self._place))
             out.append((q, p))
         return (
@@ -304,7 +312,9 @@ class EquilibriumBlock:
         places = self.points()
         thick = np.array([tube.outer_diameter / 2 for tube in self.robot.tubes])
         offset = self._place[0] if self._place else np.zeros(self._n)
-        radius = np.repeat((self.layout.present * (thick + offset)[:, None]).max(0), places.shape[1] // self.layout.n_pieces)
+        radius = np.repeat(
+            (self.layout.present * (thick + offset)[:, None]).max(0), places.shape[1] // self.layout.n_pieces
+        )
         x, y, z = (ca.SX.sym(axis) for axis in "xyz")
         far = ca.Function("distance", [x, y, z], [body.distance(x, y, z)]).map(places.shape[1])
         return ca.vec(far(places[0, :], places[1, :], places[2, :])) - ca.DM(radius)

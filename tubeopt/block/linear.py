@@ -256,7 +256,10 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
 def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Array) -> Array:
     """(P, len(x), n, Q) change of theta at fractions x of every piece."""
     t, n, h = arm.tableau, arm.n_tubes, arm.length[:, None, None, None]
-    columns = np.concatenate([response.inner, np.broadcast_to(data[:, None, : 2 * n], (*response.inner.shape[:2], 2 * n, data.shape[2]))], axis=2)
+    columns = np.concatenate(
+        [response.inner, np.broadcast_to(data[:, None, : 2 * n], (*response.inner.shape[:2], 2 * n, data.shape[2]))],
+        axis=2,
+    )
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
     out = start + x[:, None, None] * h * twist + h**2 * _along(_basis(t, x, 2), rate)

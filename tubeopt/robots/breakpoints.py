@@ -81,7 +81,9 @@ def order_of(assembly: Assembly, carriages: Sequence[tuple[int, ...]], *, side: 
                 groups.append((float(values[mine[0]]), -max(same), Breakpoint(same, at_end)))
                 mine = [i for i in mine if i not in same]
     nudge = side * 1e-9
-    front = sorted((g for g in groups if g[0] + (0.0 if g[2].end else nudge) > 0), key=lambda g: (round(g[0], 10), g[1]))
+    front = sorted(
+        (g for g in groups if g[0] + (0.0 if g[2].end else nudge) > 0), key=lambda g: (round(g[0], 10), g[1])
+    )
     kept = [point for *_, point in front]
     return arrange(kept, [point for *_, point in groups if point not in kept], n)
 
