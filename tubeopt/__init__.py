@@ -1,7 +1,7 @@
 """tubeopt: design, command and fabrication of concentric and eccentric tube robots."""
 
 from .batch import EquilibriumBatch, forward_kinematics_batch
-from .derivatives import Jacobian
+from .block.jacobian import Jacobian
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium import Equilibrium, Statistics, Status, Verification
 from .errors import InputError, SolveError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from os import PathLike
@@ -12,7 +13,7 @@ from .robots.assembly import Array
 from .robots.robot import Robot
 
 if TYPE_CHECKING:
-    from .derivatives import Jacobian
+    from .block.jacobian import Jacobian
 
 
 class Status(Enum):
@@ -110,11 +111,11 @@ class Equilibrium:
         """Whether the robot stays in this equilibrium: margin > 0."""
         return self.margin > 0
 
-    def jacobian(self, *, side: int = 1) -> Jacobian:
-        """Derivatives of tip pose and margin with respect to the joint values; see `derivatives.jacobian`."""
-        from .derivatives import jacobian
+    def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
+        """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
+        from .block.jacobian import jacobian
 
-        return jacobian(self, side=side)
+        return jacobian(self, wrt=wrt, side=side)
 
     def save(self, directory: str | PathLike[str]) -> None:
         """Write `result.json` and `arrays.npz` into `directory`; `load_equilibrium` reads them back."""

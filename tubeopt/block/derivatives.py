@@ -29,8 +29,8 @@ from .linear import (
     rotation_change,
     rotations_at,
     slopes_at,
-    softest,
 )
+from .margin import margin_change
 from .piece import ENDS
 
 PARAMETERS = ("rotations", "translations", *DIMENSIONS)
@@ -41,7 +41,7 @@ FLAT = 1 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class _Jumps:
+class Jumps:
     """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and kb, m
     (J, n) of the cross-section that the motion uncovers (`gained`) and of what was there (`lost`)."""
 
@@ -59,8 +59,8 @@ class Derivatives:
 
     Args:
         arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
-        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect to its
-            translation in equal parts, so that the chain rule holds for every motion that is possible.
+        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
+            to its translation in equal parts, so that the chain rule holds for every motion that is possible.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
         margin: of the equilibrium.
@@ -91,18 +91,19 @@ class Derivatives:
     # --- what changes -------------------------------------------------------------------------------------------------
 
     @property
-    def _size(self) -> int:
+    def size(self) -> int:
+        """Number of columns, by carriages."""
         return sum(self._blocks)
 
-    def _first(self, name: str) -> int | None:
+    def first(self, name: str) -> int | None:
         """The first column of a parameter, None where it is not asked for."""
         return sum(self._blocks[: self.wrt.index(name)]) if name in self.wrt else None
 
     @cached_property
-    def _data(self) -> Array:
+    def data(self) -> Array:
         """(P, 3n, Q) change of kb, m and kt."""
         arm, n = self.arm, self.arm.n_tubes
-        out = np.zeros((arm.n_pieces, 3 * n, self._size))
+        out = np.zeros((arm.n_pieces, 3 * n, self.size))
         present, tube = arm.stiffness > 0, np.arange(n)
         kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
         curved = self._curved
@@ -111,7 +112,7 @@ class Derivatives:
             ("bending_stiffness", ((0, present), (n, kappa * curved))),
             ("torsional_stiffness", ((2 * n, np.ones((arm.n_pieces, n))),)),
         ):
-            first = self._first(name)
+            first = self.first(name)
             if first is not None:
                 for row, values in rows:
                     out[:, row + tube, first + tube] = values
@@ -124,14 +125,14 @@ class Derivatives:
         return np.asarray((middle > self.assembly.transition) & (middle < self.assembly.end))
 
     @cached_property
-    def _transmitted(self) -> Array:
+    def transmitted(self) -> Array:
         """(n, Q) change of |beta|."""
-        out = np.zeros((self.arm.n_tubes, self._size))
-        first = self._first("translations")
+        out = np.zeros((self.arm.n_tubes, self.size))
+        first = self.first("translations")
         if first is not None:
             for c, tubes in enumerate(self.carriages):
                 out[list(tubes), first + c] = -1.0
-        first = self._first("straight_length")
+        first = self.first("straight_length")
         if first is not None:
             out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
         return out
@@ -140,22 +141,24 @@ class Derivatives:
     def _movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
         """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
         out: list[tuple[int, tuple[int, ...], tuple[int, ...]]] = []
-        first = self._first("translations")
+        first = self.first("translations")
         if first is not None:
             out += [(first + c, tubes, tubes) for c, tubes in enumerate(self.carriages)]
-        first = self._first("curved_length")
+        first = self.first("curved_length")
         if first is not None:
             out += [(first + i, (), (i,)) for i in range(self.arm.n_tubes)]
         return out
 
     @cached_property
-    def _jumps(self) -> _Jumps:
+    def jumps(self) -> Jumps:
         """Every breakpoint in front of the plate that a parameter moves."""
         assembly, n, nudge = self.assembly, self.arm.n_tubes, self.side * ROUND_OFF
         begin, end = assembly.transition.tolist(), assembly.end.tolist()
         least = -ROUND_OFF if self.side > 0 else ROUND_OFF
+        if not self.arm.n_pieces:
+            least = np.inf
         column, place = [], []
-        begins, ends = (np.zeros((self._size, n), dtype=bool) for _ in range(2))
+        begins, ends = (np.zeros((self.size, n), dtype=bool) for _ in range(2))
         for c, first, last in self._movers:
             begins[c, list(first)], ends[c, list(last)] = True, True
             own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
@@ -172,15 +175,15 @@ class Derivatives:
         kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
         sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
         index = np.abs(self._cuts - at[changed]).argmin(axis=1) if len(changed) else changed
-        return _Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
+        return Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
 
     @cached_property
     def _cuts(self) -> Array:
         """(P + 1,) arc lengths between the pieces, plate and tip included."""
-        return np.append(self.arm.start, self.arm.start[-1] + self.arm.length[-1])
+        return np.append(self.arm.start, self.assembly.total_length)
 
     @cached_property
-    def _states(self) -> tuple[Array, Array]:
+    def states(self) -> tuple[Array, Array]:
         """(P + 1, n) theta and w between the pieces."""
         tip = rotations_at(self.arm, self.slopes, np.ones(1))[-1]
         return np.concatenate([self.arm.theta, tip]), np.concatenate([self.arm.twist, np.zeros_like(tip)])
@@ -189,11 +192,11 @@ class Derivatives:
     def _gains(self) -> tuple[Array, Array, Array, Array]:
         """What theta' and w' (J, n), u (J, 2), and energy per length and |u|^2 (J, 2) gain at the jumps, per unit of
         their parameters."""
-        jumps, n, place, kt = self._jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
+        jumps, n, place, kt = self.jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
         count = len(jumps)
         if not count:
             return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, 2)), np.zeros((0, 2))
-        theta, twist = (np.concatenate([table[jumps.index]] * 2) for table in self._states)
+        theta, twist = (np.concatenate([table[jumps.index]] * 2) for table in self.states)
         kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
         empty = ~kb.any(1)
         kb[empty] = 1.0
@@ -222,14 +225,14 @@ class Derivatives:
     def response(self) -> Response:
         """Change of theta and w along the arm, by carriages."""
         arm, n = self.arm, self.arm.n_tubes
-        base = self._transmitted * arm.twist[0][:, None]
-        first = self._first("rotations")
+        base = self.transmitted * arm.twist[:1].sum(0)[:, None]
+        first = self.first("rotations")
         if first is not None:
             base[np.arange(n), first + np.arange(n)] = 1.0
-        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self._size))
+        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
         turned, gained, *_ = self._gains
-        np.add.at(jumps, (self._jumps.index, slice(None), self._jumps.column), np.concatenate([turned, gained], axis=1))
-        return respond(arm, self.chain, base, self._data, jumps)
+        np.add.at(jumps, (self.jumps.index, slice(None), self.jumps.column), np.concatenate([turned, gained], axis=1))
+        return respond(arm, self.chain, base, self.data, jumps)
 
     @cached_property
     def tip_rotations(self) -> Array:
@@ -246,9 +249,9 @@ class Derivatives:
         """(P, 5, 2) curvature at ENDS of every piece, and its change (P, 5, 2, Q) at fixed arc lengths."""
         theta = rotations_at(self.arm, self.slopes, ENDS)
         here = slopes_at(self.arm, theta)
-        change = rotation_change(self.arm, self.slopes, self.response, self._data, ENDS)
+        change = rotation_change(self.arm, self.slopes, self.response, self.data, ENDS)
         n = self.arm.n_tubes
-        by_data = here.curvature_slope[..., n:] @ self._data[:, None, : 2 * n]
+        by_data = here.curvature_slope[..., n:] @ self.data[:, None, : 2 * n]
         return here.curvature, here.curvature_slope[..., :n] @ change + by_data
 
     @cached_property
@@ -256,7 +259,7 @@ class Derivatives:
         """World turn rates R du (P, 5, 3, Q) at ENDS, positions there, and turns of the jumps (J, 3)."""
         index = np.arange(self.arm.n_pieces)[:, None] * (len(ENDS) - 1) + np.arange(len(ENDS))
         frame, position = self.arm.frame[index], self.arm.position[index]
-        own = self.arm.frame[self._jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
+        own = self.arm.frame[self.jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
         return frame[..., :2] @ self._bent[1], position, own[..., 0]
 
     @cached_property
@@ -267,15 +270,15 @@ class Derivatives:
         turn = weighted.sum((0, 1))
         lever = self.arm.position[-1] - position
         moved = _cross(weighted, lever).sum((0, 1)) + self._pushed
-        behind = self.arm.position[-1] - self.arm.position[self._jumps.index * (len(ENDS) - 1)]
-        np.add.at(turn.T, self._jumps.column, jumps)
-        np.add.at(moved.T, self._jumps.column, _cross(jumps[..., None], behind)[..., 0])
+        behind = self.arm.position[-1] - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
+        np.add.at(turn.T, self.jumps.column, jumps)
+        np.add.at(moved.T, self.jumps.column, _cross(jumps[..., None], behind)[..., 0])
         return moved, turn
 
     @property
     def _pushed(self) -> Array:
         """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
-        out = np.zeros((3, self._size))
+        out = np.zeros((3, self.size))
         longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
         for column, _, tubes in self._movers:
             mine = sum(longest[i] for i in tubes)
@@ -299,11 +302,17 @@ class Derivatives:
         rate, place, jumps = self._turned
         turn = _cumulate(self.arm.length, rate)
         out = _cross(turn, self.arm.position) - _cumulate(self.arm.length, _cross(rate, place))
-        for column, index, gain in zip(self._jumps.column, self._jumps.index, jumps, strict=True):
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
             k = index * (len(ENDS) - 1)
             out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
         out[-1] = self._tip[0]
         return self.per_tube(out)
+
+    @property
+    def total_bend(self) -> float:
+        """int |u|^2 ds along the arm, 1/m."""
+        weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
+        return float((weights * (self._bent[0] ** 2).sum(2)).sum())
 
     @cached_property
     def bend(self) -> Array:
@@ -311,7 +320,7 @@ class Derivatives:
         u, change = self._bent
         weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
         out = 2 * np.einsum("px,pxa,pxaq->q", weights, u, change)
-        np.add.at(out, self._jumps.column, self._gains[3][:, 1])
+        np.add.at(out, self.jumps.column, self._gains[3][:, 1])
         return self.per_tube(out)
 
     # --- energy and margin --------------------------------------------------------------------------------------------
@@ -321,92 +330,42 @@ class Derivatives:
         """(Q,) of the elastic energy, J."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
         t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
-        columns = self._columns
-        rate = at.rate_slope @ columns - (at.rate / kt)[..., None] * self._data[:, None, 2 * n :]
+        columns = self.columns
+        rate = at.rate_slope @ columns - (at.rate / kt)[..., None] * self.data[:, None, 2 * n :]
         w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
         dw = self.response.state[:-1, None, n:] + h[..., None] * np.einsum("xk,pkiq->pxiq", t.adjoint, rate)
         density = np.einsum("pkc,pkcq->pkq", at.bending_slope, columns)
         density += np.einsum("pki,pkiq->pkq", kt * at.stretch * w, dw)
         density += np.einsum("pki,pkiq->pkq", kt * w**2 / 2, at.stretch_slope @ columns)
-        density += np.einsum("pki,piq->pkq", at.stretch * w**2 / 2, self._data[:, 2 * n :])
+        density += np.einsum("pki,piq->pkq", at.stretch * w**2 / 2, self.data[:, 2 * n :])
         out = np.einsum("p,k,pkq->q", arm.length, t.weights, density)
-        np.add.at(out, self._jumps.column, self._gains[3][:, 0])
-        base, change = arm.twist[0], self.response.end[0, n:]
-        out += (kt * base**2 / 2) @ self._transmitted + (kt * arm.transmission * base) @ change
-        first = self._first("torsional_stiffness")
+        np.add.at(out, self.jumps.column, self._gains[3][:, 0])
+        base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
+        out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change
+        first = self.first("torsional_stiffness")
         if first is not None:
             out[first : first + n] += arm.transmission * base**2 / 2
         return self.per_tube(out)
 
     @property
-    def _columns(self) -> Array:
+    def columns(self) -> Array:
         """(P, K, 3n, Q) change of theta, kb and m at the points."""
         n, inner = self.arm.n_tubes, self.response.inner
-        data = np.broadcast_to(self._data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self._size))
+        data = np.broadcast_to(self.data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self.size))
         return np.concatenate([inner, data], axis=2)
 
     @cached_property
     def margin(self) -> Array:
-        """(Q,) of the margin of concentric tubes; NaN where it is a double eigenvalue."""
-        arm, n = self.arm, self.arm.n_tubes
-        out = np.zeros(self._size)
-        if self.value >= FLAT:
-            # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
-            return self.per_tube(out)
-        mode = self._mode
-        if mode is None:
-            return self.per_tube(np.full(self._size, np.nan))
-        y, slope, start = mode
-        form, gradient = self._variation(arm.inner, y)
-        weights = arm.length[:, None] * arm.tableau.weights
-        total = float((weights * form).sum()) / (self.value - 1)
-        out = np.einsum("pk,pkc,pkcq->q", weights, gradient, self._columns)
-        kt, released = arm.torsional_stiffness, 1 - self.value
-        # At fixed y(s) a longer transmission is a softer spring, kt / |beta|.
-        out -= released * (kt * slope[0] ** 2) @ self._transmitted
-        first = self._first("torsional_stiffness")
-        if first is not None:
-            inside = np.einsum("pk,pki->i", weights, slope[1] ** 2)
-            out[first : first + n] += released * (inside + arm.transmission * slope[0] ** 2)
-        np.add.at(out, self._jumps.column, self._variation_gains(start))
-        return self.per_tube(out / total)
-
-    @cached_property
-    def _mode(self) -> tuple[Array, tuple[Array, Array], Array] | None:
-        """y (P, K, n) at the points, y' at the plate (n,) and at the points, y (P + 1, n) between the pieces."""
-        arm, n, at = self.arm, self.arm.n_tubes, self.slopes
-        softened = chain_of(arm, at, self.value)
-        found = softest(arm, softened)
-        if found is None:
-            return None
-        state = found[:-1]
-        y = (softened.inner_state @ state[..., None]).reshape(arm.n_pieces, -1, n)
-        rate = (at.rate_slope[..., :n] @ y[..., None])[..., 0] / (1 - self.value)
-        inside = state[:, None, n:] + arm.length[:, None, None] * (arm.tableau.adjoint @ rate)
-        return y, (state[0, n:], inside), found[:, :n]
-
-    def _variation(self, theta: Array, y: Array) -> tuple[Array, Array]:
-        """y' V'' y (P, K) and its gradient (P, K, 3n) by theta, kb and m."""
-        arm, n = self.arm, self.arm.n_tubes
-        count = theta.shape[1]
-        kb, m = (np.repeat(table, count, axis=0) for table in (arm.stiffness, arm.moment))
-        out = section_function("variation", len(kb), n, False)(theta.reshape(-1, n), kb, m, y.reshape(-1, n))
-        return out[0].reshape(theta.shape[:2]).copy(), out[1].reshape(*theta.shape[:2], 3 * n).copy()
-
-    def _variation_gains(self, y: Array) -> Array:
-        """(J,) gain of y' V'' y at the jumps."""
-        jumps, count = self._jumps, len(self._jumps)
-        if not count:
-            return np.zeros(0)
-        kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
-        kb[~kb.any(1)] = 1.0
-        theta, mode = (np.concatenate([table[jumps.index]] * 2) for table in (self._states[0], y))
-        form = section_function("variation", 2 * count, self.arm.n_tubes, False)(theta, kb, m, mode)[0][:, 0]
-        return np.asarray(self.side * (form[:count] - form[count:]))
+        """(Q,) of the margin; NaN where it is a double eigenvalue."""
+        if not self.arm.n_pieces:
+            return self.per_tube(np.zeros(self.size))
+        # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
+        change = margin_change(self) if self.value < FLAT else np.zeros(self.size)
+        return self.per_tube(change)
 
     def per_tube(self, columns: Array) -> Array:
         """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
-        n, first = self.arm.n_tubes, self._first("translations")
+        n, first = self.arm.n_tubes, self.first("translations")
         if first is None or len(self.carriages) == n:
             return columns
         parts = [columns[..., :first], np.zeros((*columns.shape[:-1], n)), columns[..., first + len(self.carriages) :]]

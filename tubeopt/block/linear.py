@@ -1,7 +1,7 @@
 """The collocated torsion of an arm, linearised: how rotations and torsions along it answer to whatever changes.
 
-The derivatives of a cross-section come from CasADi; here is the linear algebra of the collocation. A state is (theta, w)
-where a piece begins; its change at the end of a piece is linear in that at its beginning and in the change of the
+The derivatives of a cross-section come from CasADi; here is the linear algebra of the collocation. A state is
+(theta, w) where a piece begins; its change at the end of a piece is linear in that at its beginning and in the change of the
 cross-section, and the boundary conditions at the plate and at the tip close the chain.
 """
 
@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..errors import SolveError
 from ..robots.assembly import Array
 from ..transcription.buffered import section_function
 from ..transcription.tableau import Tableau, tableau
@@ -73,6 +74,11 @@ class Slopes:
 def slopes_at(arm: Arm, theta: Array) -> Slopes:
     """Cross-sections at theta (P, X, n), by CasADi."""
     pieces, count, n = theta.shape
+    if not pieces:
+        nothing = [np.zeros((0, count, k)) for k in (n, n, 2)]
+        by = [np.zeros((0, count, k, 3 * n)) for k in (n, n, 2)]
+        parts = [part for pair in zip(nothing, by, strict=True) for part in pair]
+        return Slopes(*parts, np.zeros((0, count)), np.zeros((0, count, 3 * n)))
     function = section_function("linear", pieces * count, n, bool(arm.place))
     kb, m = (np.repeat(table, count, axis=0) for table in (arm.stiffness, arm.moment))
     out = [part.copy() for part in function(theta.reshape(-1, n), kb, m, *arm.place)]
@@ -129,11 +135,11 @@ def _diagonal(values: Array) -> Array:
     return np.asarray(values[..., None] * np.eye(values.shape[-1]))
 
 
-def chain_of(arm: Arm, at: Slopes, softening: float = 0.0) -> Chain:
-    """The linear maps of all pieces; `softening` reduces the torsional stiffness where w changes with theta."""
+def chain_of(arm: Arm, at: Slopes) -> Chain:
+    """The linear maps of all pieces."""
     t, n, pieces, count = arm.tableau, arm.n_tubes, arm.n_pieces, arm.tableau.degree
     h = arm.length[:, None, None]
-    rate = at.rate_slope[..., :n] / (1 - softening)
+    rate = at.rate_slope[..., :n]
     by_data = np.concatenate([at.rate_slope[..., n:], -_diagonal(at.rate / arm.torsional_stiffness)], axis=3)
     gained = by_data.reshape(pieces, count * n, 3 * n)
     adjoint = _kron(t, n)[1]
@@ -214,33 +220,13 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
         if k < pieces:
             end[k + 1] = chain.end_state[k] @ state[k]
             end[k + 1, :, :size] += forced[k]
-    twist = -np.linalg.solve(state[-1, n:, size:], state[-1, n:, :size])
+    try:
+        twist = -np.linalg.solve(state[-1, n:, size:], state[-1, n:, :size])
+    except np.linalg.LinAlgError:
+        raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite") from None
     state, end = (table[..., :size] + table[..., size:] @ twist for table in (state, end))
     inner = chain.inner_state @ state[:-1] + chain.inner_data @ data
-    return Response(state, end, inner.reshape(pieces, -1, n, size))
-
-
-def softest(arm: Arm, chain: Chain) -> Array | None:
-    """(P + 1, 2n) states of the mode y of tubes softened so far that they have one: the way in which they would snap.
-
-    Scaled arbitrarily; `chain` is that of the softened tubes. None where there are two such modes.
-    """
-    n, pieces = arm.n_tubes, arm.n_pieces
-    fields = np.zeros((pieces + 1, 2 * n, n))
-    fields[0, :n] = np.diag(arm.transmission)
-    fields[0, n:] = np.eye(n)
-    for k in range(pieces):
-        fields[k + 1] = chain.end_state[k] @ fields[k]
-    # w at the tip must vanish: the direction of w at the plate for which it very nearly does.
-    weight = np.sqrt(arm.torsional_stiffness)
-    _, size, vectors = np.linalg.svd(weight[:, None] * fields[-1, n:] / weight)
-    if n > 1 and size[-2] < DOUBLE * size[0]:
-        return None
-    return np.asarray(fields @ (vectors[-1] / weight))
-
-
-DOUBLE = 1e-8
-"""Two modes whose torsion at the tip is smaller than this, relative to the stiffest, are one double eigenvalue."""
+    return Response(state, end, inner.reshape(pieces, arm.tableau.degree, n, size))
 
 
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
@@ -256,10 +242,9 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
 def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Array) -> Array:
     """(P, len(x), n, Q) change of theta at fractions x of every piece."""
     t, n, h = arm.tableau, arm.n_tubes, arm.length[:, None, None, None]
-    columns = np.concatenate(
-        [response.inner, np.broadcast_to(data[:, None, : 2 * n], (*response.inner.shape[:2], 2 * n, data.shape[2]))],
-        axis=2,
-    )
+    inner = response.inner
+    section = np.broadcast_to(data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, data.shape[2]))
+    columns = np.concatenate([inner, section], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
     out = start + x[:, None, None] * h * twist + h**2 * _along(_basis(t, x, 2), rate)

@@ -165,7 +165,7 @@ class Goal:
             if self.objective == "margin":
                 gradient = -at.margin_slope()
             elif self.objective == "curvature":
-                gradient = 0.5 * self.space.length * at.along.bend @ self.space.spread
+                gradient = 0.5 * self.space.length * at.bend_slope
             right[0] = -gradient * self.space.scale / np.maximum(damping, 1e-6)
         if self.direction is not None and self.direction_weight is not None:
             root = np.sqrt(self.direction_weight)

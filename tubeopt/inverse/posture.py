@@ -7,16 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arm_derivatives import ArmJacobian, arm_jacobian, total_bend
+from ..block.derivatives import Derivatives
+from ..block.state import arm_of_equilibrium
 from ..continuation import LARGEST_SHIFT, LARGEST_TURN
-from ..derivatives import Jacobian, jacobian_at
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError
 from ..kinematics import forward_kinematics, one_step
 from ..obstacles import Obstacle
 from ..robots.assembly import Array, Mask
 from ..solution import DEFAULT_DISCRETISATION, Solution, polish
-from ..transcription import arm as arms
 from .joints import JointSpace
 
 FINE = 400
@@ -57,8 +56,18 @@ class Posture:
 
     @cached_property
     def solution(self) -> Solution:
-        """The solved problem behind the equilibrium, on the default mesh: what derivatives are taken of."""
+        """The solved problem behind the equilibrium, on the default mesh."""
         return polish(self.equilibrium, DEFAULT_DISCRETISATION)
+
+    @cached_property
+    def _forward(self) -> Derivatives:
+        """Derivatives for translations that grow, where they differ to either side."""
+        return self._derivatives(1)
+
+    def _derivatives(self, side: int) -> Derivatives:
+        assembly = self.space.robot.assembly(self.equilibrium.translations)
+        arm = arm_of_equilibrium(self.equilibrium, assembly)
+        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin)
 
     @cached_property
     def jacobian(self) -> tuple[Array, Array, Array]:
@@ -67,28 +76,33 @@ class Posture:
         Where breakpoints coincide, as where one tube ends in its order at the end of another, derivatives differ to
         either side: each joint has those of the side to which it is free to move.
         """
-        forward = _reduced(jacobian_at(self.solution, self.space.carriages), self.space)
+        forward = _reduced(self._forward, self.space)
         blocked = self.space.only_backward(self.q)
         return self._mixed(blocked, forward) if blocked.any() else forward
 
     @cached_property
     def backward(self) -> tuple[Array, Array, Array]:
         """As `jacobian`, with the derivatives of translations that shrink."""
-        return _reduced(jacobian_at(self.solution, self.space.carriages, side=-1), self.space)
+        return _reduced(self._derivatives(-1), self.space)
 
     def _mixed(self, backward: Mask, forward: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         a, b, c = (np.where(backward, low, high) for low, high in zip(self.backward, forward, strict=True))
         return a, b, c
 
-    @cached_property
-    def along(self) -> ArmJacobian:
-        """Derivatives of the whole arm."""
-        return arm_jacobian(self.solution, self.space.carriages)
+    @property
+    def along(self) -> Array:
+        """(p, 3, 2n) change of the shape points by rotations and translations."""
+        return self._forward.position
 
     @cached_property
     def bend(self) -> float:
         """int |u|^2 ds, 1/m."""
-        return total_bend(self.solution)
+        return self._forward.total_bend
+
+    @cached_property
+    def bend_slope(self) -> Array:
+        """(m,) change of `bend` per joint."""
+        return np.asarray(self._forward.bend @ self.space.spread)
 
     def margin_slope(self) -> Array:
         """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
@@ -136,10 +150,8 @@ class Posture:
         """Clearances (r,) where the arm comes closest, if closer than `within`, and their change (r, m) with q."""
         place, points, distance = self.contacts(obstacle)
         near = distance <= within
-        # The derivatives are on the default mesh, the equilibrium may be on a finer one.
-        along = arms.arc_lengths(self.solution.problem.mesh) if near.any() else place
         rows = [
-            obstacle.gradient(point) @ _between(along, self.along.position, s) @ self.space.spread
+            obstacle.gradient(point) @ _between(self.equilibrium.arc_length, self.along, s) @ self.space.spread
             for s, point in zip(place[near], points[near], strict=True)
         ]
         return distance[near], np.reshape(rows, (-1, len(self.q)))
@@ -211,5 +223,5 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
 
 
-def _reduced(jacobian: Jacobian, space: JointSpace) -> tuple[Array, Array, Array]:
-    return jacobian.position @ space.spread, jacobian.rotation @ space.spread, jacobian.margin @ space.spread
+def _reduced(of: Derivatives, space: JointSpace) -> tuple[Array, Array, Array]:
+    return of.tip_position @ space.spread, of.tip_rotation @ space.spread, of.margin @ space.spread

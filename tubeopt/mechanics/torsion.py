@@ -129,6 +129,7 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     y = ca.SX.sym("y", n)
     form = ca.bilin(stiff, y, y)
     bent = ca.densify(ca.gradient(here.bending_energy, given).T)
+    values = [here.moment, ca.SX(here.stretch), here.curvature, here.bending_energy]
     table = {
         "curvature": (inputs, [here.curvature]),
         "curvature_slope": (inputs, [turned]),
@@ -136,18 +137,6 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
         "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
-        "linear": (
-            inputs,
-            [
-                here.moment,
-                ca.SX(here.stretch),
-                here.curvature,
-                here.bending_energy,
-                slopes[1],
-                ca.SX(slopes[2]),
-                slopes[0],
-                bent,
-            ],
-        ),
+        "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

@@ -1,7 +1,7 @@
 """The order of the breakpoints of an arm: what its sections are made of, for numbers and for symbols alike.
 
-As long as breakpoints keep their order, the lengths of the sections are linear in lengths and translations of the tubes;
-which tubes are present and which are curved in a section does not change.
+As long as breakpoints keep their order, the lengths of the sections are linear in lengths and translations of the
+tubes; which tubes are present and which are curved in a section does not change.
 """
 
 from __future__ import annotations

@@ -27,11 +27,11 @@ from tubeopt import (
     Equilibrium,
     InputError,
     SolveError,
-    derivatives,
     forward_kinematics,
 )
-from tubeopt.derivatives import Jacobian
+from tubeopt.block.jacobian import Jacobian
 from tubeopt.robots.assembly import Array
+from tubeopt.robots.breakpoints import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.solution import to_equilibrium
@@ -41,15 +41,6 @@ TURN, SHIFT = 1e-4, 1e-5
 
 FINE = Discretisation(degree=8, refinement=1)
 """A mesh on which what it changes when breakpoints part is far below what is asserted."""
-
-
-@pytest.fixture
-def _fine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Derivatives on the mesh of the differences."""
-    monkeypatch.setattr(derivatives, "discretisation_of", lambda _: FINE)
-
-
-fine = pytest.mark.usefixtures("_fine")
 
 
 def solve(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> Equilibrium:
@@ -109,7 +100,6 @@ def same(one: Jacobian, other: Jacobian) -> bool:
     return all(np.allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9) for name in names)
 
 
-@fine
 @pytest.mark.parametrize("robot", [THESIS, CRL], ids=lambda robot: robot.name)
 def test_random_configurations(robot: ConcentricRobot) -> None:
     for rotations, translations in configurations(robot, 6, seed=41):
@@ -119,7 +109,6 @@ def test_random_configurations(robot: ConcentricRobot) -> None:
         assert same(ahead, behind)
 
 
-@fine
 @pytest.mark.parametrize("seed", range(8))
 def test_random_robots(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -129,7 +118,6 @@ def test_random_robots(seed: int) -> None:
     check(solved, 1 if seed % 2 else -1)
 
 
-@fine
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize(
     ("robot", "rotations"),
@@ -153,7 +141,6 @@ def test_at_home_the_two_sides_differ() -> None:
     assert ahead.position[:, :3] == pytest.approx(behind.position[:, :3], abs=1e-12)
 
 
-@fine
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("translations", [(-50.0, -100.0, -90.0), (-40.0, 20.0, 30.0), (-150.0, -20.0, 50.0)])
 def test_retracted_tubes(translations: tuple[float, ...], side: int) -> None:
@@ -161,14 +148,12 @@ def test_retracted_tubes(translations: tuple[float, ...], side: int) -> None:
     check(solved, side)
 
 
-@fine
 @pytest.mark.parametrize("side", [1, -1])
 def test_tubes_that_end_together(side: int) -> None:
     robot = nested((0.05, 0.1, 12.0), (0.05, 0.1, 7.0), (0.02, 0.1, 4.0))
     check(solve(robot, (1.5, 0.2, -0.8)), side)
 
 
-@fine
 @pytest.mark.parametrize(("shift", "side"), [(0.0, 1), (0.0, -1), (20.0, 1), (20.0, -1), (-50.0, 1), (-50.0, -1)])
 def test_one_tube(shift: float, side: int) -> None:
     robot = nested((0.05, 0.1, 12.0))
@@ -179,7 +164,6 @@ def test_one_tube(shift: float, side: int) -> None:
     assert exact.position[:, 0] == pytest.approx(np.cross([0, 0, 1], tip), abs=1e-8)
 
 
-@fine
 def test_withdrawn_tubes_move_nothing_until_they_come_out() -> None:
     solved = solve(THESIS, (0.3, 1.7, 1.0), (0.01, -0.02, -0.12))
     exact = check(solved, 1)
@@ -211,7 +195,6 @@ def test_close_to_the_snap_derivatives_grow_without_bound() -> None:
     assert sizes[-1] > 10 * sizes[0]
 
 
-@fine
 def test_an_unstable_equilibrium() -> None:
     solution = unstable_home(THESIS, np.array([np.pi, 0.0, 0.0]))
     saddle = to_equilibrium(THESIS, solution, (0.0, 0.0, 0.0), ("newton", "tubes without torsion", 0.0))
@@ -221,20 +204,16 @@ def test_an_unstable_equilibrium() -> None:
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL], ids=lambda robot: robot.name)
-def test_the_default_mesh_is_good_for_derivatives_too(robot: ConcentricRobot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_mesh_is_good_for_derivatives_too(robot: ConcentricRobot) -> None:
     for rotations, translations in configurations(robot, 6, seed=43):
-        solved = forward_kinematics(robot, rotations, translations)
-        coarse = solved.jacobian()
-        with monkeypatch.context() as patch:
-            patch.setattr(derivatives, "discretisation_of", lambda _: FINE)
-            exact = solved.jacobian()
+        coarse = forward_kinematics(robot, rotations, translations).jacobian()
+        exact = solve(robot, rotations, translations).jacobian()
         assert coarse.position == pytest.approx(exact.position, abs=1e-6)
         assert coarse.tip_rotations == pytest.approx(exact.tip_rotations, abs=1e-6)
         # The margin, an eigenvalue, feels the mesh more than the rotations do.
         assert coarse.margin == pytest.approx(exact.margin, abs=1e-2)
 
 
-@fine
 @pytest.mark.parametrize("side", [1, -1])
 def test_eccentric_robot_whose_tubes_move_together(side: int) -> None:
     robot: Robot = eccentric_robot(transmission=0.05)
@@ -279,3 +258,46 @@ def test_at_a_fold_there_are_none() -> None:
     before = forward_kinematics(TWO_TUBE, (203.9 * DEG, 0.0), guess=home)
     with pytest.raises(SolveError, match=r"^the equilibrium is a fold"):
         replace(before, rotations=np.array([203.95 * DEG, 0.0])).jacobian()
+
+
+def changed(robot: ConcentricRobot, name: str, tube: int, by: float) -> ConcentricRobot:
+    """The robot with one dimension of one tube changed by a fraction of it (a length: by `by` metres)."""
+    tubes, one = list(robot.tubes), robot.tubes[tube]
+    if name.endswith("stiffness"):
+        modulus = {"bending_stiffness": "youngs_modulus", "torsional_stiffness": "shear_modulus"}[name]
+        change = {"material": replace(one.material, **{modulus: getattr(one.material, modulus) * (1 + by)})}
+    else:
+        change = {name: getattr(one, name) + by}
+    tubes[tube] = replace(one, **change)
+    return replace(robot, tubes=tuple(tubes))
+
+
+@pytest.mark.parametrize("name", DIMENSIONS)
+@pytest.mark.parametrize("robot", [THESIS, CRL], ids=lambda robot: robot.name)
+def test_dimensions_of_the_tubes(robot: ConcentricRobot, name: str) -> None:
+    solved = solve(robot, (0.4, 1.9, -1.2), np.array([-11.0, -6.0, -3.0]) * MM)
+    exact = solved.jacobian(wrt=(name,))
+    for tube in range(3):
+        h = {"curvature": 1e-3}.get(name, 1e-5)
+        scale = getattr(robot.tubes[tube], name) if name.endswith("stiffness") else 1.0
+        rows = []
+        for k in (-2, -1, 1, 2):
+            there = solve(changed(robot, name, tube, k * h), solved.rotations, solved.translations)
+            rows.append([*there.tip_position, *there.tip_rotations, there.margin, there.energy])
+        slope = np.array([1 / 12, -2 / 3, 2 / 3, -1 / 12]) @ np.array(rows) / h
+        columns = exact.position[:, tube], exact.tip_rotations[:, tube], [exact.margin[tube], exact.energy[tube]]
+        assert scale * np.concatenate(columns) == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda robot: robot.name)
+def test_energy_is_the_work_of_the_motors(robot: ConcentricRobot) -> None:
+    # dE / d alpha_i is the torque with which tube i is held at its base, -kt w_i(0).
+    solved = solve(robot, np.linspace(0.3, 2.0, robot.n_tubes))
+    torque = [-tube.torsional_stiffness * w for tube, w in zip(robot.tubes, solved.torsion[:, 0], strict=True)]
+    assert solved.jacobian(wrt=("rotations",)).energy == pytest.approx(torque, rel=1e-9, abs=1e-15)
+
+
+def test_an_unknown_parameter() -> None:
+    solved = forward_kinematics(THESIS, (0.0, 1.0, 2.0))
+    with pytest.raises(InputError, match=r"^wrt names 'radius'; it may name rotations, translations, curvature, "):
+        solved.jacobian(wrt=("rotations", "radius"))
