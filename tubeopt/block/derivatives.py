@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,14 @@ from .linear import (
     Response,
     Slopes,
     chain_of,
+    poses_inside,
     respond,
     rotation_change,
+    rotation_rates_at,
     rotations_at,
     slopes_at,
 )
-from .margin import margin_change
+from .margin import AtSolution, Variation, quotient_change
 from .piece import ENDS
 
 PARAMETERS = ("rotations", "translations", *DIMENSIONS)
@@ -245,28 +247,37 @@ class Derivatives:
     # --- shape --------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _bent(self) -> tuple[Array, Array]:
-        """(P, 5, 2) curvature at ENDS of every piece, and its change (P, 5, 2, Q) at fixed arc lengths."""
-        theta = rotations_at(self.arm, self.slopes, ENDS)
-        here = slopes_at(self.arm, theta)
-        change = rotation_change(self.arm, self.slopes, self.response, self.data, ENDS)
-        n = self.arm.n_tubes
-        by_data = here.curvature_slope[..., n:] @ self.data[:, None, : 2 * n]
-        return here.curvature, here.curvature_slope[..., :n] @ change + by_data
+    def along(self) -> tuple[Array, Array, Array, Array]:
+        """theta and theta' (P, 5, n), u and u' (P, 5, 2) at ENDS of every piece."""
+        theta, slope = (function(self.arm, self.slopes, ENDS) for function in (rotations_at, rotation_rates_at))
+        here = self._ends
+        return theta, slope, here.curvature, (here.curvature_slope[..., : self.arm.n_tubes] @ slope[..., None])[..., 0]
+
+    @cached_property
+    def _ends(self) -> Slopes:
+        """Cross-sections at ENDS, with their derivatives."""
+        return slopes_at(self.arm, rotations_at(self.arm, self.slopes, ENDS))
+
+    @cached_property
+    def along_change(self) -> tuple[Array, Array]:
+        """(P, 5, n, Q) of theta and (P, 5, 2, Q) of u at ENDS of every piece, at fixed arc lengths, by carriages."""
+        theta = rotation_change(self.arm, self.slopes, self.response, self.data, ENDS)
+        n, slope = self.arm.n_tubes, self._ends.curvature_slope
+        return theta, slope[..., :n] @ theta + slope[..., n:] @ self.data[:, None, : 2 * n]
 
     @cached_property
     def _turned(self) -> tuple[Array, Array, Array]:
-        """World turn rates R du (P, 5, 3, Q) at ENDS, positions there, and turns of the jumps (J, 3)."""
-        index = np.arange(self.arm.n_pieces)[:, None] * (len(ENDS) - 1) + np.arange(len(ENDS))
-        frame, position = self.arm.frame[index], self.arm.position[index]
+        """World turn rates R du (P, K, 3, Q) at the points, positions there, and turns of the jumps (J, 3)."""
+        frame, position = poses_inside(self.arm, self.slopes)
+        change = self.slopes.curvature_slope @ self.columns
         own = self.arm.frame[self.jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
-        return frame[..., :2] @ self._bent[1], position, own[..., 0]
+        return frame[..., :2] @ change, position, own[..., 0]
 
     @cached_property
     def _tip(self) -> tuple[Array, Array]:
         """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
         rate, position, jumps = self._turned
-        weighted = rate * (self.arm.length[:, None] * _newton_cotes(len(ENDS)))[..., None, None]
+        weighted = rate * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
         turn = weighted.sum((0, 1))
         lever = self.arm.position[-1] - position
         moved = _cross(weighted, lever).sum((0, 1)) + self._pushed
@@ -300,26 +311,35 @@ class Derivatives:
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
         rate, place, jumps = self._turned
-        turn = _cumulate(self.arm.length, rate)
-        out = _cross(turn, self.arm.position) - _cumulate(self.arm.length, _cross(rate, place))
+        turn = _cumulate(self.arm, rate)
+        out = _cross(turn, self.arm.position) - _cumulate(self.arm, _cross(rate, place))
         for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
             k = index * (len(ENDS) - 1)
             out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
         out[-1] = self._tip[0]
         return self.per_tube(out)
 
+    @cached_property
+    def turn_ahead(self) -> Array:
+        """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
+        breakpoint there adds."""
+        rate, _, jumps = self._turned
+        out = _cumulate(self.arm, rate)
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
+            out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
+        return out
+
     @property
     def total_bend(self) -> float:
         """int |u|^2 ds along the arm, 1/m."""
-        weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
-        return float((weights * (self._bent[0] ** 2).sum(2)).sum())
+        weights = self.arm.length[:, None] * self.arm.tableau.weights
+        return float((weights * (self.slopes.curvature**2).sum(2)).sum())
 
     @cached_property
     def bend(self) -> Array:
         """(Q,) of int |u|^2 ds, 1/m."""
-        u, change = self._bent
-        weights = self.arm.length[:, None] * _newton_cotes(len(ENDS))
-        out = 2 * np.einsum("px,pxa,pxaq->q", weights, u, change)
+        weights, at = self.arm.length[:, None] * self.arm.tableau.weights, self.slopes
+        out = 2 * np.einsum("px,pxa,pxaq->q", weights, at.curvature, at.curvature_slope @ self.columns)
         np.add.at(out, self.jumps.column, self._gains[3][:, 1])
         return self.per_tube(out)
 
@@ -347,7 +367,7 @@ class Derivatives:
             out[first : first + n] += arm.transmission * base**2 / 2
         return self.per_tube(out)
 
-    @property
+    @cached_property
     def columns(self) -> Array:
         """(P, K, 3n, Q) change of theta, kb and m at the points."""
         n, inner = self.arm.n_tubes, self.response.inner
@@ -359,9 +379,14 @@ class Derivatives:
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
         if not self.arm.n_pieces:
             return self.per_tube(np.zeros(self.size))
-        # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
-        change = margin_change(self) if self.value < FLAT else np.zeros(self.size)
-        return self.per_tube(change)
+        return self.quotient(self.value, AtSolution())
+
+    def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
+        """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""
+        # No elastic coupling (or none that softens): it stays at its greatest value, 1.
+        if value >= FLAT:
+            return self.per_tube(np.zeros(self.size))
+        return self.per_tube(quotient_change(self, value, variation, one_of_two=one_of_two))
 
     def per_tube(self, columns: Array) -> Array:
         """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
@@ -374,24 +399,10 @@ class Derivatives:
         return np.concatenate(parts, axis=-1)
 
 
-@lru_cache(maxsize=4)
-def _newton_cotes(count: int) -> Array:
-    """Weights on [0, 1] of the closed rule at `count` equidistant points."""
-    x = np.linspace(0.0, 1.0, count)
-    return np.asarray(np.linalg.solve(np.vander(x, increasing=True).T, 1.0 / np.arange(1, count + 1)))
-
-
-@lru_cache(maxsize=1)
-def _integrals() -> Array:
-    """(5, 5) integrals from 0 to each of ENDS of the polynomials that are 1 at one of ENDS and 0 at the others."""
-    powers = np.arange(1, len(ENDS) + 1)
-    table: Array = (ENDS[:, None] ** powers / powers) @ np.linalg.inv(np.vander(ENDS, increasing=True))
-    return table
-
-
-def _cumulate(length: Array, values: Array) -> Array:
-    """Integrals (m, ...) from the plate to every shape point of values (P, 5, ...) along the pieces."""
-    inner = np.einsum("jk,pk...->pj...", _integrals(), values) * length.reshape(-1, *[1] * (values.ndim - 1))
+def _cumulate(arm: Arm, values: Array) -> Array:
+    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
+    up_to = arm.tableau.lagrange(ENDS, integrals=1)
+    inner = np.einsum("jk,pk...->pj...", up_to, values) * arm.length.reshape(-1, *[1] * (values.ndim - 1))
     before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
     table = before[:, None] + inner
     return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])

@@ -49,7 +49,9 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
     if arm.n_pieces:
         off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
         if off > SOLVED:
-            raise SolveError(f"the equilibrium is a fold or was not solved: its base rotations are off by {off:.1e} rad")
+            raise SolveError(
+                f"the equilibrium is a fold or was not solved: its base rotations are off by {off:.1e} rad"
+            )
     return Derivatives(
         arm,
         assembly,

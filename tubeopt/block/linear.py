@@ -1,8 +1,8 @@
 """The collocated torsion of an arm, linearised: how rotations and torsions along it answer to whatever changes.
 
 The derivatives of a cross-section come from CasADi; here is the linear algebra of the collocation. A state is
-(theta, w) where a piece begins; its change at the end of a piece is linear in that at its beginning and in the change of the
-cross-section, and the boundary conditions at the plate and at the tip close the chain.
+(theta, w) where a piece begins; its change at the end of a piece is linear in that at its beginning and in the change
+of the cross-section, and the boundary conditions at the plate and at the tip close the chain.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from functools import lru_cache
 import numpy as np
 
 from ..errors import SolveError
+from ..mechanics.shape import GAUSS_POINTS, step_function
 from ..robots.assembly import Array
-from ..transcription.buffered import section_function
+from ..transcription.buffered import mapped, section_function
 from ..transcription.tableau import Tableau, tableau
+from .piece import ENDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,6 +239,36 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
         inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
         theta = theta + h * (_basis(t, x, 1) @ ((at.stretch - 1) * inside))
     return np.asarray(theta)
+
+
+def poses_inside(arm: Arm, at: Slopes) -> tuple[Array, Array]:
+    """Frames (P, K, 3, 3) and positions (P, K, 3) at the points, by a step from the shape point before each."""
+    nodes, n, steps = arm.tableau.nodes, arm.n_tubes, len(ENDS) - 1
+    before = np.minimum((nodes * steps).astype(int), steps - 1)
+    part = nodes - ENDS[before]
+    x = (ENDS[before][:, None] + part[:, None] * GAUSS_POINTS).ravel()
+    theta = rotations_at(arm, at, x).reshape(-1, n)
+    kb, m = (np.repeat(table, len(x), axis=0) for table in (arm.stiffness, arm.moment))
+    if not len(theta):
+        return np.zeros((0, len(nodes), 3, 3)), np.zeros((0, len(nodes), 3))
+    u = section_function("curvature", len(theta), n, bool(arm.place))(theta, kb, m, *arm.place)[0]
+    step = mapped(step_function(), arm.n_pieces * len(nodes))
+    turn, shift = step(u.reshape(-1, 6), (arm.length[:, None] * part).reshape(-1, 1))
+    turn = turn.reshape(arm.n_pieces, len(nodes), 3, 3).swapaxes(2, 3)
+    index = np.arange(arm.n_pieces)[:, None] * steps + before
+    frame = arm.frame[index]
+    moved = (frame @ shift.reshape(arm.n_pieces, len(nodes), 3, 1))[..., 0]
+    return frame @ turn, arm.position[index] + moved
+
+
+def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:
+    """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
+    t, h = arm.tableau, arm.length[:, None, None]
+    slope = arm.twist[:, None] + h * (_basis(t, x, 1) @ at.rate)
+    if arm.place:
+        inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
+        slope = slope + _basis(t, x, 0) @ ((at.stretch - 1) * inside)
+    return np.asarray(slope)
 
 
 def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Array) -> Array:

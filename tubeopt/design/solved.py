@@ -7,23 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.derivatives import PARAMETERS
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF, Array, Assembly, assemble
 from ..solvers.newton import descend, newton
 from ..transcription.mesh import Mesh, make_mesh
 from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, to_unknowns
 from ..tubes import Tube
-
-LOCAL = (
-    "rotation",
-    "translation",
-    "curvature",
-    "straight_length",
-    "curved_length",
-    "bending_stiffness",
-    "torsional_stiffness",
-)
-"""What a pose is differentiated by, n each, in this order; SI."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +22,6 @@ class Twist:
 
     fraction: Array
     twist: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """Derivatives of the mesh by Q basic quantities: alpha, |beta|, kt, kb, kappa (n each), cuts (one per section).
-
-    start, length: (P, Q) of the pieces; local: (Q, 7 n) of the basic quantities by LOCAL.
-    """
-
-    start: Array
-    length: Array
-    local: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,28 +69,17 @@ def without_solving(tubes: Sequence[Tube], translations: Array) -> Solved:
     return Solved(problem, np.zeros(len(tubes)), state, 1.0)
 
 
-def mesh_basis(assembly: Assembly, mesh: Mesh) -> Basis:
-    """How pieces move with the breakpoints, and the breakpoints with lengths and translations."""
+def mesh_slopes(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
+    """(P, 7 n) change of where the pieces begin and of their lengths, by `block.derivatives.PARAMETERS`."""
     n, m = assembly.n_tubes, assembly.n_sections
-    count = np.bincount(mesh.section, minlength=m)
-    rank = np.arange(len(mesh.section)) - np.repeat(np.cumsum(count) - count, count)
-    size = 5 * n + m
-    length, start = (np.zeros((len(mesh.section), size)) for _ in range(2))
-    for piece, section in enumerate(mesh.section):
-        length[piece, 5 * n + section] = 1 / count[section]
-        if section:
-            length[piece, 5 * n + section - 1] = -1 / count[section]
-            start[piece, 5 * n + section - 1] = 1.0
-        start[piece] += rank[piece] * length[piece]
-    local = np.zeros((size, 7 * n))
-    for i in range(n):
-        alpha, shift, curvature, straight, _, bending, torsional = (i + k * n for k in range(7))
-        local[i, alpha] = 1.0
-        local[n + i, [straight, shift]] = 1.0, -1.0
-        local[2 * n + i, torsional] = local[3 * n + i, bending] = local[4 * n + i, curvature] = 1.0
-    for k, cut in enumerate(assembly.start + assembly.length):
+    cuts = np.zeros((m + 1, len(PARAMETERS) * n))
+    shift, longer = (PARAMETERS.index(name) * n for name in ("translations", "curved_length"))
+    for k, cut in enumerate(assembly.start + assembly.length, start=1):
         near = np.abs(np.stack([assembly.transition, assembly.end], axis=1).ravel() - cut) <= 2 * ROUND_OFF
         tube, at_end = divmod(int(np.argmax(near)), 2)
-        local[5 * n + k, n + tube] = 1.0
-        local[5 * n + k, 4 * n + tube] = at_end
-    return Basis(start, length, local)
+        cuts[k, shift + tube] = 1.0
+        cuts[k, longer + tube] = at_end
+    count = np.bincount(mesh.section, minlength=m)
+    rank = np.arange(len(mesh.section)) - np.repeat(np.cumsum(count) - count, count)
+    length = (np.diff(cuts, axis=0) / count[:, None])[mesh.section]
+    return cuts[mesh.section] + rank[:, None] * length, length

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from ..robots.assembly import Array
+from ..robots.breakpoints import DIMENSIONS
 from ..tubes import Tube
 from .parameters import DesignSpace
 from .pose import Pose
-from .solved import LOCAL, Twist, solve_pose, without_solving
+from .solved import Twist, solve_pose, without_solving
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ class State:
     def chain(self, index: int) -> Array:
         """(7 n, X) change of what a pose is differentiated by."""
         rotations, translations = self.joint_slopes(index)
-        return np.concatenate([rotations, translations, *(self.slopes[name] for name in LOCAL[2:])])
+        return np.concatenate([rotations, translations, *(self.slopes[name] for name in DIMENSIONS)])
 
     def certificate(self, k: int) -> tuple[float, Array]:
         """mu_cert at the k-th translations of the certificate, and its change (X,)."""
@@ -164,7 +165,7 @@ class State:
         value, slope = self._certified[k].certificate
         n = self.layout.n
         still = np.zeros((2 * n, self.layout.size))
-        return value, slope @ np.concatenate([still, *(self.slopes[name] for name in LOCAL[2:])])
+        return value, slope @ np.concatenate([still, *(self.slopes[name] for name in DIMENSIONS)])
 
     @property
     def guesses(self) -> dict[int, Twist]:

@@ -26,6 +26,26 @@ SPLITS = 4
 """Parts in which every section is crossed."""
 
 
+def laplacian(stiffness: Any, moment: Any) -> Any:
+    """(n, n) C with y' C y = sum_pairs |c_ij| (y_i - y_j)^2 at a cross-section with kb_i, m_i (n,): -V'' at rotations
+    that are worst for every pair."""
+    pull = ca.fabs(moment)
+    pairs = pull @ pull.T / ca.sum1(stiffness)
+    pairs = pairs - ca.diag(ca.diag(pairs))
+    return ca.diag(ca.sum2(pairs)) - pairs
+
+
+@lru_cache(maxsize=16)
+def worst_function(n: int) -> ca.Function:
+    """(kb, m, y) -> -C (n, n), -y' C y, its gradient with respect to kb and m (2 n)."""
+    stiffness, moment, y = (ca.SX.sym(s, n) for s in ("kb", "m", "y"))
+    worst = -laplacian(stiffness, moment)
+    form = ca.bilin(worst, y, y)
+    slope = ca.gradient(form, ca.vertcat(stiffness, moment))
+    outputs = [ca.densify(part) for part in (worst, form, slope)]
+    return ca.Function("worst", [stiffness, moment, y], outputs, {"cse": True})
+
+
 def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
     """D(lambda) of tubes with torsional_stiffness kt (n,), transmission (n,), and per section, base to tip,
     length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m)."""
@@ -34,11 +54,8 @@ def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
     y: Any = identity
     slope: Any = ca.DM.zeros(n, n)
     for k in reversed(range(sections)):
-        moment = ca.fabs(given["moment"][:, k])
-        pairs = moment @ moment.T / ca.sum1(given["stiffness"][:, k])
-        pairs = pairs - ca.diag(ca.diag(pairs))
-        laplacian = ca.diag(ca.sum2(pairs)) - pairs
-        rate = ca.diag(1 / given["torsional_stiffness"]) @ laplacian / eigenvalue
+        coupling = laplacian(given["stiffness"][:, k], given["moment"][:, k])
+        rate = ca.diag(1 / given["torsional_stiffness"]) @ coupling / eigenvalue
         h = given["length"][k] / SPLITS
         cos, sinc, turned = _transfer(rate, h)
         for _ in range(SPLITS):

@@ -52,6 +52,16 @@ def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Bu
     return _mapped(kind, count, n_tubes, eccentric, threading.get_ident())
 
 
+@lru_cache(maxsize=64)
+def _mapped_function(function: ca.Function, count: int, thread: int) -> Buffered:
+    return Buffered(function.map(count))
+
+
+def mapped(function: ca.Function, count: int) -> Buffered:
+    """A function mapped over `count` points, bound to arrays of this thread."""
+    return _mapped_function(function, count, threading.get_ident())
+
+
 @lru_cache(maxsize=256)
 def _accumulated(count: int, n_tubes: int, eccentric: bool, family: str, degree: int, thread: int) -> Buffered:
     return Buffered(piece_function(n_tubes, eccentric, family, degree).mapaccum(count))
