@@ -10,8 +10,9 @@ import pytest
 
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
+from tubeopt.block.derivatives import PARAMETERS
 from tubeopt.design.pose import Pose
-from tubeopt.design.solved import LOCAL, Twist, solve_pose
+from tubeopt.design.solved import Twist, solve_pose
 from tubeopt.robots.assembly import Array
 from tubeopt.tubes import Tube
 
@@ -20,11 +21,11 @@ Numbers = dict[str, Array]
 
 def pose_of(numbers: Numbers, guess: Twist | None = None) -> Pose:
     """A pose of tubes that are given by their stiffnesses and lengths alone."""
-    n = len(numbers["rotation"])
-    tubes = [SimpleNamespace(**{name: float(numbers[name][i]) for name in LOCAL[2:]}) for i in range(n)]
+    n = len(numbers["rotations"])
+    tubes = [SimpleNamespace(**{name: float(numbers[name][i]) for name in PARAMETERS[2:]}) for i in range(n)]
     for tube in tubes:
         tube.length = tube.straight_length + tube.curved_length
-    return Pose(solve_pose(cast(list[Tube], tubes), numbers["rotation"], numbers["translation"], guess))
+    return Pose(solve_pose(cast(list[Tube], tubes), numbers["rotations"], numbers["translations"], guess))
 
 
 def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:
@@ -32,9 +33,9 @@ def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:
     random = np.random.default_rng([7, seed])
     while True:
         robot = random_robot(random, n)
-        numbers = {name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in LOCAL[2:]}
-        numbers["rotation"] = random.uniform(-2.5, 2.5, n)
-        numbers["translation"] = -random.uniform(0.0, 0.02, n)
+        numbers = {name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS[2:]}
+        numbers["rotations"] = random.uniform(-2.5, 2.5, n)
+        numbers["translations"] = -random.uniform(0.0, 0.02, n)
         if 0.1 < pose_of(numbers).margin < 0.98:
             return robot, numbers
 
@@ -43,10 +44,10 @@ def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:
 def test_values_are_those_of_forward_kinematics(seed: int, n: int) -> None:
     robot, numbers = random_numbers(seed, n)
     pose = pose_of(numbers)
-    guess = forward_kinematics(robot, numbers["rotation"], numbers["translation"])
+    guess = forward_kinematics(robot, numbers["rotations"], numbers["translations"])
     assert np.allclose(pose.position[-1], guess.tip_position, atol=1e-8)
     assert pose.margin == pytest.approx(guess.margin, abs=1e-7)
-    assert pose.certificate[0] == pytest.approx(snap_free_certificate(robot, numbers["translation"]), abs=1e-9)
+    assert pose.certificate[0] == pytest.approx(snap_free_certificate(robot, numbers["translations"]), abs=1e-9)
 
 
 @pytest.mark.parametrize(("seed", "n"), [(1, 2), (2, 3), (3, 3), (4, 4)])
@@ -56,8 +57,8 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
     position, turn, arc = pose.shape_slopes
     theta, bend = pose.bend_slopes
     parts = (position, turn, arc, theta, bend, pose.margin_slope, pose.certificate[1])
-    for k, (name, i) in enumerate((name, i) for name in LOCAL for i in range(n)):
-        size = 1e-6 * (abs(numbers[name][i]) if name in LOCAL[2:] else 1.0)
+    for k, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(n)):
+        size = 1e-6 * (abs(numbers[name][i]) if name in PARAMETERS[2:] else 1.0)
         sides = []
         for sign in (1, -1):
             moved = {key: value.copy() for key, value in numbers.items()}
