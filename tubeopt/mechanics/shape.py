@@ -31,7 +31,7 @@ def _combine(*terms: tuple[float, tuple[Any, Any]]) -> tuple[Any, Any]:
     return sum(c * t[0] for c, t in terms), sum(c * t[1] for c, t in terms)
 
 
-def _exponential(omega: Any, v: Any) -> tuple[Any, Any]:
+def exponential(omega: Any, v: Any) -> tuple[Any, Any]:
     """(R, p) = exp of a twist that turns by at most 2 rad, to round-off: (1 - cos x) / x^2 and (x - sin x) / x^3 as
     power series, which have no cancellation and no branch."""
     x = ca.dot(omega, omega)
@@ -63,7 +63,7 @@ def _magnus(curvature: Any, length: Any) -> tuple[Any, Any]:
 
 def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
     """Pose after a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
-    turn, shift = _exponential(*_magnus(curvature, length))
+    turn, shift = exponential(*_magnus(curvature, length))
     return rotation @ turn, position + rotation @ shift
 
 
@@ -73,7 +73,7 @@ def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: An
     omega, v = _magnus(curvature, length)
     quarter = ca.dot(omega, omega) / 4
     turn = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
-    _, shift = _exponential(omega, v)
+    _, shift = exponential(omega, v)
     return quaternion_product(quaternion, turn), position + rotation_matrix(quaternion) @ shift
 
 

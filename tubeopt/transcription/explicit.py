@@ -7,7 +7,8 @@ several equilibria have the same joint values, these points tell them apart; a c
 
 The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0:
 breakpoints are sorted by comparisons, so that one function serves every translation. The margin enters as in
-`inverse_program`, by the determinants of the Jacobi fields of softened tubes.
+`inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
+their own equations.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..mechanics.shape import _exponential
-from ..mechanics.torsion import cross_section
+from ..mechanics.matrix import determinant
+from ..mechanics.shape import exponential
+from ..mechanics.torsion import section_functions
 from ..robots.assembly import Array
 from ..robots.robot import Robot
-from .inverse_program import _determinant, _nystrom
 
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
@@ -47,20 +48,20 @@ def explicit_parameters(robot: Robot) -> Array:
 
 
 @lru_cache(maxsize=16)
-def explicit_arm(n: int, eccentric: bool) -> ca.Function:
+def explicit_arm(n: int, eccentric: bool, steps: int = STEPS) -> ca.Function:
     """(tip rotations (n,), translations (n,), margin, robot (7n,)) -> the equilibrium.
 
     Outputs: `rotations` (n,) of the joints; `fields` (2n,) determinants of the Jacobi fields of tubes softened by the
     margin, all positive if and only if the equilibrium's own margin is larger; `points` (3, p) and `tangents` (3, p) of
-    the centreline, plate to tip, and their `arc_length` (p,).
+    the centreline, plate to tip, and their `arc_length` (p,). Each of the 2n sections takes `steps` steps.
     """
     tip, shift, margin, robot = (ca.SX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", 7 * n)))
-    kb, kt, moment, straight, whole, offset, angle = ca.vertsplit(robot, n)
+    parts = tuple(ca.vertsplit(robot, n))
+    kb, _, moment, straight, whole, _, _ = parts
     transition, end = shift, shift - straight + whole
     cuts = _sorted([ca.fmax(v, 0) for v in (*ca.vertsplit(transition), *ca.vertsplit(end))])
     cuts = [ca.SX(0), *cuts]
-    place = (offset, angle) if eccentric else (None, None)
-    march = _March(n, kt, (1 - margin) * kt, place, tip)
+    march = _March(parts, margin, eccentric, tip, steps)
     fields = []
     for a, b in reversed(list(pairwise(cuts))):
         middle = (a + b) / 2
@@ -69,9 +70,9 @@ def explicit_arm(n: int, eccentric: bool) -> ca.Function:
         # whichever it has, they must not divide by 0.
         stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
         march.section(b - a, stiffness, moment * present * (middle > transition))
-        fields.append(_determinant(march.y))
+        fields.append(determinant(march.y))
     transmission = ca.fmax(straight - shift, 0)
-    fields[-1] = _determinant(march.y - ca.diag(transmission) @ march.slope)
+    fields[-1] = determinant(march.y - ca.diag(transmission) @ march.v)
     rotations = march.theta - transmission * march.twist
     position, tangent, s = march.shape()
     return ca.Function(
@@ -105,62 +106,62 @@ def _sorted(values: list[Any]) -> list[Any]:
 class _March:
     """The state of the integration from tip to plate: theta, w, Jacobi fields, and the curvature met on the way."""
 
-    def __init__(self, n: int, kt: Any, softened: Any, place: tuple[Any, Any], tip: Any) -> None:
-        self.kt, self.softened, self.place = kt, softened, place
+    def __init__(self, robot: tuple[Any, ...], margin: Any, eccentric: bool, tip: Any, steps: int) -> None:
+        self.kt, self.softening, self.eccentric, self.count = robot[1], 1 - margin, eccentric, steps
+        self.place = robot[5:7] if eccentric else ()
+        n = tip.numel()
         self.theta, self.twist = tip, ca.SX.zeros(n)
-        self.y, self.slope = ca.SX.eye(n), ca.SX.zeros(n, n)
+        self.y, self.v = ca.SX.eye(n), ca.SX.zeros(n, n)
         self.steps: list[tuple[Any, list[Any]]] = []
+        self.balance = section_functions(n, eccentric)["balance"]
+        self.bend = section_functions(n, eccentric)["curvature"]
 
     def section(self, length: Any, stiffness: Any, moment: Any) -> None:
         """Integrate over one section."""
-        h = length / STEPS
-        for _ in range(STEPS):
-            far, w_far = self.theta, self.twist
-            first = cross_section(far, stiffness, moment, *self.place)
-            if self.place[0] is None:
-                near, w_near = self._nystrom(far, w_far, stiffness, moment, h)
-                rates = w_far, w_near
-            else:
-                near, w_near = self._runge_kutta(far, w_far, stiffness, moment, h)
-                rates = first.stretch * w_far, cross_section(near, stiffness, moment, *self.place).stretch * w_near
-            middle = (far + near) / 2 + h / 8 * (rates[1] - rates[0])
-            stages = [self._stiffness(theta, stiffness, moment) for theta in (near, middle, far)]
-            self.y, self.slope = _nystrom(self.y, self.slope, stages, h)
-            u = [cross_section(theta, stiffness, moment, *self.place).curvature for theta in (near, middle, far)]
-            self.steps.append((h, u))
-            self.theta, self.twist = near, w_near
+        h = length / self.count
+        given = (stiffness, moment, *self.place)
+        for _ in range(self.count):
+            far, far_rate = self.theta, self._turning(self.theta, self.twist, given)
+            (self._runge_kutta if self.eccentric else self._nystrom)(given, h)
+            near_rate = self._turning(self.theta, self.twist, given)
+            middle = (far + self.theta) / 2 + h / 8 * (near_rate - far_rate)
+            self.steps.append((h, [self.bend(theta, *given) for theta in (self.theta, middle, far)]))
 
-    def _gain(self, theta: Any, stiffness: Any, moment: Any) -> Any:
-        return cross_section(theta, stiffness, moment, *self.place).moment / self.kt
+    def _turning(self, theta: Any, w: Any, given: tuple[Any, ...]) -> Any:
+        """theta' at a cross-section."""
+        return self.balance(theta, *given)[3] * w if self.eccentric else w
 
-    def _nystrom(self, theta: Any, w: Any, stiffness: Any, moment: Any, h: Any) -> tuple[Any, Any]:
-        """A step of theta'' = M / kt towards the plate."""
-        k1 = self._gain(theta, stiffness, moment)
-        k2 = self._gain(theta - h / 2 * w + h**2 / 8 * k1, stiffness, moment)
-        k3 = self._gain(theta - h * w + h**2 / 2 * k2, stiffness, moment)
-        return theta - h * w + h**2 / 6 * (k1 + 2 * k2), w - h / 6 * (k1 + 4 * k2 + k3)
+    def _gains(self, theta: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:
+        """w' (n,), and its derivative (n, n) with the tubes softened, of concentric tubes."""
+        moment, slope, *_ = self.balance(theta, *given)
+        return moment / self.kt, ca.diag(1 / (self.softening * self.kt)) @ slope
 
-    def _runge_kutta(self, theta: Any, w: Any, stiffness: Any, moment: Any, h: Any) -> tuple[Any, Any]:
-        """A step of theta' = g w, w' = M / kt towards the plate."""
+    def _nystrom(self, given: tuple[Any, ...], h: Any) -> None:
+        """A step of theta'' = M / kt and of its Jacobi fields towards the plate, of order 4."""
+        theta, w, y, v = self.theta, self.twist, self.y, self.v
+        k1, slope = self._gains(theta, given)
+        f1 = slope @ y
+        k2, slope = self._gains(theta - h / 2 * w + h**2 / 8 * k1, given)
+        f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
+        k3, slope = self._gains(theta - h * w + h**2 / 2 * k2, given)
+        f3 = slope @ (y - h * v + h**2 / 2 * f2)
+        self.theta, self.twist = theta - h * w + h**2 / 6 * (k1 + 2 * k2), w - h / 6 * (k1 + 4 * k2 + k3)
+        self.y, self.v = y - h * v + h**2 / 6 * (f1 + 2 * f2), v - h / 6 * (f1 + 4 * f2 + f3)
 
-        def rates(a: Any, b: Any) -> tuple[Any, Any]:
-            here = cross_section(a, stiffness, moment, *self.place)
-            return here.stretch * b, here.moment / self.kt
+    def _runge_kutta(self, given: tuple[Any, ...], h: Any) -> None:
+        """A step of theta' = g w, w' = M / kt and of its Jacobi fields towards the plate, of order 4."""
 
-        k = [rates(theta, w)]
+        def rates(theta: Any, w: Any, y: Any, v: Any) -> list[Any]:
+            moment, slope, _, stretch, stretching = self.balance(theta, *given)
+            turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
+            return [stretch * w, moment / self.kt, turned, ca.diag(1 / (self.softening * self.kt)) @ slope @ y]
+
+        start = [self.theta, self.twist, self.y, self.v]
+        k = [rates(*start)]
         for part in (0.5, 0.5, 1.0):
-            k.append(rates(theta - part * h * k[-1][0], w - part * h * k[-1][1]))
-        weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-        turned = sum(c * a for c, (a, _) in zip(weights, k, strict=True))
-        gained = sum(c * b for c, (_, b) in zip(weights, k, strict=True))
-        return theta - h * turned, w - h * gained
-
-    def _stiffness(self, theta: Any, stiffness: Any, moment: Any) -> Any:
-        """V'' / kt of softened tubes (n, n), on the centreline."""
-        cos, sin = moment * ca.cos(theta), moment * ca.sin(theta)
-        pull = ca.sum1(cos), ca.sum1(sin)
-        own = ca.diag(cos * pull[0] + sin * pull[1])
-        return ca.diag(1 / self.softened) @ (own - cos @ cos.T - sin @ sin.T) / ca.sum1(stiffness)
+            k.append(rates(*(a - part * h * b for a, b in zip(start, k[-1], strict=True))))
+        mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*k, strict=True)]
+        self.theta, self.twist, self.y, self.v = (a - h * b for a, b in zip(start, mean, strict=True))
 
     def shape(self) -> tuple[Any, Any, Any]:
         """Positions and tangents (3, p), arc lengths (p,), plate to tip: Magnus steps of order 4 on SE(3)."""
@@ -173,11 +174,12 @@ class _March:
             # The commutator of the twists (u, e3) at both ends: (u0 - u1) x e3.
             change = near - far
             move = ca.vertcat(bracket * change[1], -bracket * change[0], h)
-            rotation, step = _exponential(turn, move)
+            rotation, step = exponential(turn, move)
             position, frame, s = position + frame @ step, frame @ rotation, s + h
             out.append((position, frame[:, 2], s))
+        # Zeros are entries as well: who reads the numbers takes them to be all there.
         return (
-            ca.horzcat(*(p for p, _, _ in out)),
-            ca.horzcat(*(t for _, t, _ in out)),
-            ca.vertcat(*(a for *_, a in out)),
+            ca.densify(ca.horzcat(*(p for p, _, _ in out))),
+            ca.densify(ca.horzcat(*(t for _, t, _ in out))),
+            ca.densify(ca.vertcat(*(a for *_, a in out))),
         )

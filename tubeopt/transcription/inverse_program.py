@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError
+from ..mechanics.matrix import determinant
 from ..mechanics.shape import GAUSS_POINTS, magnus_step
 from ..mechanics.torsion import cross_section
 from ..obstacles import Obstacle
@@ -321,8 +322,8 @@ class _Arm:
             else:
                 y = y - self.given.length[piece] * slope
             if piece:
-                out.append(_determinant(y))
-        out.append(_determinant(y - ca.diag(self.given.transmission) @ slope))
+                out.append(determinant(y))
+        out.append(determinant(y - ca.diag(self.given.transmission) @ slope))
         return ca.vertcat(*out)
 
     def _stiffness(self, piece: int, theta: Any, softened: Any) -> Any:
@@ -347,16 +348,3 @@ def _nystrom(y: Any, slope: Any, stiffness: list[Any], h: Any) -> tuple[Any, Any
     k2 = middle @ (y - h / 2 * slope + h**2 / 8 * k1)
     k3 = near @ (y - h * slope + h**2 / 2 * k2)
     return y - h * slope + h**2 / 6 * (k1 + 2 * k2), slope - h / 6 * (k1 + 4 * k2 + k3)
-
-
-def _determinant(matrix: Any) -> Any:
-    """Determinant; of more than three rows by elimination without pivoting: the fields begin as the identity."""
-    n = matrix.shape[0]
-    if n <= 3:
-        return ca.det(matrix)
-    product: Any = 1.0
-    for _ in range(n - 1):
-        pivot = matrix[0, 0]
-        product = product * pivot
-        matrix = matrix[1:, 1:] - matrix[1:, 0] @ matrix[0, 1:] / pivot
-    return product * matrix[0, 0]
