@@ -36,7 +36,8 @@ def block(problem: ReducedProblem) -> tuple[Nlp, ca.Function]:
     structure = structure_of(problem)
     unknown = add_equilibrium(builder, structure, parameters(builder, structure))
     nlp = builder.build()
-    return nlp, ca.Function("read", [nlp.x, nlp.p], [unknown.rotation, unknown.start_rotation, unknown.start_twist])
+    begins = [ca.horzcat(*(getattr(part.piece, name) for part in unknown.torsion)) for name in ("theta", "twist")]
+    return nlp, ca.Function("read", [nlp.x, nlp.p], [unknown.rotation, *begins])
 
 
 def untwisted(nlp: Nlp, rotations: Sequence[float] | Array) -> Array:
@@ -115,7 +116,7 @@ def test_every_unknown_and_equation_is_named_once(add: Callable[..., Any]) -> No
     assert len(set(nlp.names)) == len(nlp.names) == nlp.x.numel()
     assert len(set(nlp.constraint_names)) == len(nlp.constraint_names) == nlp.constraints.numel()
     # Only sections 2 to 4 of the five have two curved tubes, whose torsion needs points.
-    collocated = {name.split("section ")[1][0] for name in nlp.constraint_names if name.startswith("rotation equation")}
+    collocated = {name.split("section ")[1][0] for name in nlp.constraint_names if name.startswith(("torsion equation", "rotation equation"))}
     assert collocated == {"2", "3", "4"}
 
 
@@ -136,7 +137,7 @@ def test_violated_equations_are_reported_in_words() -> None:
     x = start_values(structure_of(problem), problem, solved, "equations")
     # Not round-off: the profile is the polynomial through the moments, integrated twice, not the points themselves.
     assert np.abs(g(x, p).full()).max() < 1e-8
-    x[nlp.names.index("torsion, tube 2, section 2, point 4")] += 3e-3
+    x[nlp.names.index("rotation, tube 2, section 2, point 4")] += 3e-3
     name, size = nlp.worst(g(x, p).full().ravel())[0]
     assert name == "torsion equation, tube 2, section 2, point 4"
-    assert size == pytest.approx(3e-3, rel=1e-4)
+    assert size == pytest.approx(3e-3, rel=1e-2)

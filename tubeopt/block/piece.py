@@ -137,6 +137,13 @@ def torsion_of(piece: Piece) -> Torsion:
     return Torsion(piece, twist, gain, slope - twist, defect, end)
 
 
+def untwisting(piece: Piece) -> Torsion:
+    """The torsion of a piece on which no tube feels a moment: linear; its rotations inside are no unknowns."""
+    n, count = piece.grid.n_tubes, piece.grid.degree
+    zero, twist = ca.SX.zeros(n, count), ca.repmat(piece.twist, 1, count)
+    return Torsion(piece, twist, zero, zero, zero, (piece.theta + piece.length * piece.twist, piece.twist))
+
+
 def energy_of(torsion: Torsion) -> Any:
     """Elastic energy of the piece, J: int kt g w^2 / 2 + bending, g w^2 = w (w + (g - 1) w)."""
     piece = torsion.piece
@@ -181,7 +188,7 @@ SOFT_STEPS = 2
 """Steps of that method per piece: the margin to about 1e-9."""
 
 
-def softened_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
+def softened_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = SOFT_STEPS) -> Any:
     """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
 
     The fields are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where w
@@ -191,9 +198,9 @@ def softened_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
     piece, n = torsion.piece, torsion.piece.grid.n_tubes
-    h = piece.length / SOFT_STEPS
-    for step in reversed(range(SOFT_STEPS)):
-        x = (step + SOFT_NODES) / SOFT_STEPS
+    h = piece.length / steps
+    for step in reversed(range(steps)):
+        x = (step + SOFT_NODES) / steps
         theta, w = torsion.rotation(x), torsion.torsion(x)
         rates = [_field_rate(piece, theta[:, k], w[:, k], margin) for k in range(len(x))]
         slopes: list[Any] = []

@@ -22,11 +22,13 @@ def _problem(structure: Structure, formulation: str) -> tuple[Nlp, Any, Any]:
     """The program, its IPOPT solver, and the functions from a guess to x and from x to theta at the points."""
     builder = Builder()
     given = parameters(builder, structure)
-    add = add_equilibrium if formulation == "equations" else add_energy
-    block = add(builder, structure, given)
+    if formulation == "equations":
+        rotation = add_equilibrium(builder, structure, given).rotation
+    else:
+        rotation = add_energy(builder, structure, given)
     nlp = builder.build()
     solver = nlp.ipopt(formulation)
-    read = ca.Function("read", [nlp.x, nlp.p], [ca.densify(block.rotation)])
+    read = ca.Function("read", [nlp.x, nlp.p], [ca.densify(rotation)])
     return nlp, solver, read
 
 
@@ -60,8 +62,6 @@ def start_values(structure: Structure, problem: ReducedProblem, guess: Profile, 
     """The unknowns of the program, in its order, at a torsion profile on the same mesh."""
     nodes = tuple(problem.mesh.tableau.nodes.tolist())
     theta, slope = rotations_at(problem, guess, nodes), torsion_at(problem, guess, nodes)
-    if guess.extra is not None:
-        slope = slope - guess.extra  # the unknown is w, and theta' = w + (g - 1) w
     parts: list[Array] = []
     if formulation == "energy":
         parts.append(guess.twist[0] if len(guess.twist) else np.zeros(problem.assembly.n_tubes))
@@ -69,7 +69,7 @@ def start_values(structure: Structure, problem: ReducedProblem, guess: Profile, 
         if formulation == "equations":
             parts += [guess.rotation[piece], guess.twist[piece]]
             if collocated:
-                parts += [theta[piece].ravel(), slope[piece].ravel()]
+                parts.append(theta[piece].ravel())
             continue
         if collocated:
             parts += [theta[piece].ravel(), slope[piece].ravel()]

@@ -1,10 +1,6 @@
 """The equilibrium block: unknowns and equations of one equilibrium, to be added to any nonlinear program.
 
-On every collocated piece of length h, with Runge-Kutta matrix A and weights b,
-
-    theta_k = theta + h sum_j A_kj g_j w_j,      w_k = w + h sum_j A_kj M_j / kt,
-
-and the same with b to the next piece; pieces where torsion is linear have no points. The base gives
+Every piece of the mesh is one of `block.piece`; pieces where torsion is linear have no points. The base gives
 theta(0) = alpha + |beta| w(0), the tip w = 0 for every tube (a tube that has ended feels no moment, so w = 0 at the tip
 is w = 0 at its own end).
 """
@@ -17,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.piece import Grid, Piece, Torsion, torsion_of, untwisting
 from ..mechanics.torsion import cross_section
 from .nlp import Builder
 from .reduced import ReducedProblem
@@ -38,6 +35,11 @@ class Structure:
     def tableau(self) -> Tableau:
         """Collocation tableau of every collocated piece."""
         return tableau(self.family, self.degree)
+
+    @property
+    def grid(self) -> Grid:
+        """What its pieces have in common."""
+        return Grid(self.n_tubes, self.family, self.degree, self.eccentric)
 
     @property
     def n_pieces(self) -> int:
@@ -105,12 +107,10 @@ def parameter_values(problem: ReducedProblem, rotations: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Expressions of one equilibrium: theta and w where each piece begins (n, P), and at its points (n, C K)."""
+    """Expressions of one equilibrium: the torsion of every piece, and theta (n, C K) at the points of those collocated."""
 
-    start_rotation: Any
-    start_twist: Any
+    torsion: tuple[Torsion, ...]
     rotation: Any
-    twist: Any
 
 
 def _labels(what: str, structure: Structure, piece: int, points: bool) -> list[str]:
@@ -127,72 +127,62 @@ def _labels(what: str, structure: Structure, piece: int, points: bool) -> list[s
 
 def add_equilibrium(builder: Builder, structure: Structure, given: BlockInput) -> Block:
     """Add the unknowns and equations of one equilibrium; a square system if the input is all given."""
-    n, degree = structure.n_tubes, structure.degree
-    t = structure.tableau
-    starts, points = [], []
-    for piece in range(structure.n_pieces):
-        starts.append(_state(builder, structure, piece, False))
-        points.append(_state(builder, structure, piece, True) if structure.collocated[piece] else None)
+    n, pieces = structure.n_tubes, structure.n_pieces
+    torsion = [_piece(builder, structure, given, piece) for piece in range(pieces)]
     zero = ca.SX.zeros(n)
-    theta, twist = starts[0] if starts else (given.rotations, zero)
+    theta, twist = (torsion[0].piece.theta, torsion[0].piece.twist) if torsion else (given.rotations, zero)
     names = [f"base rotation, tube {i + 1}" for i in range(n)]
     builder.constrain(names, theta - given.rotations - given.transmission * twist)
-    for piece, inner in enumerate(points):
-        theta, twist = starts[piece]
-        h = given.length[piece]
-        if inner is None:
-            end = theta + h * twist, twist
-        else:
-            slope, gain = _rates(structure, given, piece, *inner)
-            names = _labels("rotation equation", structure, piece, True)
-            builder.constrain(names, ca.vec(inner[0] - ca.repmat(theta, 1, degree) - h * slope @ t.matrix.T))
-            names = _labels("torsion equation", structure, piece, True)
-            builder.constrain(names, ca.vec(inner[1] - ca.repmat(twist, 1, degree) - h * gain @ t.adjoint.T))
-            end = theta + h * slope @ t.weights, twist + h * gain @ t.weights
-        last = piece == structure.n_pieces - 1
-        if not last:
+    for piece, here in enumerate(torsion):
+        if structure.collocated[piece]:
+            builder.constrain(_labels("torsion equation", structure, piece, True), ca.vec(here.defect))
+        if piece + 1 < pieces:
+            ahead = torsion[piece + 1].piece
             names = _labels("continuity of rotation", structure, piece + 1, False)
-            builder.constrain(names, starts[piece + 1][0] - end[0])
-        names = [f"torsion at the end, tube {i + 1}" for i in range(n)]
-        if not last:
+            builder.constrain(names, ahead.theta - here.end[0])
             names = _labels("continuity of torsion", structure, piece + 1, False)
-        builder.constrain(names, end[1] - (zero if last else starts[piece + 1][1]))
-    inside = [inner for inner in points if inner is not None]
-    return Block(
-        start_rotation=ca.horzcat(*(s[0] for s in starts)),
-        start_twist=ca.horzcat(*(s[1] for s in starts)),
-        rotation=ca.horzcat(*(s[0] for s in inside)),
-        twist=ca.horzcat(*(s[1] for s in inside)),
+            builder.constrain(names, ahead.twist - here.end[1])
+        else:
+            builder.constrain([f"torsion at the end, tube {i + 1}" for i in range(n)], here.end[1])
+    inside = [here.piece.inner for here, points in zip(torsion, structure.collocated, strict=True) if points]
+    return Block(tuple(torsion), ca.horzcat(*inside))
+
+
+def _piece(builder: Builder, structure: Structure, given: BlockInput, piece: int) -> Torsion:
+    """The unknowns of one piece, and its torsion."""
+    n, points = structure.n_tubes, structure.collocated[piece]
+    theta, twist = (builder.variable(_labels(what, structure, piece, False)) for what in ("rotation", "torsion"))
+    inner = ca.SX.zeros(n, structure.degree)
+    if points:
+        inner = ca.reshape(builder.variable(_labels("rotation", structure, piece, True)), n, structure.degree)
+    part = Piece(
+        grid=structure.grid,
+        theta=theta,
+        twist=twist,
+        inner=inner,
+        stiffness=given.stiffness[:, piece],
+        moment=given.moment[:, piece],
+        torsional_stiffness=given.torsional_stiffness,
+        length=given.length[piece],
+        place=(given.offset, given.offset_angle) if structure.eccentric else (),
     )
+    return torsion_of(part) if points else untwisting(part)
 
 
-def _state(builder: Builder, structure: Structure, piece: int, points: bool) -> tuple[Any, Any]:
-    """theta and w where a piece begins (n, 1), or at its points (n, K)."""
-    columns = structure.degree if points else 1
+def _state(builder: Builder, structure: Structure, piece: int) -> tuple[Any, Any]:
+    """theta and w (n, K) at the points of a piece."""
     pair = tuple(
-        ca.reshape(builder.variable(_labels(what, structure, piece, points)), structure.n_tubes, columns)
+        ca.reshape(builder.variable(_labels(what, structure, piece, True)), structure.n_tubes, structure.degree)
         for what in ("rotation", "torsion")
     )
     return pair[0], pair[1]
 
 
-def _rates(structure: Structure, given: BlockInput, piece: int, theta: Any, twist: Any) -> tuple[Any, Any]:
-    """theta' and w' (n, K) at the points of a piece."""
-    slope, gain = [], []
-    for k in range(structure.degree):
-        here = cross_section(
-            theta[:, k], given.stiffness[:, piece], given.moment[:, piece], given.offset, given.offset_angle
-        )
-        slope.append(here.stretch * twist[:, k])
-        gain.append(here.moment / given.torsional_stiffness)
-    return ca.horzcat(*slope), ca.horzcat(*gain)
-
-
-def add_energy(builder: Builder, structure: Structure, given: BlockInput) -> Block:
+def add_energy(builder: Builder, structure: Structure, given: BlockInput) -> Any:
     """Add the optimal control problem behind an equilibrium: least energy over theta with control w = theta'.
 
     Only for concentric tubes, whose equilibria are its stationary points. `given.transmission` may be 0: a transmission
-    without length stores no energy, so its idle twist is given the cost of a whole piece.
+    without length stores no energy, so its idle twist is given the cost of a whole piece. Returns theta (n, C K).
     """
     n, degree = structure.n_tubes, structure.degree
     t = structure.tableau
@@ -202,28 +192,24 @@ def add_energy(builder: Builder, structure: Structure, given: BlockInput) -> Blo
     weight = ca.if_else(given.transmission > 0, given.transmission, ca.sum1(given.length))
     builder.minimise(ca.dot(kt * weight, base**2) / 2 / scale)
     theta = given.rotations + given.transmission * base
-    starts, start_twists, inside, controls = [], [], [], []
+    inside = []
     for piece in range(structure.n_pieces):
         h = given.length[piece]
-        starts.append(theta)
         if not structure.collocated[piece]:
             w = builder.variable(_labels("torsion", structure, piece, False))
             builder.minimise(h * ca.dot(kt, w**2) / 2 / scale)
-            start_twists.append(w)
             theta = theta + h * w
         else:
-            inner, w = _state(builder, structure, piece, True)
+            inner, w = _state(builder, structure, piece)
             names = _labels("rotation equation", structure, piece, True)
             builder.constrain(names, ca.vec(inner - ca.repmat(theta, 1, degree) - h * w @ t.matrix.T))
             for k in range(degree):
                 energy = cross_section(inner[:, k], given.stiffness[:, piece], given.moment[:, piece]).bending_energy
                 builder.minimise(h * t.weights[k] * (ca.dot(kt, w[:, k] ** 2) / 2 + energy) / scale)
             inside.append(inner)
-            controls.append(w)
-            start_twists.append(w[:, 0])
             theta = theta + h * w @ t.weights
         if piece + 1 < structure.n_pieces:
             following = builder.variable(_labels("rotation", structure, piece + 1, False))
             builder.constrain(_labels("continuity of rotation", structure, piece + 1, False), following - theta)
             theta = following
-    return Block(ca.horzcat(*starts), ca.horzcat(*start_twists), ca.horzcat(*inside), ca.horzcat(*controls))
+    return ca.horzcat(*inside)

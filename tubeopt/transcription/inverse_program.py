@@ -22,10 +22,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.piece import softened_fields
 from ..errors import InputError
 from ..mechanics.matrix import determinant
 from ..mechanics.shape import GAUSS_POINTS, magnus_step
-from ..mechanics.torsion import cross_section
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
 from .block import Block, BlockInput, Structure, add_equilibrium
@@ -35,7 +35,7 @@ STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
 
 JACOBI_STEPS = 2
-"""Steps of Nystrom's method per piece for the Jacobi fields: the margin to about 1e-5."""
+"""Steps per piece for the Jacobi fields: margins below 0.9 to about 1e-6."""
 
 SHARPNESS = 30.0
 """Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
@@ -125,14 +125,13 @@ def inverse_program(question: Question) -> Program:
         q[:n], given.transmission - shift, given.torsional, length, given.stiffness, given.moment, *given.place
     )
     block = add_equilibrium(builder, structure, lengths)
-    arm = _Arm(structure, lengths, block)
-    tip, direction, points, bend = arm.shape()
+    tip, direction, points, bend = _shape(block)
     builder.constrain([f"tip position, {axis}" for axis in "xyz"], (tip - given.position) / question.length)
     if question.pointed:
         builder.constrain([f"tip direction, {axis}" for axis in "xy"], _aside(direction, given.direction))
         builder.constrain(["tip direction, sense"], ca.dot(direction, given.direction), lower=0.0, upper=np.inf)
     floor = given.min_margin if best is None else best
-    fields = arm.jacobi(floor)
+    fields = _jacobi(block, structure.collocated, lengths.transmission, floor)
     names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(fields.numel() - 1)] + ["margin"]
     builder.constrain(names, fields, lower=0.0, upper=np.inf)
     if best is not None:
@@ -258,93 +257,39 @@ def _soft_distance(obstacle: Obstacle, points: Sequence[tuple[int, Any]], radius
     return -ca.logsumexp(-sharp * distance) / sharp
 
 
-class _Arm:
-    """Expressions along the arm of a block."""
+def _shape(block: Block) -> tuple[Any, Any, list[tuple[int, Any]], Any]:
+    """Tip, its direction, points along the arm with their pieces, and int |u|^2 ds."""
+    frame, position, bend = ca.SX.eye(3), ca.SX.zeros(3), ca.SX(0)
+    points: list[tuple[int, Any]] = [(0, position)]
+    x = ((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel()
+    for piece, torsion in enumerate(block.torsion):
+        h, u = torsion.piece.length / STEPS, torsion.curvature(x)
+        for k in range(STEPS):
+            own = u[:, 3 * k : 3 * k + 3]
+            before, ahead = position, frame[:, 2]
+            frame, position = magnus_step(frame, position, own, h)
+            points += [(piece, p) for p in _cubic(before, position, h * ahead, h * frame[:, 2])]
+            bend += h * ca.dot(ca.DM([5, 8, 5]) / 18, ca.sum1(own**2).T)
+    return position, frame[:, 2], points, bend
 
-    def __init__(self, structure: Structure, given: BlockInput, block: Block) -> None:
-        self.structure, self.given, self.block = structure, given, block
 
-    def rotation(self, piece: int, x: Array) -> Any:
-        """theta (n, len(x)) at fractions x of a piece, by the polynomial of the collocation."""
-        t, degree = self.structure.tableau, self.structure.degree
-        h = self.given.length[piece]
-        theta = ca.repmat(self.block.start_rotation[:, piece], 1, len(x))
-        theta += h * self.block.start_twist[:, piece] @ ca.DM(x).T
-        if not self.structure.collocated[piece]:
-            return theta
-        first = sum(self.structure.collocated[:piece]) * degree
-        gain, extra = [], []
-        for k in range(first, first + degree):
-            here = self.section(piece, self.block.rotation[:, k])
-            gain.append(here.moment / self.given.torsional_stiffness)
-            extra.append((here.stretch - 1) * self.block.twist[:, k])
-        theta += h**2 * ca.horzcat(*gain) @ t.lagrange(x, integrals=2).T
-        if self.structure.eccentric:
-            theta += h * ca.horzcat(*extra) @ t.lagrange(x, integrals=1).T
-        return theta
-
-    def section(self, piece: int, theta: Any) -> Any:
-        g = self.given
-        return cross_section(theta, g.stiffness[:, piece], g.moment[:, piece], g.offset, g.offset_angle)
-
-    def shape(self) -> tuple[Any, Any, list[tuple[int, Any]], Any]:
-        """Tip, its direction, points along the arm with their pieces, and int |u|^2 ds."""
-        frame, position, bend = ca.SX.eye(3), ca.SX.zeros(3), ca.SX(0)
-        points: list[tuple[int, Any]] = [(0, position)]
-        x = ((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel()
-        for piece in range(self.structure.n_pieces):
-            h = self.given.length[piece] / STEPS
-            theta = self.rotation(piece, x)
-            u = ca.horzcat(*(self.section(piece, theta[:, k]).curvature for k in range(len(x))))
-            for k in range(STEPS):
-                own = u[:, 3 * k : 3 * k + 3]
-                before, ahead = position, frame[:, 2]
-                frame, position = magnus_step(frame, position, own, h)
-                points += [(piece, p) for p in _cubic(before, position, h * ahead, h * frame[:, 2])]
-                bend += h * ca.dot(ca.DM([5, 8, 5]) / 18, ca.sum1(own**2).T)
-        return position, frame[:, 2], points, bend
-
-    def jacobi(self, margin: Any) -> Any:
-        """Determinants of the Jacobi fields of tubes softened by `margin`: where pieces begin, tip to base, then of
-        the base with the transmissions."""
-        n = self.structure.n_tubes
-        softened = (1 - margin) * self.given.torsional_stiffness
-        y, slope = ca.SX.eye(n), ca.SX.zeros(n, n)
-        x = np.arange(2 * JACOBI_STEPS + 1) / (2 * JACOBI_STEPS)
-        out = []
-        for piece in reversed(range(self.structure.n_pieces)):
-            if self.structure.collocated[piece]:
-                h = self.given.length[piece] / JACOBI_STEPS
-                theta = self.rotation(piece, x)
-                stiffness = [self._stiffness(piece, theta[:, k], softened) for k in range(len(x))]
-                for k in reversed(range(0, 2 * JACOBI_STEPS, 2)):
-                    y, slope = _nystrom(y, slope, stiffness[k : k + 3], h)
-            else:
-                y = y - self.given.length[piece] * slope
-            if piece:
-                out.append(determinant(y))
-        out.append(determinant(y - ca.diag(self.given.transmission) @ slope))
-        return ca.vertcat(*out)
-
-    def _stiffness(self, piece: int, theta: Any, softened: Any) -> Any:
-        """V'' / kt (n, n) at a cross-section, the tubes on the centreline."""
-        stiffness, moment = self.given.stiffness[:, piece], self.given.moment[:, piece]
-        cos, sin = moment * ca.cos(theta), moment * ca.sin(theta)
-        pull = ca.sum1(cos), ca.sum1(sin)
-        coupled = cos @ cos.T + sin @ sin.T
-        own = ca.diag(cos * pull[0] + sin * pull[1])
-        return ca.diag(1 / softened) @ (own - coupled) / ca.sum1(stiffness)
+def _jacobi(block: Block, collocated: tuple[bool, ...], transmission: Any, margin: Any) -> Any:
+    """Determinants of the Jacobi fields of tubes softened by `margin`: where pieces begin, tip to base, then of the
+    base with the transmissions."""
+    n = transmission.numel()
+    fields = ca.vertcat(ca.SX.eye(n), ca.SX.zeros(n, n))
+    out = []
+    for piece, torsion in reversed(list(enumerate(block.torsion))):
+        if collocated[piece]:
+            fields = softened_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+        else:
+            fields = ca.vertcat(fields[:n, :] - torsion.piece.length * fields[n:, :], fields[n:, :])
+        if piece:
+            out.append(determinant(fields[:n, :]))
+    out.append(determinant(fields[:n, :] - ca.diag(transmission) @ fields[n:, :]))
+    return ca.vertcat(*out)
 
 
 def _cubic(start: Any, end: Any, ahead: Any, behind: Any) -> list[Any]:
     """Points at the middle and the end of a step with tangents (times its length) at both ends."""
     return [(start + end) / 2 + (ahead - behind) / 8, end]
-
-
-def _nystrom(y: Any, slope: Any, stiffness: list[Any], h: Any) -> tuple[Any, Any]:
-    """One step of Y'' = S Y over a length h from its far end to its near end; S (near, middle, far)."""
-    near, middle, far = stiffness
-    k1 = far @ y
-    k2 = middle @ (y - h / 2 * slope + h**2 / 8 * k1)
-    k3 = near @ (y - h * slope + h**2 / 2 * k2)
-    return y - h * slope + h**2 / 6 * (k1 + 2 * k2), slope - h / 6 * (k1 + 4 * k2 + k3)
