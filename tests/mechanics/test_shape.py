@@ -46,7 +46,8 @@ def test_one_step_is_exact_on_a_circle(bend: float, direction: float) -> None:
     u = bend / length * np.cos(direction), bend / length * np.sin(direction)
     frame, position = walk(lambda s: u, length, 1)
     # Curvature vector along x turns the arc towards -y; here the axis of the turn points to `direction`.
-    across = length * (bend / 2 if abs(bend) < 1e-6 else (1 - np.cos(bend)) / bend)
+    # (1 - cos b) / b without cancellation.
+    across = length * bend / 2 * np.sinc(bend / 2 / np.pi) ** 2
     along = length * np.sinc(bend / np.pi)
     assert position == pytest.approx([across * np.sin(direction), -across * np.cos(direction), along], abs=1e-13)
     assert frame[:, 2] == pytest.approx(

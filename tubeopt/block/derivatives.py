@@ -24,6 +24,7 @@ from .linear import (
     Chain,
     Response,
     Slopes,
+    along,
     chain_of,
     poses_inside,
     respond,
@@ -353,12 +354,12 @@ class Derivatives:
         columns = self.columns
         rate = at.rate_slope @ columns - (at.rate / kt)[..., None] * self.data[:, None, 2 * n :]
         w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        dw = self.response.state[:-1, None, n:] + h[..., None] * np.einsum("xk,pkiq->pxiq", t.adjoint, rate)
-        density = np.einsum("pkc,pkcq->pkq", at.bending_slope, columns)
-        density += np.einsum("pki,pkiq->pkq", kt * at.stretch * w, dw)
-        density += np.einsum("pki,pkiq->pkq", kt * w**2 / 2, at.stretch_slope @ columns)
-        density += np.einsum("pki,piq->pkq", at.stretch * w**2 / 2, self.data[:, 2 * n :])
-        out = np.einsum("p,k,pkq->q", arm.length, t.weights, density)
+        dw = self.response.state[:-1, None, n:] + h[..., None] * along(t.adjoint, rate)
+        density = at.bending_slope[..., None, :] @ columns + (kt * at.stretch * w)[..., None, :] @ dw
+        density += (at.stretch * w**2 / 2)[..., None, :] @ self.data[:, None, 2 * n :]
+        if arm.place:
+            density += (kt * w**2 / 2)[..., None, :] @ (at.stretch_slope @ columns)
+        out = (arm.length[:, None] * t.weights).ravel() @ density.reshape(-1, self.size)
         np.add.at(out, self.jumps.column, self._gains[3][:, 0])
         base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
         out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change

@@ -279,16 +279,16 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     columns = np.concatenate([inner, section], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = response.state[:-1, None, :n], response.state[:-1, None, n:]
-    out = start + x[:, None, None] * h * twist + h**2 * _along(_basis(t, x, 2), rate)
+    out = start + x[:, None, None] * h * twist + h**2 * along(_basis(t, x, 2), rate)
     if arm.place:
         inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
-        turned = twist + h * _along(t.adjoint, rate)
+        turned = twist + h * along(t.adjoint, rate)
         extra = (at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns)
-        out = out + h * _along(_basis(t, x, 1), extra)
+        out = out + h * along(_basis(t, x, 1), extra)
     return np.asarray(out)
 
 
-def _along(matrix: Array, values: Array) -> Array:
+def along(matrix: Array, values: Array) -> Array:
     """(P, X, n, Q) of a matrix (X, K) applied to the points of values (P, K, n, Q)."""
     pieces, count, n, size = values.shape
     return np.asarray((matrix @ values.reshape(pieces, count, n * size)).reshape(pieces, len(matrix), n, size))

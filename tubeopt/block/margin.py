@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg.lapack import dgetrf, dgetrs
 
 from ..mechanics.certificate import worst_function
 from ..robots.assembly import Array
@@ -140,18 +140,20 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     """The right eigenvector of a matrix whose eigenvalue is very nearly `value`; None where that is double, unless one
     of its vectors is asked for."""
     size = len(matrix)
-    factors = lu_factor(matrix - value * np.eye(size), check_finite=False)
+    shifted = matrix.copy()
+    shifted.ravel()[:: size + 1] -= value
+    factors = dgetrf(shifted)[:2]
     start = np.cos(np.arange(size, dtype=float))
     right, left = start, start
     for _ in range(2):
-        right, left = lu_solve(factors, right), lu_solve(factors, left, trans=1)
+        right, left = dgetrs(*factors, right)[0], dgetrs(*factors, left, trans=1)[0]
         right, left = right / np.abs(right).max(), left / np.abs(left).max()
     if one_of_two:
         return np.asarray(right)
     # Of what is left beside this mode, inverse iteration makes at most 1 / (distance to the next eigenvalue).
     other = np.sin(np.arange(size, dtype=float))
     other -= right * ((left @ other) / (left @ right))
-    grown = lu_solve(factors, other)
+    grown = dgetrs(*factors, other)[0]
     grown -= right * ((left @ grown) / (left @ right))
     return None if np.abs(grown).max() * DOUBLE > np.abs(other).max() else np.asarray(right)
 

@@ -107,7 +107,7 @@ def parameter_values(problem: ReducedProblem, rotations: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Expressions of one equilibrium: the torsion of every piece, and theta (n, C K) at the points of those collocated."""
+    """Expressions of one equilibrium: torsion of every piece, and theta (n, C K) at the points of those collocated."""
 
     torsion: tuple[Torsion, ...]
     rotation: Any
