@@ -113,7 +113,7 @@ def plan(
 ) -> None:
     """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
 
-    Ends with 3 where the window cannot be held; the best schedule and what would help are shown and saved all the same.
+    Ends with 3 where the window cannot be held, or not within limit, ramp and currents; the best schedule and what would help are shown and saved all the same.
     """
     made = _with(load_rig(rig), material, voltage)
     heated = chosen_tube(made, robot, tube)
@@ -145,10 +145,9 @@ def plan(
 def missed(plan: HeatingPlan) -> str:
     """What a plan does not keep, in words."""
     low, high = plan.spec.window_degC
-    return (
-        f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s: it is missed by "
-        f"{plan.shortfall:.1f} K"
-    )
+    window = f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s"
+    cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
+    return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
 
 
 def heat_report(
