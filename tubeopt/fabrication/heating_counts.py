@@ -65,7 +65,9 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
         due = math.floor(sums[k] - given + 0.5)
         least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
         counts[k] = min(max(min(due, most_count(model, state, spec, rig)), least, 0), COUNTS)
-        given = max(given + float(counts[k]), sums[k] - owed)
+        given += float(counts[k])
+        if not hopeless:
+            given = max(given, sums[k] - owed)
         state = advance(model, state, counts[k] / COUNTS, spec.slot, STEPS)
     rest = np.maximum(np.floor(sums[watched:heated] - given + 0.5), 0.0)
     counts[watched:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)

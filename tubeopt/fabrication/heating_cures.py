@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -97,7 +97,7 @@ def find_cures(
     return _ordered(found)
 
 
-def _ordered(cures: list[Cure | None]) -> tuple[Cure, ...]:
+def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
     return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
 
 

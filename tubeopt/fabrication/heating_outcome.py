@@ -1,4 +1,4 @@
-"""What a schedule of whole counts keeps and what it breaks: window, limit, ramp and currents, looked at within slots."""
+"""What a schedule of whole counts keeps and what it breaks: window, limit, ramp and currents, within slots too."""
 
 from __future__ import annotations
 

@@ -141,6 +141,11 @@ class HeatingPlan:
         return float(at - self.rig.clamps.grip)
 
     @property
+    def free_length(self) -> float:
+        """Length of tube between the clamps when cold, m."""
+        return 2 * (self.rig.clamps.clearance + self.rig.mold.lead) + self.tube.curved_length
+
+    @property
     def extra_length(self) -> float:
         """Tube to be added before heating and cut off afterwards, m: leads that the straight part cannot be."""
         end = self.rig.clamps.grip + self.rig.clamps.clearance + self.rig.mold.lead
@@ -161,8 +166,8 @@ class HeatingPlan:
         cures: tuple[Cure, ...] = (),
         iterations: int = 0,
     ) -> Self:
-        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, of the
-        counts from `integrate`."""
+        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, that
+        of the counts from `integrate`."""
         history, exact = histories
         counts, levels = schedule
         outcome = outcome_of(model, rig, spec, history, start, mesh_error)
