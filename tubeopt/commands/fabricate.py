@@ -21,7 +21,7 @@ from ..study.mold_file import load_mold_spec
 from ..study.rig_file import load_rig, save_rig
 from ..study.robot_file import load_robot, save_robot
 from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, missed, report_of
-from .heat_report import HeatReport, verdict
+from .heat_report import HeatReport
 from .mold_report import MoldReport
 from .options import JsonOption, RobotArgument
 from .progress import working
@@ -134,7 +134,7 @@ class FabricationReport:
             hold = plan.duty[plan.in_hold][:-1]
             table.add_row(
                 str(part.number),
-                verdict(plan),
+                plan.verdict,
                 f"{plan.lowest:.0f} to {plan.highest:.0f} degC",
                 f"{hold.max()} to {hold.min()}",
                 f"{plan.hold_start:g} + {plan.spec.hold_time:g} s",

@@ -98,23 +98,10 @@ def _cold_end(plan: HeatingPlan) -> str:
     return f"{plan.cold_end * MM:.1f} mm from each clamp are below the window"
 
 
-def verdict(plan: HeatingPlan) -> str:
-    """Whether a plan keeps everything, or what it does not, in a few words."""
-    if plan.feasible:
-        return "held"
-    limits = [f"{plan.steepest:.1f} K/s of {plan.spec.ramp:g}"] if plan.steepest > plan.spec.ramp else []
-    circuit = plan.rig.circuit
-    for value, limit in ((plan.mean_current, circuit.current_limit), (plan.peak_current, circuit.peak_limit)):
-        if value > limit:
-            limits.append(f"{value:.1f} A of {limit:g}")
-    missed = [f"missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
-    return ", ".join(missed + [f"limits broken: {words}" for words in [", ".join(limits)] if words])
-
-
 def _verdict(plan: HeatingPlan) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    return f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), {verdict(plan)}"
+    return f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), {plan.verdict}"
 
 
 def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
@@ -233,7 +220,7 @@ def _charge_table(tables: tuple[HeatingPlan, ...]) -> Table:
             f"{plan.rig.battery.voltage:.2f} V",
             f"{100 * plan.rig.battery.state_of_charge:.0f} %",
             f"{plan.lowest:.1f} to {plan.highest:.1f} degC",
-            verdict(plan),
+            plan.verdict,
         )
     return table
 

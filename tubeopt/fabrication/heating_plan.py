@@ -99,6 +99,21 @@ class HeatingPlan:
     iterations: int
 
     @property
+    def verdict(self) -> str:
+        """ "held" where everything is kept; else what is not, in a few words."""
+        if self.feasible:
+            return "held"
+        circuit = self.rig.circuit
+        bounds = (
+            (self.steepest, self.spec.ramp, "K/s"),
+            (self.mean_current, circuit.current_limit, "A"),
+            (self.peak_current, circuit.peak_limit, "A while on"),
+        )
+        broken = [f"{value:.1f} {unit} of {limit:g}" for value, limit, unit in bounds if value > limit]
+        missed = [f"missed by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
+        return ", ".join(missed + ([f"limits broken: {', '.join(broken)}"] if broken else []))
+
+    @property
     def table_length(self) -> int:
         """Number of slots until the last duty above 0."""
         return int(np.flatnonzero(self.duty)[-1]) + 1 if self.duty.any() else 0
