@@ -85,11 +85,15 @@ def find_cures(
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
         return _ordered([_confirmed(change, tube, schedule) for change in _for_limits(tube, rig, plain, best.outcome)])
-    found: list[Cure] = []
+    found: list[Cure | None] = []
     for change in _candidates(rig, plain, best.ideal, best.shift)[:TRIES]:
-        cure = _tried(change, tube, spec, best)
-        if cure is not None and cure.shortfall < ENOUGH:
-            cure = _confirmed(change, tube, schedule)
+        tried = _tried(change, tube, spec, best)
+        if tried is None:
+            continue
+        cure: Cure | None = tried[0]
+        if tried[0].shortfall < ENOUGH:
+            # What is told is confirmed: the rig is no longer free.
+            cure = _confirmed((tried[0].change, tried[1], replace(change[2], free=())), tube, schedule)
         if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
             found.append(cure)
             if cure.cures:
@@ -101,8 +105,8 @@ def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
     return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
-def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> Cure | None:
-    """By how much the program misses the window with a change; None where it finds nothing."""
+def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> tuple[Cure, Rig] | None:
+    """By how much the program misses the window with a change, and the rig as it chose; None where it finds nothing."""
     words, rig, asked = change
     part = asked.slot / spec.slot
     low, high = best.reserve
@@ -110,7 +114,9 @@ def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> Cur
         answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift)
     except SolveError:
         return None
-    return Cure(_told(words, answer.rig), max(answer.miss, 0.0))
+    mold, clamps = answer.rig.mold, answer.rig.clamps
+    told = words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
+    return Cure(told, max(answer.miss, 0.0)), answer.rig
 
 
 def _confirmed(change: Change, tube: Tube, schedule: Callable[[Tube, Rig, HeatingSpec], Schedule]) -> Cure | None:
@@ -120,12 +126,7 @@ def _confirmed(change: Change, tube: Tube, schedule: Callable[[Tube, Rig, Heatin
         found = schedule(tube, rig, asked)
     except SolveError:
         return None
-    return Cure(_told(words, found.ideal.rig), found.outcome.shortfall, found.outcome.broken)
-
-
-def _told(words: str, rig: Rig) -> str:
-    mold, clamps = rig.mold, rig.clamps
-    return words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
+    return Cure(words, found.outcome.shortfall, found.outcome.broken)
 
 
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Change]:

@@ -134,7 +134,7 @@ def solve_ideal(
     spec: HeatingSpec,
     *,
     reserve: tuple[float, float] = (0.0, 0.0),
-    room: float = 0.5,
+    room: float = 0.75,
     shift: Shift | None = None,
     guess: Ideal | None = None,
 ) -> Ideal:
