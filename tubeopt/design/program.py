@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
+from ..robots.assembly import Array, assemble
 from ..solvers.smooth import Values
 from .objectives import Objective
 from .order import ordered_places
@@ -295,8 +295,9 @@ def objective_value(program: Program, state: State, one: Objective) -> tuple[flo
 
 def _tip_curvature(program: Program, state: State, one: Objective) -> tuple[float, Array]:
     """sum kb |kappa| / sum kb of the section at the tip, with all tubes bending to one side."""
+    tubes = state.tubes
     shift = np.zeros(program.layout.n) if one.translations is None else np.array(one.translations)
-    assembly = replace(program.task.robot, tubes=state.tubes, joint_limits=None).assembly(shift)
+    assembly = assemble(tubes, shift)
     present, curved = assembly.present[-1], assembly.curved[-1]
     kb, kappa = assembly.bending_stiffness, np.abs(assembly.curvature)
     total = float(kb @ present)

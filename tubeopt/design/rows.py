@@ -305,14 +305,16 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
 
 
 def order_rows(state: State, places: Sequence[Place]) -> tuple[Array, Array]:
-    """The order of the tubes at given translations, >= 0 where kept, in steps of 10 mm; what no unknown moves is left
-    out, as the task has checked it."""
-    names = ("straight_length", "curved_length")
-    lengths = [np.array([getattr(tube, name) for tube in state.tubes]) for name in names]
-    slopes = [order_gaps(state.slopes[names[0]], state.slopes[names[1]], place) for place in places]
-    values = [order_gaps(lengths[0], lengths[1], place) for place in places]
-    if not places:
-        return np.zeros(0), np.zeros((0, state.layout.size))
+    """The order of the tubes at given translations, and that none is shorter than the next outer one, >= 0 where kept,
+    in steps of 10 mm; what no unknown moves is left out, as the task has checked it."""
+    straight, curved = (
+        np.array([getattr(tube, name) for tube in state.tubes]) for name in ("straight_length", "curved_length")
+    )
+    length, longer = straight + curved, state.slopes["straight_length"] + state.slopes["curved_length"]
+    values, slopes = [length[:-1] - length[1:]], [longer[:-1] - longer[1:]]
+    for place in places:
+        values.append(order_gaps(straight, curved, place))
+        slopes.append(order_gaps(state.slopes["straight_length"], state.slopes["curved_length"], place))
     slope = np.concatenate(slopes)
     moves = slope.any(axis=1)
     return np.concatenate(values)[moves] / 1e-2 - ORDERED, slope[moves] / 1e-2
