@@ -1,4 +1,4 @@
-"""The shortest robot whose tip reaches six targets around a corner, from inside a corridor that turns by 90 deg.
+"""The shortest robot whose tip reaches six targets around a corner, all of its arm in a corridor at each of them.
 
 One learns: lengths, curvatures and the joint values of all poses belong into one problem. Margin at every pose and on
 every path between them is a constraint like any other.

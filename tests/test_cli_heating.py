@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tubeopt import MoldSpec, load_rig
-from tubeopt.commands.fabricate import mold_spec_for
 from tubeopt.fabrication.heating_files import header_duties
+from tubeopt.fabrication.tube_fabrication import mold_spec_for
 
 from .command_line import ROOT, Run, answer, refused
 
@@ -130,7 +130,20 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     data = answer(run("fabricate", ROBOT, *flags))
     assert [tube["tube"] for tube in data["tubes"]] == [1]
     assert len(data["left_out"]) == 2
-    assert data["tubes"][0]["heating"]["feasible"]
+    (made,) = data["tubes"]
+    (groove,), plan = made["mold"]["grooves"], made["heating"]
+    assert plan["feasible"]
+    assert made["agreed"]
+    assert groove["free_length_mm"] == pytest.approx(plan["free_length_mm"], abs=0.01)
+    between = 2 * (plan["lead_mm"] + plan["clearance_mm"]) + plan["curved_length_mm"]
+    assert groove["free_length_mm"] == pytest.approx(between, abs=0.01)
+    assert [groove["lead_in_mm"], groove["lead_out_mm"]] == pytest.approx([plan["lead_mm"]] * 2, abs=0.01)
+    assert (groove["width_mm"] - 1.92) / 2 == pytest.approx(1e-3 * plan["gap_um"])
+    for name in ("growth_mm", "extra_length_mm"):
+        assert groove[name] == pytest.approx(plan[name], abs=0.01)
+    assert groove["cold_length_mm"] == pytest.approx(plan["cold_end_mm"], abs=0.01)
+    rig = load_rig(tmp_path / "tube_1" / "rig.yaml")
+    assert 1e3 * rig.mold.lead == pytest.approx(plan["lead_mm"])
     mold = {path.name for path in (tmp_path / "tube_1" / "mold").iterdir()}
     heating = {path.name for path in (tmp_path / "tube_1" / "heating").iterdir()}
     assert {"base.dxf", "base.stl", "grooves.nc"} <= mold

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Group
 from rich.table import Table
@@ -14,17 +13,14 @@ from rich.text import Text
 
 from ..errors import SolveError
 from ..fabrication.heating_robust import Uncertainty
-from ..fabrication.heating_spec import HeatingSpec
 from ..fabrication.mold_spec import MoldSpec
-from ..fabrication.rig import Rig
-from ..fabrication.robot_mold import chosen_tubes, plan_robot_mold
-from ..fabrication.thermal import gap_transfer, vent_profile
+from ..fabrication.robot_mold import RobotMold, chosen_tubes
+from ..fabrication.tube_fabrication import TubeFabrication, heating_for, plan_tube
 from ..study.files import write_text
 from ..study.mold_file import load_mold_spec
-from ..study.rig_file import load_rig
+from ..study.rig_file import load_rig, save_rig
 from ..study.robot_file import load_robot, save_robot
-from ..tubes import Tube
-from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, heat_report, missed
+from .heat import DEFAULT_CHARGES, ChargesOption, chosen_charges, missed, report_of
 from .heat_report import HeatReport
 from .mold_report import MoldReport
 from .options import JsonOption, RobotArgument
@@ -32,31 +28,6 @@ from .progress import working
 from .report import can_be_saved, present, to_text
 
 MM = 1e3
-VENT_CELLS = 5
-"""Cells in half of the bend by which the lid's vents follow the rig's profile."""
-
-
-def mold_spec_for(rig: Rig, tube: Tube, spec: MoldSpec) -> MoldSpec:
-    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, lead, vents."""
-    clamps = replace(spec.clamps, gap=rig.clamps.clearance, grip=rig.clamps.grip)
-    cold = rig.clamps.clearance + rig.mold.lead
-    heat = replace(spec.heat, ambient=rig.ambient, contact_conductance=gap_transfer(rig))
-    vents = replace(spec.vents, profile=lid_profile(rig, tube))
-    return replace(spec, material=rig.mold.material, clamps=clamps, cold_length=cold, heat=heat, vents=vents)
-
-
-def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
-    """Open part of the groove's area in cells along the bend, from the rig's open part of the tube's surface.
-
-    A vent bares the upper half of the tube below it, so that the groove is open over twice the part of the surface.
-    """
-    if not any(rig.mold.vents):
-        return (0.0,)
-    ends = np.linspace(0.0, 1.0, 2 * VENT_CELLS + 1)
-    middle = 0.5 * (ends[1:] + ends[:-1])
-    half = 0.5 * tube.curved_length
-    inward = (rig.mold.lead + half * (1 - np.abs(2 * middle - 1))) / (rig.mold.lead + half)
-    return tuple((2 * vent_profile(rig, inward)).tolist())
 
 
 def fabricate(
@@ -68,7 +39,9 @@ def fabricate(
     mold: Annotated[
         str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
     ] = None,
-    hold_s: Annotated[float, typer.Option(help="Length of the hold.")] = HeatingSpec.hold_time,
+    hold_s: Annotated[
+        float | None, typer.Option(help="Length of the hold; by default the mold file's, 60.", show_default=False)
+    ] = None,
     objective: Annotated[str, typer.Option(help="time, energy or margin.")] = "time",
     charges_percent: ChargesOption = DEFAULT_CHARGES,
     samples: Annotated[int, typer.Option(help="Uncertain rigs in the ensemble; 0 for no band.")] = 32,
@@ -76,28 +49,31 @@ def fabricate(
 ) -> None:
     """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures.
 
-    Ends with 3 where the window cannot be held for one of them; everything is shown and saved all the same.
+    The mold is drawn for the rig, and the heating planned on the rig with the mold as drawn. Ends with 3 where the
+    window cannot be held within limit, ramp and currents for one of them, or where mold and heating do not agree;
+    everything is shown and saved all the same.
     """
     made_of = load_robot(robot)
     heated_on = load_rig(rig)
-    spec = HeatingSpec(hold_time=hold_s, objective=objective)
-    charges = chosen_charges(charges_percent)
     asked = MoldSpec() if mold is None else load_mold_spec(mold)
+    spec = replace(heating_for(asked.heat), objective=objective)
+    spec = spec if hold_s is None else replace(spec, hold_time=hold_s)
+    charges = chosen_charges(charges_percent)
     chosen, left_out = chosen_tubes(made_of)
     can_be_saved(out)
     parts = []
     with working("planning molds and schedules") as progress:
         for k, number in enumerate(chosen):
             progress(k, len(chosen))
-            tube = made_of.tubes[number - 1]
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            planned = plan_robot_mold(made_of, mold_spec_for(heated_on, tube, asked), [number])
-            heat = heat_report(heated_on, tube, spec, charges, (Uncertainty(), samples, False))
-            parts.append(TubeParts(number, MoldReport(planned), heat))
+            made = plan_tube(made_of.tubes[number - 1], heated_on, asked, spec, number=number)
+            heat = report_of(made.heating, charges, (Uncertainty(), samples, False))
+            drawn = MoldReport(RobotMold(made.mold, made_of.name, (number,), ()))
+            parts.append(TubeParts(number, made, drawn, heat))
         progress(len(chosen), len(chosen))
     report = FabricationReport(made_of, tuple(parts), tuple(left_out))
     present(report, out=out, as_json=as_json)
-    faults = [f"tube {part.number}: {missed(part.heat.plan)}" for part in parts if not part.heat.plan.feasible]
+    faults = [f"tube {part.number}: {words}" for part in parts for words in part.faults]
     if faults:
         raise SolveError("; ".join(faults))
 
@@ -107,8 +83,30 @@ class TubeParts:
     """Mold and schedules of one tube; number from 1."""
 
     number: int
+    made: TubeFabrication
     mold: MoldReport
     heat: HeatReport
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is not kept, in words."""
+        plan = self.heat.plan
+        found = [] if plan.feasible else [missed(plan)]
+        return (*found, *([] if self.made.agreed else [self.made.disagreement]))
+
+    def record(self) -> dict[str, Any]:
+        """Mold and heating as JSON, and how they agree."""
+        made = self.made
+        return {
+            "tube": self.number,
+            "mold": self.mold.record(),
+            "heating": self.heat.record(),
+            "between_clamps_mm": {"mold": made.groove.free_length * MM, "heating": made.heating.free_length * MM},
+            "agreed": made.agreed,
+            "disagreement": made.disagreement,
+            "rounds": made.rounds,
+            "remarks": list(made.remarks),
+        }
 
 
 @dataclass(frozen=True)
@@ -121,14 +119,14 @@ class FabricationReport:
 
     def record(self) -> dict[str, Any]:
         """The answer as JSON: mold and heating of every tube."""
-        tubes = [{"tube": p.number, "mold": p.mold.record(), "heating": p.heat.record()} for p in self.parts]
+        tubes = [part.record() for part in self.parts]
         return {"robot": self.robot.name, "tubes": tubes, "left_out": list(self.left_out)}
 
     def table(self) -> Group:
         """The answer for a person: a row for every tube."""
         title = f"{self.robot.name or 'robot'}: molds and schedules"
         table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
-        for name in ("tube", "window", "curved part", "duty", "heating", "mold"):
+        for name in ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps"):
             table.add_column(name)
         notes = []
         for part in self.parts:
@@ -136,25 +134,31 @@ class FabricationReport:
             hold = plan.duty[plan.in_hold][:-1]
             table.add_row(
                 str(part.number),
-                "held" if plan.feasible else f"missed by {plan.shortfall:.1f} K",
+                plan.verdict,
                 f"{plan.lowest:.0f} to {plan.highest:.0f} degC",
                 f"{hold.max()} to {hold.min()}",
                 f"{plan.hold_start:g} + {plan.spec.hold_time:g} s",
-                f"radius {part.mold.mold.grooves[0].radius * MM:.2f} mm",
+                f"radius {part.made.groove.radius * MM:.2f} mm",
+                f"{plan.rig.mold.lead * MM:.1f} mm",
+                f"{part.made.groove.free_length * MM:.1f} mm",
             )
-            notes += [f"tube {part.number}: {words}" for words in plan.problems]
+            said = (*part.made.remarks, *plan.problems, *([] if part.made.agreed else [part.made.disagreement]))
+            notes += [f"tube {part.number}: {words}" for words in said]
             notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
         lines = [Text(words, style="yellow") for words in (*notes, *self.left_out)]
         return Group(table, *lines)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, and for every tube N tube_N/mold/ and tube_N/heating/."""
+        """Write robot.yaml, fabrication.json, and for every tube N mold/, heating/ and rig.yaml in tube_N/."""
         paths = [directory / "robot.yaml", directory / "fabrication.json"]
         save_robot(self.robot, paths[0])
         write_text(paths[1], to_text(self.record()))
         for part in self.parts:
             place = directory / f"tube_{part.number}"
             paths += part.mold.save(place / "mold") + part.heat.save(place / "heating")
+            paths.append(place / "rig.yaml")
+            rig = replace(part.heat.plan.rig, tube=part.heat.plan.tube)
+            save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
         return paths
 
     def draw(self, directory: Path) -> list[Path]:

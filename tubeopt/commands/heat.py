@@ -113,7 +113,8 @@ def plan(
 ) -> None:
     """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
 
-    Ends with 3 where the window cannot be held; the best schedule and what would help are shown and saved all the same.
+    Ends with 3 where the window cannot be held within limit, ramp and currents; the best schedule and what would help
+    are shown and saved all the same.
     """
     made = _with(load_rig(rig), material, voltage)
     heated = chosen_tube(made, robot, tube)
@@ -145,10 +146,9 @@ def plan(
 def missed(plan: HeatingPlan) -> str:
     """What a plan does not keep, in words."""
     low, high = plan.spec.window_degC
-    return (
-        f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s: it is missed by "
-        f"{plan.shortfall:.1f} K"
-    )
+    window = f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s"
+    cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
+    return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
 
 
 def heat_report(
@@ -160,11 +160,21 @@ def heat_report(
     progress: Any = None,
 ) -> HeatReport:
     """The plan with its tables by charge and its band; `ensemble`: uncertainty, samples (0: none), whether to scale."""
+    tell = progress or (lambda done, total: None)
+    tell(0, 1 + len(charges) + bool(ensemble[1]))
+    return report_of(plan_heating(tube, rig, spec), charges, ensemble, progress)
+
+
+def report_of(
+    planned: HeatingPlan,
+    charges: tuple[float, ...],
+    ensemble: tuple[Uncertainty, int, bool],
+    progress: Any = None,
+) -> HeatReport:
+    """A plan with its tables by charge and its band, as above."""
     uncertainty, samples, robust = ensemble
     steps = 1 + len(charges) + bool(samples)
     tell = progress or (lambda done, total: None)
-    tell(0, steps)
-    planned = plan_heating(tube, rig, spec)
     tell(1, steps)
     band, scale = None, 1.0
     if samples:

@@ -35,6 +35,7 @@ def plan_record(plan: HeatingPlan) -> dict[str, Any]:
         "slot_s": spec.slot,
         "feasible": plan.feasible,
         "shortfall_K": plan.shortfall,
+        "broken": list(plan.broken),
         "lowest_degC": plan.lowest,
         "highest_degC": plan.highest,
         "hottest_degC": plan.hottest,
@@ -43,18 +44,24 @@ def plan_record(plan: HeatingPlan) -> dict[str, Any]:
         "hold_end_s": plan.hold_end,
         "rounding_error_K": plan.rounding_error,
         "ramp_K_per_s": plan.ramp,
+        "steepest_K_per_s": plan.steepest,
+        "ramp_limit_K_per_s": spec.ramp,
         "pwm_ripple_K": plan.pwm_ripple,
         "cold_end_mm": plan.cold_end * MM,
         "extra_length_mm": plan.extra_length * MM,
         "growth_mm": plan.growth * MM,
         "clearance_mm": plan.rig.clamps.clearance * MM,
         "lead_mm": plan.rig.mold.lead * MM,
+        "gap_um": plan.rig.mold.gap * 1e6,
+        "curved_length_mm": plan.tube.curved_length * MM,
+        "free_length_mm": plan.free_length * MM,
         "vents_percent": [100 * part for part in plan.rig.mold.vents],
         "battery_V": plan.rig.battery.voltage,
         "state_of_charge_percent": 100 * plan.rig.battery.state_of_charge,
         "charge_used_percent": 100 * float(plan.charge[0] - plan.charge[-1]),
         "energy_kJ": plan.energy / 1e3,
-        "peak_current_A": float(plan.current.max()),
+        "peak_current_A": plan.peak_current,
+        "mean_current_A": plan.mean_current,
         "mold_degC": float(plan.mold_temperature.max()),
         "clamp_degC": float(plan.clamp_temperature.max()),
         "quench": spec.quench,
@@ -62,7 +69,10 @@ def plan_record(plan: HeatingPlan) -> dict[str, Any]:
         "energy_error": plan.energy_error,
         "iterations": plan.iterations,
         "problems": list(plan.problems),
-        "cures": [{"change": c.change, "shortfall_K": c.shortfall, "cures": c.cures} for c in plan.cures],
+        "cures": [
+            {"change": c.change, "shortfall_K": c.shortfall, "broken": list(c.broken), "cures": c.cures}
+            for c in plan.cures
+        ],
         "duty": plan.duty.tolist(),
     }
 
@@ -88,24 +98,28 @@ def _cold_end(plan: HeatingPlan) -> str:
     return f"{plan.cold_end * MM:.1f} mm from each clamp are below the window"
 
 
-def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
-    """A plan as names and values for a person."""
+def _verdict(plan: HeatingPlan) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    verdict = f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), missed by {plan.shortfall:.1f} K"
+    return f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), {plan.verdict}"
+
+
+def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
+    """A plan as names and values for a person."""
     hold = plan.duty[plan.in_hold][:-1]
     rows = [
-        ("window", verdict),
+        ("window", _verdict(plan)),
         ("curved part in the hold", f"{plan.lowest:.1f} to {plan.highest:.1f} degC"),
         ("hottest point, ever", f"{plan.hottest:.1f} degC (limit {plan.spec.limit:g})"),
         ("heating, then hold", f"{plan.hold_start:g} s, to {plan.hold_end:g} s"),
         ("duty in the hold", f"{hold.max()} falling to {hold.min()} of 255, {plan.spec.slot:g} s each"),
+        ("fastest warming", f"{plan.steepest:.1f} K/s (limit {plan.spec.ramp:g})"),
         ("rounding to counts", f"changes temperatures by {plan.rounding_error:.1f} K at most"),
         ("cold end", _cold_end(plan)),
         ("extra tube", f"{plan.extra_length * MM:.1f} mm in all, to be cut off afterwards"),
         ("growth when hot", f"{plan.growth * MM:.2f} mm"),
         ("battery", f"{plan.rig.battery.voltage:.2f} V at rest, {plan.energy / 1e3:.2f} kJ, "
-                    f"{float(plan.current.max()):.0f} A while on"),
+                    f"{plan.peak_current:.0f} A while on, {plan.mean_current:.1f} A on average at most"),
         ("quench", f"in {plan.spec.quench}: below 100 degC after {plan.quench_time:.1f} s"),
         ("energy balance", f"closed to {plan.energy_error:.1e}; mesh error {plan.mesh_error:.1f} K"),
     ]  # fmt: skip
@@ -139,6 +153,7 @@ class HeatReport:
             "state_of_charge_percent",
             "battery_V",
             "feasible",
+            "broken",
             "lowest_degC",
             "highest_degC",
             "hottest_degC",
@@ -165,6 +180,7 @@ class HeatReport:
         parts += [Text(f"problem: {words}", style="yellow") for words in self.plan.problems]
         for cure in self.plan.cures:
             left = "cures it" if cure.cures else f"leaves {cure.shortfall:.1f} K"
+            left += "".join(f"; {words}" for words in cure.broken)
             parts.append(Text(f"what would help: {cure.change}: {left}", style="yellow"))
         if not self.plan.feasible and not self.plan.cures:
             parts.append(Text("none of the changes that were tried helps", style="yellow"))
@@ -204,7 +220,7 @@ def _charge_table(tables: tuple[HeatingPlan, ...]) -> Table:
             f"{plan.rig.battery.voltage:.2f} V",
             f"{100 * plan.rig.battery.state_of_charge:.0f} %",
             f"{plan.lowest:.1f} to {plan.highest:.1f} degC",
-            "held" if plan.feasible else f"missed by {plan.shortfall:.1f} K",
+            plan.verdict,
         )
     return table
 

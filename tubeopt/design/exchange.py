@@ -190,7 +190,7 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
         for one in program.task.requirements
         if not isinstance(one, Coverage | Reach | SnapFree)
     )
-    alone = compile_task(DesignTask(program.task.robot, fixed, (Reach((target,)), *keep)))
+    alone = compile_task(DesignTask(program.task.robot, fixed, (Reach((target,)), *keep), ordered=False))
     best = np.inf
     for attempt_number in range(3):
         random = np.random.default_rng([seed, attempt_number])

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
+from ..robots.assembly import Array, assemble
 from ..solvers.smooth import Values
 from .objectives import Objective
+from .order import ordered_places
 from .requirements import (
     Avoid,
     Corridor,
@@ -29,7 +30,7 @@ from .requirements import (
     Stroke,
     of_kind,
 )
-from .rows import Rows, coverage_rows, joint_rows, rows, straightened, via_points
+from .rows import Rows, coverage_rows, joint_rows, order_rows, rows, straightened, via_points
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .task import DesignTask
@@ -231,9 +232,10 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 
 
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
-    """Rows that are never relaxed: joint limits, the depth of the reach, the bounds behind strain and margin."""
-    values, slopes = joint_rows(state, program.task.robot.joint_limits)
-    parts, changes = [values], [slopes]
+    """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
+    strain and margin."""
+    jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, ordered_places(program.task))
+    parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
     for one in program.task.objectives:
         if one.kind == "reach_radius" and program.depth_pose is not None and one.depth is not None:
             index = program.depth_pose
@@ -293,8 +295,9 @@ def objective_value(program: Program, state: State, one: Objective) -> tuple[flo
 
 def _tip_curvature(program: Program, state: State, one: Objective) -> tuple[float, Array]:
     """sum kb |kappa| / sum kb of the section at the tip, with all tubes bending to one side."""
+    tubes = state.tubes
     shift = np.zeros(program.layout.n) if one.translations is None else np.array(one.translations)
-    assembly = replace(program.task.robot, tubes=state.tubes, joint_limits=None).assembly(shift)
+    assembly = assemble(tubes, shift)
     present, curved = assembly.present[-1], assembly.curved[-1]
     kb, kappa = assembly.bending_stiffness, np.abs(assembly.curvature)
     total = float(kb @ present)

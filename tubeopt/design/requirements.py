@@ -65,7 +65,7 @@ class SnapFreeInUse:
 class Strain:
     """Largest bending strain of every tube: held straight, and at every task pose, r |u - u*| / (1 - r |u*|).
 
-    limits: one per tube, or one for all.
+    Nothing is said of the ways between poses. limits: one per tube, or one for all.
     """
 
     limits: tuple[float, ...] = (0.01,)
@@ -200,9 +200,10 @@ class Poses:
 
 @dataclass(frozen=True)
 class Corridor:
-    """The whole arm, with its thickness, stays in a tube around a polyline: points (K, 3) m, radius m.
+    """At every task pose the whole arm, with its thickness, lies in a tube around a polyline.
 
-    Distance is to the nearest point of the polyline, so that its ends are round.
+    centreline: points (K, 3), m.  radius: m. Distance is to the nearest point of the polyline, so that its ends are
+    round. Nothing is said of the ways between poses: `plan_trajectory` finds and proves such.
     """
 
     centreline: Rows
@@ -217,7 +218,10 @@ class Corridor:
 
 @dataclass(frozen=True)
 class Avoid:
-    """The whole arm, with its thickness, stays at least `clearance` (m) away from every obstacle."""
+    """At every task pose the whole arm, with its thickness, is at least `clearance` (m) away from every obstacle.
+
+    Nothing is said of the ways between poses: `plan_trajectory` finds and proves such.
+    """
 
     obstacles: tuple[Obstacle, ...]
     clearance: float = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from .anatomy import arm_rows
+from .order import Place, order_gaps
 from .requirements import (
     Avoid,
     Corridor,
@@ -35,6 +36,8 @@ from .state import FreePose, State, Via
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
 
+ORDERED = 9e-8
+"""The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off."""
 
 SOFT = 0.03
 """Part of a target's tolerance within which the distance from it is rounded off, to be smooth at the target itself."""
@@ -301,6 +304,22 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return requirement
 
 
+def order_rows(state: State, places: Sequence[Place]) -> tuple[Array, Array]:
+    """The order of the tubes at given translations, and that none is shorter than the next outer one, >= 0 where kept,
+    in steps of 10 mm; what no unknown moves is left out, as the task has checked it."""
+    straight, curved = (
+        np.array([getattr(tube, name) for tube in state.tubes]) for name in ("straight_length", "curved_length")
+    )
+    length, longer = straight + curved, state.slopes["straight_length"] + state.slopes["curved_length"]
+    values, slopes = [length[:-1] - length[1:]], [longer[:-1] - longer[1:]]
+    for place in places:
+        values.append(order_gaps(straight, curved, place))
+        slopes.append(order_gaps(state.slopes["straight_length"], state.slopes["curved_length"], place))
+    slope = np.concatenate(slopes)
+    moves = slope.any(axis=1)
+    return np.concatenate(values)[moves] / 1e-2 - ORDERED, slope[moves] / 1e-2
+
+
 def joint_rows(state: State, limits: JointLimits | None) -> tuple[Array, Array]:
     """Limits of the joint values of every free pose, >= 0 where kept, in steps of 10 mm: carriages and ends in order,
     no tube withdrawn past the plate, and the ranges of the translations that the robot's actuators have."""
@@ -324,7 +343,7 @@ def joint_rows(state: State, limits: JointLimits | None) -> tuple[Array, Array]:
             shifted = moved + straight
             values += [shift - low, high - shift]
             slopes += [shifted, -shifted]
-    return np.concatenate(values) / 1e-2, np.concatenate(slopes) / 1e-2
+    return np.concatenate(values) / 1e-2 - ORDERED, np.concatenate(slopes) / 1e-2
 
 
 def via_points(state: State) -> tuple[int, ...]:

@@ -60,7 +60,7 @@ def violation(program: Program, x: Array) -> tuple[float, str]:
 def largest_violation(found: list[Rows], fixed: Array) -> tuple[float, str]:
     """The same, of rows."""
     worst = [(-float(group.values.min(initial=0.0)), group.limit.words) for group in found]
-    worst.append((-float(fixed.min(initial=0.0)), "limits of the joints"))
+    worst.append((-float(fixed.min(initial=0.0)), "limits of the joints and order of the tubes"))
     return max(worst)
 
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ..errors import InputError
+from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from .checks import items
 from .objectives import Objective
+from .order import check_order
 from .parameters import DesignSpace, Free, design_space
 from .requirements import (
     Avoid,
@@ -32,10 +36,14 @@ class DesignTask:
 
     robot: where to start.  free: dimensions that may change.  requirements: all of which must hold.
     objective: one, or several that are added with their weights.  name: what to call it.
+    ordered: whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it,
+        none withdrawn past the plate) at home, over certified boxes, and at all translations that requirements and
+        objectives name; in poses whose joint values are found they always are.
 
     Raises:
         InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
-            a requirement or objective that speaks of task poses where there are none, nothing free or wanted.
+            a requirement or objective that speaks of task poses where there are none, nothing free or wanted, an order
+            that no lengths keep.
     """
 
     robot: ConcentricRobot
@@ -43,6 +51,7 @@ class DesignTask:
     requirements: tuple[Requirement, ...] = ()
     objective: Objective | tuple[Objective, ...] = field(default_factory=lambda: Objective("change"))
     name: str = ""
+    ordered: bool = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
@@ -62,6 +71,7 @@ class DesignTask:
             raise InputError("objective is empty; a design needs at least one")
         _check_requirements(self)
         _check_objectives(self)
+        check_order(self, *(extreme_lengths(self, side) for side in ("lower", "upper")))
 
     @property
     def objectives(self) -> tuple[Objective, ...]:
@@ -81,14 +91,23 @@ class DesignTask:
         return posed or any(one.kind == "reach_radius" for one in self.objectives)
 
 
+def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
+    """(n,) least ("lower") or greatest ("upper") straight and curved length that every tube may get, m."""
+    space = task.space
+    found = {
+        field: np.array([getattr(tube, field) for tube in task.robot.tubes])
+        for field in ("straight_length", "curved_length")
+    }
+    for (name, tubes, scaled), bound in zip(space.unknowns, getattr(space, side), strict=True):
+        if name in found:
+            for i in tubes:
+                found[name][i] = float(bound) * (found[name][i] if scaled else 1.0)
+    return found
+
+
 def least_straight(task: DesignTask) -> list[float]:
     """Least straight length that every tube may get, m: how far it may be advanced from home."""
-    space = task.space
-    least = [tube.straight_length for tube in task.robot.tubes]
-    for (name, tubes, scaled), low in zip(space.unknowns, space.lower, strict=True):
-        if name == "straight_length":
-            for i in tubes:
-                least[i] = float(low) * (task.robot.tubes[i].straight_length if scaled else 1.0)
+    least: list[float] = extreme_lengths(task, "lower")["straight_length"].tolist()
     return least
 
 

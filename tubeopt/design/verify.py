@@ -14,6 +14,8 @@ from ..robots.concentric import ConcentricRobot
 from ..stability import follow, snap_free_certificate, worst_margin
 from .checks import whole
 from .exchange import certified_at, walks
+from .order import SLACK as ORDER_SLACK
+from .order import ordered_places, pose_places, worst_order
 from .program import Program, corners, state_at
 from .requirements import (
     Avoid,
@@ -116,6 +118,7 @@ def verify(
         elif isinstance(one, Corridor | Avoid):
             checks.append(_anatomy(one, robot, equilibria))
         checks += [Check(*found) for found in check_tubes(one, robot, equilibria)]
+    checks += _order(program, robot, equilibria)
     checks += _tips(program, equilibria)
     return Verification(tuple(checks))
 
@@ -140,6 +143,16 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
     return checks
 
 
+def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
+    """Tubes in order where the task wants them so, and in its poses."""
+    posed = pose_places([e.translations for e in equilibria]) if program.task.ordered else ()
+    places = (*ordered_places(program.task), *posed)
+    if not places:
+        return []
+    gap, words = worst_order(robot.tubes, places)
+    return [Check("order of the tubes", words, gap >= -ORDER_SLACK)]
+
+
 def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse) -> Check:
     found = walks(program, robot, x)
     if any(walk.snap is not None for walk in found):
@@ -152,7 +165,7 @@ def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUs
 def _anatomy(one: Corridor | Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
     room = min((clearance(one, robot, e) for e in equilibria), default=np.inf)
     name = "corridor" if isinstance(one, Corridor) else "obstacles"
-    return Check(f"room between the arm and the {name}", f"{room * 1e3:.4f} mm", room >= 0)
+    return Check(f"room between the arm and the {name} at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
 
 
 def clearance(one: Corridor | Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:

@@ -27,7 +27,8 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
         case Strain(limits=limits):
             found = largest_strain(one, robot, equilibria)
             worst = int(np.argmax(found / np.array(limits)))
-            words = f"largest strain, in tube {worst + 1}"
+            where = ["held straight"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
+            words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
             return [(words, f"{found[worst] * 100:.4f} %", bool((found <= np.array(limits) * (1 + MISSED)).all()))]
         case Wall(thickness=limit):
             least = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)

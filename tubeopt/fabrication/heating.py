@@ -3,13 +3,14 @@
 The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and integrated by
 SciPy on a grid of three times as many cells and shells. Where that misses the window, the program's bounds are
 shifted by the difference between the two grids, and it is solved again (deferred correction): what holds in the end
-holds on the fine grid, for the schedule that is returned.
+holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count alone keeps it;
+where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from ..robots.assembly import Array
 from ..tubes import Tube
 from .heating_counts import count_rate, guarded_counts
 from .heating_cures import find_cures
-from .heating_ideal import Ideal, Shift, solve_ideal
-from .heating_plan import HeatingPlan, outcome_of
+from .heating_ideal import Ideal, Shift, joined, solve_ideal
+from .heating_outcome import Outcome, outcome_of
+from .heating_plan import HeatingPlan
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .schedule import Counts
@@ -45,11 +47,43 @@ LEAST_RESERVE = 0.3
 """Kept from the window's ends beyond rounding and mesh error, K."""
 
 
+ROOMS = (0.75, 1.0)
+"""Counts of the duty for whose warming the program leaves room below the ramp: tried one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A schedule: the ideal one and the counts in its place, what both do, and what is kept.
+
+    Attributes:
+        ideal, levels: the program's answer, and its mean duties (T,) in every slot. counts: (T,) in their place.
+        model: the fine one. exact: what `levels` do to it; checked: what `counts` do, by SciPy's integrator.
+        error: of the mesh, K. shift, reserve: with which `ideal` was found.
+    """
+
+    ideal: Ideal
+    levels: Array
+    counts: Counts
+    model: ThermalModel
+    exact: History
+    checked: History
+    error: float
+    outcome: Outcome
+    shift: Shift | None
+    reserve: tuple[float, float]
+
+    @property
+    def kept(self) -> bool:
+        """Whether everything is."""
+        return self.outcome.kept
+
+
 def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> HeatingPlan:
-    """The schedule of whole counts that holds the curved part of a tube in the window, and no point above the limit.
+    """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
+    ramp and currents within theirs.
 
     Where that is impossible, the plan is the one that misses the window by least: `feasible` is False, `shortfall` says
-    by how much, and `cures` which changes would help.
+    by how much, `broken` what else is not kept, and `cures` which changes would help.
 
     Args:
         tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
@@ -62,41 +96,83 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
     """
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
-    shift: Shift | None = None
-    ideal: Ideal | None = None
+    found = best_schedule(tube, rig, spec)
+    cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
+    return HeatingPlan.of(
+        tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
+        schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
+        cures=cures, iterations=found.ideal.iterations,
+    )  # fmt: skip
+
+
+def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+    """The schedule that keeps everything, or the one that misses the window by least."""
+    if spec.objective == "margin":
+        # Nothing is farther from the window's ends than what does not fall behind.
+        return _corrected(tube, rig, spec, ROOMS[-1])
+    found = _corrected(tube, rig, spec, ROOMS[0])
+    if found.kept or not _behind(found, spec):
+        return found
+    other = _corrected(tube, rig, spec, ROOMS[1])
+    return other if other.outcome.shortfall < found.outcome.shortfall else found
+
+
+def _behind(found: Schedule, spec: HeatingSpec) -> bool:
+    """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
+    start = round(hold_start(found.ideal, spec) / spec.slot)
+    lag = joined(found.model, found.exact.tube[start, 0] - found.checked.tube[start, 0])
+    return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
+
+
+def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
+    """The schedule after as many corrections as it takes, with `room` below the ramp."""
     swing = ripple(tube, rig, spec)
     error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
     reserve = (swing + error, swing + error)
+    found: Schedule | None = None
+    shift: Shift | None = None
     for round_ in range(ROUNDS):
-        # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
-        asked, on = (spec, rig) if ideal is None else (replace(spec, free=()), ideal.rig)
-        ideal = solve_ideal(tube, on, asked, reserve=reserve, shift=shift, guess=ideal)
-        model = thermal_model(tube, ideal.rig, FINE)
-        schedule = slots(ideal, spec)
-        counts = guarded_counts(model, spec, rig, schedule)
-        exact = simulate(model, spec.slot, schedule)
-        checked = integrate(model, spec.slot, counts / COUNTS)
-        error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, schedule, exact)
-        outcome = outcome_of(model, spec, checked, hold_start(ideal, spec), error)
+        found = _schedule(tube, rig, spec, room, (found, shift, reserve))
+        ideal, error = found.ideal, found.error
         # The margin is that of the fine grid only after a correction.
-        if outcome.kept and (spec.objective != "margin" or round_):
+        if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
             break
-        before, shift = shift, Shift.between(ideal, tube, model, exact, slots_on(ideal, spec))
-        if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and outcome.hottest + error <= spec.limit:
+        before, shift = shift, Shift.between(ideal, tube, found.model, found.exact, slots_on(ideal, spec))
+        if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and found.outcome.hottest + error <= spec.limit:
             break
         if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
             break
-        low, high = _rounded(model, exact, checked, spec, ideal)
+        low, high = _rounded(found.model, found.exact, found.checked, spec, ideal)
         reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
-    assert ideal is not None
-    if outcome.hottest + error > spec.limit:
-        counts, checked = trimmed(model, spec, rig, schedule, error)
-        outcome = outcome_of(model, spec, checked, hold_start(ideal, spec), error)
-    cures = () if outcome.kept else find_cures(tube, rig, spec, ideal, shift, reserve)
-    return HeatingPlan.of(
-        tube=tube, rig=ideal.rig, spec=spec, start=hold_start(ideal, spec), model=model, schedule=(counts, schedule),
-        histories=(checked, exact), mesh_error=error, cures=cures, iterations=ideal.iterations,
-    )  # fmt: skip
+    assert found is not None
+    if found.outcome.hottest + error > spec.limit:
+        counts, checked = trimmed(found.model, spec, found.ideal.rig, found.levels, error)
+        outcome = outcome_of(found.model, found.ideal.rig, spec, checked, hold_start(found.ideal, spec), error)
+        found = replace(found, counts=counts, checked=checked, outcome=outcome)
+    return found
+
+
+def _schedule(
+    tube: Tube,
+    rig: Rig,
+    spec: HeatingSpec,
+    room: float,
+    earlier: tuple[Schedule | None, Shift | None, tuple[float, float]],
+) -> Schedule:
+    """One round; `earlier`: the schedule of the round before, the shift that corrects it, the reserve of this one."""
+    before, shift, reserve = earlier
+    # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
+    asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
+    guess = None if before is None else before.ideal
+    ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
+    model = thermal_model(tube, ideal.rig, FINE)
+    levels = slots(ideal, spec)
+    counts = guarded_counts(model, spec, ideal.rig, levels)
+    exact = simulate(model, spec.slot, levels)
+    checked = integrate(model, spec.slot, counts / COUNTS)
+    error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
+    outcome = outcome_of(model, ideal.rig, spec, checked, hold_start(ideal, spec), error)
+    return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve)
 
 
 def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:

@@ -13,7 +13,7 @@ from .rig import COUNTS, Rig
 from .schedule import Counts
 from .thermal import GRIP, ThermalModel, cross_section, leak_resistance, thermal_data
 from .thermal_rates import State, at_rest, current, rates
-from .thermal_simulation import History, advance
+from .thermal_simulation import advance
 
 MOST_COLDER = 4.0
 """What counts held back for the sake of the ramp may cost, K."""
@@ -22,6 +22,8 @@ SETTLED = 10.0
 """Time of the hold, s, after which no duty comes near the ramp any more, and counts follow without a look."""
 
 STEPS = 2
+SPARED = 0.02
+"""Part of ramp and current limit that counts leave unused, for what the quick simulation beside them gets wrong."""
 
 
 def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
@@ -41,38 +43,44 @@ def count_rate(tube: Tube, rig: Rig) -> float:
 
 
 def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array) -> Counts:
-    """Counts (T,) of sum-up rounding, fewer in a slot where they would warm the tube faster than the ramp allows.
+    """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit as it begins.
 
-    What is left out is given in later slots; the sum falls behind by no more than half a count and what makes the tube
-    `MOST_COLDER` colder. One count is worth several K/s: without the guard rounding alone breaks the ramp by as much.
+    What is left out is given in later slots, but for what the tube has forgotten by then: the sum falls behind by no
+    more than half a count and what makes the tube `MOST_COLDER` colder. One count is worth several K/s: without the
+    guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest, nothing would
+    ever be heated: there the counts are those that break it least without falling behind.
 
     Args:
         model: one member, whose temperatures are simulated along. duty: (T,) in [0, 1], mean over each slot.
     """
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
-    state, given = at_rest(model), 0
+    state, given = at_rest(model), 0.0
     slow, fast = extremes(model, state)
     owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
+    hopeless = most_count(model, state, spec, rig) < 1
     heated = int(np.count_nonzero(duty))
     watched = min(heated, heated - spec.hold_slots + math.ceil(SETTLED / spec.slot))
     for k in range(watched):
         due = math.floor(sums[k] - given + 0.5)
-        room = most_count(model, state, spec, rig)
-        counts[k] = min(max(min(due, room), math.ceil(sums[k] - given - owed - 1e-9), 0), COUNTS)
-        given += int(counts[k])
+        least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
+        counts[k] = min(max(min(due, most_count(model, state, spec, rig)), least, 0), COUNTS)
+        given += float(counts[k])
+        if not hopeless:
+            given = max(given, sums[k] - owed)
         state = advance(model, state, counts[k] / COUNTS, spec.slot, STEPS)
-    rest = np.maximum(np.floor(sums[watched:heated] + 0.5), given)
-    counts[watched:heated] = np.minimum(np.diff(rest, prepend=given), COUNTS)
+    rest = np.maximum(np.floor(sums[watched:heated] - given + 0.5), 0.0)
+    counts[watched:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
     return counts
 
 
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
-    """Greatest count that keeps ramp and mean current within their limits at a state."""
+    """Greatest count that keeps ramp and mean current, less `SPARED` of them, at a state."""
     slow, fast = extremes(model, state)
-    room = float(((spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
+    kept = 1 - SPARED
+    room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
     now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
-    return int(COUNTS * max(min(room, rig.circuit.current_limit / now, 1.0), 0.0))
+    return int(COUNTS * max(min(room, kept * rig.circuit.current_limit / now, 1.0), 0.0))
 
 
 def extremes(model: ThermalModel, state: State) -> tuple[Array, Array]:
@@ -80,9 +88,3 @@ def extremes(model: ThermalModel, state: State) -> tuple[Array, Array]:
     idle, full = (rates(model, state.cells, state.lumped, duty)[0][0, :, 0] for duty in (0.0, 1.0))
     free = model.zone > GRIP
     return idle[free], full[free]
-
-
-def fastest(model: ThermalModel, history: History) -> float:
-    """Greatest rate of warming of any point outside of the clamps, as a mean over a slot, K/s."""
-    tube = history.tube[:, 0][:, model.zone > GRIP]
-    return float(np.diff(tube, axis=0).max() / (history.time[1] - history.time[0]))

@@ -28,8 +28,8 @@ GUESS_SLOT = 0.25
 DUTY_POINTS = 401
 """Points between which the ideal duty is taken to be linear, over heating and hold."""
 
-COARSE_RAMP, MOST_RAMP = 0.03, 0.25
-"""Parts of the ramp that are kept for the fine grid, and at most for the rounding to counts."""
+COARSE_RAMP, LEAST_RAMP = 0.03, 0.15
+"""Part of the ramp that is kept for the fine grid, and the part that is left when room is made for whole counts."""
 
 FAR = 20.0
 """Miss of the window by a guess, K, from which on the program begins with it."""
@@ -134,6 +134,7 @@ def solve_ideal(
     spec: HeatingSpec,
     *,
     reserve: tuple[float, float] = (0.0, 0.0),
+    room: float = 0.75,
     shift: Shift | None = None,
     guess: Ideal | None = None,
 ) -> Ideal:
@@ -141,6 +142,7 @@ def solve_ideal(
 
     Args:
         reserve: by how much the window is narrowed at its low and its high end, K; the limit as at the high end.
+        room: counts of the duty for whose warming room is left below the ramp.
         shift: what a finer model adds to the temperatures.
         guess: an earlier answer to a similar question.
 
@@ -152,7 +154,7 @@ def solve_ideal(
     x = guess.x if guess is not None else _start(made, tube, rig, spec)
     lower, upper = _unknown_bounds(made, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
-    p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve)])
+    p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve, room)])
     x = np.clip(x, lower, upper)
     bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     found, stats = _solved(made, spec, x, bounds, guess)
@@ -181,11 +183,12 @@ def _solved(
     return found, stats
 
 
-def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float]) -> Array:
+def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
     low, high = spec.window_degC
-    # Rounded to the nearest count a duty is up to half a count greater. Where that is too much, no room would do.
-    half = 0.5 * count_rate(tube, rig)
-    ramp = (1 - COARSE_RAMP) * spec.ramp - (half if half < MOST_RAMP * spec.ramp else 0.0)
+    # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
+    ramp, count = (1 - COARSE_RAMP) * spec.ramp, count_rate(tube, rig)
+    if count < ramp:
+        ramp = max(ramp - room * count, LEAST_RAMP * spec.ramp)
     # By sum-up rounding it is up to a whole count greater.
     current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
     values = {

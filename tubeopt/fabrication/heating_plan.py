@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from ..tubes import Tube
-from .heating_counts import fastest
 from .heating_cures import Cure
-from .heating_ideal import joined
+from .heating_outcome import hold_slots, outcome_of, remarks
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .schedule import Counts
@@ -28,40 +27,6 @@ draught, with radiation. Order of magnitude, assumed."""
 
 QUENCHED_DEGC = 100.0
 """Below this nothing happens to nitinol in seconds."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of the window: extremes over the curved part during the hold, and over all in all the time, degC."""
-
-    lowest: float
-    highest: float
-    hottest: float
-    shortfall: float
-
-    @property
-    def kept(self) -> bool:
-        """Whether window and limit were kept."""
-        return self.shortfall <= 0.0
-
-
-def outcome_of(
-    model: ThermalModel, spec: HeatingSpec, history: History, start: float, mesh_error: float = 0.0
-) -> Outcome:
-    """The outcome of a simulation whose hold begins at `start`, s; the shortfall counts its `mesh_error`, K."""
-    first, last = hold_slots(spec, start)
-    held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
-    hottest = float(history.tube.max()) - ZERO_CELSIUS
-    low, high = spec.window_degC
-    lowest, highest = float(held.min()), float(held.max())
-    miss = max(low - lowest, highest - high, hottest - spec.limit) + mesh_error
-    return Outcome(lowest, highest, hottest, max(miss, 0.0))
-
-
-def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
-    """First slot of the hold, and the slot before which it ends."""
-    first = round(start / spec.slot)
-    return first, first + spec.hold_slots
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +44,15 @@ class HeatingPlan:
         clamp_temperature, mold_temperature: (T,) of the clamps and, at its hottest place, of the groove's wall, degC.
         lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
         mesh_error: of these, estimated from a grid half as fine (Richardson), K.
-        feasible: whether window and limit are kept, the mesh error included. shortfall: by how much they are missed, K.
-        ramp: fastest warming of any point outside of the clamps, as a mean over a slot, K/s.
-        problems: in words, what else is wrong: ramp, currents and mold beyond what they bear.
-        cures: changes that would help, where the window cannot be held; those that cure it come first.
+        feasible: whether everything is kept: window and limit, the mesh error included, the ramp, and what the circuit
+            bears of current; looked at within the slots too.
+        shortfall: by how much window and limit are missed, K.
+        ramp: fastest warming of any point outside of the clamps as a mean over a slot, K/s; steepest: at any instant,
+            the duty taken for a mean power: it is this that the ramp of the specification limits.
+        mean_current: greatest current times duty, A. peak_current: greatest while the MOSFET conducts, A.
+        broken: in words, which of ramp and currents are beyond their limits, and by how much.
+        problems: these, and what else is wrong in words: a mold or a battery that suffers.
+        cures: changes that would help, where something is not kept; those that cure it come first.
         energy: drawn from the battery, J; tube_energy: heat in tube, mold and clamps at the end, J.
         energy_error: energy unaccounted for in the re-simulation, as a fraction.
         quench_time: from the end of the hold until all of the tube is below 100 degC, out of the mold, s.
@@ -115,6 +85,10 @@ class HeatingPlan:
     feasible: bool
     shortfall: float
     ramp: float
+    steepest: float
+    mean_current: float
+    peak_current: float
+    broken: tuple[str, ...]
     problems: tuple[str, ...]
     cures: tuple[Cure, ...]
     energy: float
@@ -123,6 +97,21 @@ class HeatingPlan:
     quench_time: float
     growth: float
     iterations: int
+
+    @property
+    def verdict(self) -> str:
+        """ "held" where everything is kept; else what is not, in a few words."""
+        if self.feasible:
+            return "held"
+        circuit = self.rig.circuit
+        bounds = (
+            (self.steepest, self.spec.ramp, "K/s"),
+            (self.mean_current, circuit.current_limit, "A"),
+            (self.peak_current, circuit.peak_limit, "A while on"),
+        )
+        broken = [f"{value:.1f} {unit} of {limit:g}" for value, limit, unit in bounds if value > limit]
+        missed = [f"missed by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
+        return ", ".join(missed + ([f"limits broken: {', '.join(broken)}"] if broken else []))
 
     @property
     def table_length(self) -> int:
@@ -147,7 +136,7 @@ class HeatingPlan:
         resistivity = self.rig.resistivity_factor * data.resistivity
         section = cross_section(self.tube)
         on = self.duty.max() / COUNTS
-        power = float(self.current.max()) ** 2 * resistivity / section
+        power = self.peak_current**2 * resistivity / section
         return float(
             power * on * (1 - on) / self.rig.circuit.pwm_frequency / (data.density * data.heat_capacity * section)
         )
@@ -165,6 +154,11 @@ class HeatingPlan:
         low = self.spec.window_degC[0]
         at = x[k] if k == 0 else np.interp(low, values[k - 1 : k + 1], x[k - 1 : k + 1])
         return float(at - self.rig.clamps.grip)
+
+    @property
+    def free_length(self) -> float:
+        """Length of tube between the clamps when cold, m."""
+        return 2 * (self.rig.clamps.clearance + self.rig.mold.lead) + self.tube.curved_length
 
     @property
     def extra_length(self) -> float:
@@ -187,10 +181,11 @@ class HeatingPlan:
         cures: tuple[Cure, ...] = (),
         iterations: int = 0,
     ) -> Self:
-        """The plan from what was computed; `schedule` are counts and ideal mean duties, `histories` what they do."""
+        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, that
+        of the counts from `integrate`."""
         history, exact = histories
         counts, levels = schedule
-        outcome = outcome_of(model, spec, history, start, mesh_error)
+        outcome = outcome_of(model, rig, spec, history, start, mesh_error)
         _, last = hold_slots(spec, start)
         row = history.tube[last, 0]
         charge = rig.battery.state_of_charge - history.lumped[:, 0, CHARGE]
@@ -221,8 +216,12 @@ class HeatingPlan:
             mesh_error=mesh_error,
             feasible=outcome.kept,
             shortfall=outcome.shortfall,
-            ramp=fastest(model, history),
-            problems=problems(rig, spec, history, counts, float(walls.max()), fastest(model, history)),
+            ramp=outcome.ramp,
+            steepest=outcome.steepest,
+            mean_current=outcome.mean_current,
+            peak_current=outcome.peak_current,
+            broken=outcome.broken,
+            problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             energy=float(history.lumped[-1, 0, DRAWN]),
             tube_energy=float(stored(model, history.final)[0]),
@@ -241,39 +240,6 @@ def _mirrored(half: Array) -> Array:
 def _growth(tube: Tube, model: ThermalModel, row: Array) -> float:
     rise = (row - model.ambient) * model.width
     return float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum())
-
-
-def problems(
-    rig: Rig, spec: HeatingSpec, history: History, counts: Counts, wall: float, ramp: float
-) -> tuple[str, ...]:
-    """What the rig does not bear, in words; `wall` is the hottest temperature of the groove, K, `ramp` as of a plan."""
-    found = []
-    if ramp > 1.01 * spec.ramp:
-        found.append(
-            f"within a slot the tube warms at up to {ramp:.1f} K/s, beyond the ramp of {spec.ramp:g} K/s: a whole "
-            "count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
-        )
-    peak = float(history.current.max())
-    if peak > rig.circuit.peak_limit:
-        found.append(
-            f"while the MOSFET conducts the current is {peak:.0f} A; the circuit bears {rig.circuit.peak_limit:g} A, "
-            "and no duty changes that"
-        )
-    mean = float((history.current[:-1, 0] * counts / COUNTS).max())
-    if mean > 1.001 * rig.circuit.current_limit:
-        found.append(f"the mean current reaches {mean:.1f} A; the circuit bears {rig.circuit.current_limit:g} A")
-    mold = rig.mold.material
-    if wall > mold.limit_temperature:
-        found.append(
-            f"the mold of {mold.name.replace('_', ' ')} {mold.failure} above {mold.limit_temperature_degC:.0f} degC; "
-            f"its groove reaches {wall - ZERO_CELSIUS:.0f} degC"
-        )
-    left = rig.battery.state_of_charge - float(history.lumped[-1, 0, CHARGE])
-    if left < 0.2:
-        found.append(
-            f"the battery is left with {100 * left:.0f} % of its charge; below 20 % lead-acid batteries suffer"
-        )
-    return tuple(found)
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:

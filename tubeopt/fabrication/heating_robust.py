@@ -13,7 +13,8 @@ from ..materials import ZERO_CELSIUS
 from ..robots.assembly import Array
 from .heating_counts import guarded_counts
 from .heating_ideal import joined
-from .heating_plan import HeatingPlan, hold_slots
+from .heating_outcome import hold_slots
+from .heating_plan import HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts, sum_up_rounding
 from .thermal import FINE, Resolution, ThermalModel, stack, thermal_model

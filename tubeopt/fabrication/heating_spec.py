@@ -24,8 +24,8 @@ class HeatingSpec:
         window_degC: least and greatest temperature of the whole curved part during the hold, degC.
         hold_time: s; 1 to 1800.
         limit_degC: no point of the tube may ever be hotter; None is the upper end of the window.
-        ramp: greatest rate of warming of any point outside of the clamps, K/s, as a mean over a slot; kept by the
-            counts wherever half a count is worth less than a quarter of it.
+        ramp: greatest rate of warming of any point outside of the clamps at any time, K/s, the duty taken for a mean
+            power; it can be kept where one count warms the cold tube by less.
         objective: "time" (soonest done), "energy" (least charge), or "margin" (farthest from the window's ends).
         longest_heating: of the time before the hold, s.
         slot: time for which one duty is kept, s.

@@ -66,14 +66,14 @@ class Groove:
     """The groove of one tube.
 
     Args:
-        number: of the tube, from 1.
+        number: of the tube in texts and drawings.
         tube: what it is to become.
         centreline: from plate edge to plate edge.
         curvature: of the groove's bend, 1/m, with the sign of the tube's (the drawing shows its size).
         width, depth: m.
         mill: the end mill that cuts it.
         cold: the cold end of the tube; its length is that of the specification where one is given.
-        growth: of the tube between the clamps when it is hot, m.
+        growth: of the tube between the clamps when it is hot, m; that of the specification where one is given.
         clamps: the proximal and the distal one.
         vents: over the bend.
     """
@@ -202,7 +202,9 @@ class Mold:
         return (self.size[0] * self.size[1] - through) * self.spec.plate.lid_thickness
 
 
-def plan_mold(tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None) -> Mold:
+def plan_mold(
+    tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None, *, numbers: Sequence[int] | None = None
+) -> Mold:
     """The mold for one tube or for several on one plate.
 
     The bend of a groove is as long as the tube's curved part, and of the curvature that springs back to the tube's.
@@ -210,7 +212,8 @@ def plan_mold(tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None) -> Mol
     straight part needs no setting: where it is longer than lead and clamp it hangs out of the proximal clamp.
 
     Args:
-        tubes: a tube, or several, numbered from 1.
+        tubes: a tube, or several.
+        numbers: what each is called in texts and drawings; None numbers them from 1.
         mold: material, fit, plate, cutters and so on; None takes the defaults of `MoldSpec`.
 
     Raises:
@@ -225,7 +228,10 @@ def plan_mold(tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None) -> Mol
     wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
     if not wanted:
         raise InputError("tubes is empty; there must be at least one")
-    grooves = [_groove(number, tube, spec) for number, tube in enumerate(wanted, start=1)]
+    called = range(1, len(wanted) + 1) if numbers is None else numbers
+    if len(called) != len(wanted):
+        raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
+    grooves = [_groove(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
     checks = [check for groove, _ in grooves for check in _checks(groove, spec)]
     refuse_failed(checks)
     layout = nest([blank for _, blank in grooves], spec)
@@ -311,7 +317,9 @@ def _place(groove: Groove, curve: Centreline, size: Point, spec: MoldSpec) -> Gr
     ways = (-curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0])
     mouths = (curve.lead_in.start, curve.lead_out.end)
     gaps = [_clamp_gap(mouth, way, size, spec) for mouth, way in zip(mouths, ways, strict=True)]
-    growth = thermal_growth(groove.tube, spec.heat, groove.cold.decay_length, curve.length + sum(gaps))
+    growth = spec.growth
+    if growth is None:
+        growth = thermal_growth(groove.tube, spec.heat, groove.cold.decay_length, curve.length + sum(gaps))
     travel = math.ceil((growth * clamps.travel_factor + clamps.travel_extra) / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
     placed = []
     for end, mouth, way, gap in zip(ENDS, mouths, ways, gaps, strict=True):

@@ -79,7 +79,7 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
         InputError: the profile asks for vents that would run into one another.
     """
     length = curve.bend.length
-    each = math.pi / 4 * vents.diameter**2
+    each = open_area(width, vents.diameter)
     cells = np.linspace(0.0, length, len(vents.profile) + 1)
     area = np.concatenate([[0.0], np.cumsum(np.asarray(vents.profile) * width * np.diff(cells))])
     count = math.floor(area[-1] / each + 0.5)
@@ -94,6 +94,12 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
             "vents"
         )
     return tuple(Hole("vent", (float(x), float(y)), vents.diameter) for x, y in curve.bend.point(places))
+
+
+def open_area(width: float, diameter: float) -> float:
+    """Area (m^2) that a hole over a groove opens of it: of a circle, what lies between the walls."""
+    radius, half = diameter / 2, min(width, diameter) / 2
+    return 2 * (half * math.sqrt(radius**2 - half**2) + radius**2 * math.asin(half / radius))
 
 
 def _rim(size: Point, inset: float) -> Array:

@@ -190,6 +190,7 @@ class MoldSpec:
         springback: from `calibrate_springback`, or a plain fraction; by default none, which the mold remarks upon.
         cold_length: m of tube from a clamp to where it is hot enough; None estimates it as a fin (`cold_end`). A
             thermal model of the whole rig may know better.
+        growth: m by which the tube between the clamps gets longer when hot; None integrates over the fin. As above.
         most_strain: of a straight tube pressed into the groove; None is what the tube's material springs back from.
         groove, plate, milling, clamps, vents, heat: the rest.
 
@@ -200,6 +201,7 @@ class MoldSpec:
     material: MoldMaterial = CALCIUM_SILICATE
     springback: Springback = field(default_factory=Springback)
     cold_length: float | None = None
+    growth: float | None = None
     most_strain: float | None = None
     groove: GrooveSpec = field(default_factory=GrooveSpec)
     plate: PlateSpec = field(default_factory=PlateSpec)
@@ -215,8 +217,9 @@ class MoldSpec:
             object.__setattr__(self, "springback", Springback(self.springback))
         for name, part in PARTS.items():
             instance(f"{name} of the mold", getattr(self, name), part)
-        if self.cold_length is not None:
-            object.__setattr__(self, "cold_length", positive("cold_length", self.cold_length, zero=True))
+        for name in ("cold_length", "growth"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, positive(name, getattr(self, name), zero=True))
         if self.most_strain is not None:
             object.__setattr__(self, "most_strain", positive("most_strain", self.most_strain))
 

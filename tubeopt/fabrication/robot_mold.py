@@ -35,7 +35,7 @@ def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[
         InputError: no such tube, none that needs a mold, or a mold that cannot be made.
     """
     numbers, left_out = chosen_tubes(robot, tubes)
-    mold = plan_mold([robot.tubes[number - 1] for number in numbers], spec)
+    mold = plan_mold([robot.tubes[number - 1] for number in numbers], spec, numbers=numbers)
     return RobotMold(mold, robot.name, tuple(numbers), tuple(left_out))
 
 

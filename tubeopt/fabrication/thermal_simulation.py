@@ -4,19 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SolveError
 from ..robots.assembly import Array
-from .thermal import ThermalModel
+from .thermal import GRIP, ThermalModel
 from .thermal_rates import CLAMP, LUMPED, State, at_rest, current, imbalance, rates
 
 GAMMA = 1 + 1 / math.sqrt(2)
 """Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,
 Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999))."""
+
+
+LOOKS = 5
+"""Times within every slot, beside its beginning, at which `integrate` looks for extremes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extremes:
+    """The extremes within every slot (T-1,) of one member, looked for at its beginning and at `LOOKS` more times.
+
+    Attributes:
+        coldest, hottest: (T-1, n) of the tube's cells, K.
+        rate: (T-1,) fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power.
+        current: (T-1,) greatest current while the MOSFET conducts, A; mean_current: the same times the duty.
+    """
+
+    coldest: Array
+    hottest: Array
+    rate: Array
+    current: Array
+    mean_current: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +52,7 @@ class History:
         resistance: (T, B) of the tube between the clamps, ohm.
         final: the state at the end.
         imbalance: (B,) energy unaccounted for, as a fraction of what the battery gave.
+        within: the extremes within the slots, where `integrate` made the history.
     """
 
     time: Array
@@ -42,6 +64,7 @@ class History:
     resistance: Array
     final: State
     imbalance: Array
+    within: Extremes | None = None
 
     def state(self, k: int) -> State:
         """Temperatures and lumped states at time k."""
@@ -175,6 +198,8 @@ def integrate(
 ) -> History:
     """One member under a schedule with an adaptive, stiff integrator of SciPy, started anew where the duty changes.
 
+    The history is at the slots' ends; it knows the extremes within them.
+
     Args:
         slot: s; duty: (T,) in [0, 1].
         method: "LSODA", "BDF" or "Radau".
@@ -190,7 +215,7 @@ def integrate(
     size = initial.cells.size
     y = np.concatenate([initial.cells.ravel(), initial.lumped.ravel()])
     band = {"lband": shape[2], "uband": shape[2]} if method == "LSODA" else {}
-    trace = [y]
+    trace, within = [y], []
     for first, last in runs(levels):
         level = float(levels[first])
 
@@ -199,17 +224,31 @@ def integrate(
             return np.concatenate([rate.ravel(), lumped.ravel()])
 
         span = slot * (last - first)
-        at = slot * np.arange(1, last - first + 1)
+        at = slot / LOOKS * np.arange(1, LOOKS * (last - first) + 1)
         at[-1] = span
         found = solve_ivp(slope, (0.0, span), y, method=method, t_eval=at, rtol=rtol, atol=atol, **band)
         if not found.success:
             raise SolveError(
                 f"the re-simulation gave up {slot * first + found.t[-1]:.2f} s into the schedule: {found.message}"
             )
-        trace += list(found.y.T)
+        fine = np.vstack([y, found.y.T])
+        within.append(_extremes(model, fine[:, :size].reshape(-1, *shape[1:]), fine[:, size:], level))
+        trace += list(fine[LOOKS::LOOKS])
         y = trace[-1]
     states = [State(z[:size].reshape(shape), z[size:].reshape(1, LUMPED)) for z in trace]
-    return _history(model, slot, states)
+    names = [item.name for item in fields(Extremes)]
+    joined = {name: np.concatenate([getattr(run, name) for run in within]) for name in names}
+    return replace(_history(model, slot, states), within=Extremes(**joined))
+
+
+def _extremes(model: ThermalModel, cells: Array, lumped: Array, duty: float) -> Extremes:
+    """Of a run of slots at one duty, from states at its beginning and `LOOKS` times in every slot."""
+    count = (len(cells) - 1) // LOOKS
+    looks = LOOKS * np.arange(count)[:, None] + np.arange(LOOKS + 1)
+    tube = cells[:, :, 0]
+    rate = rates(model, cells, lumped, duty)[0][:, model.zone > GRIP, 0].max(1)
+    ampere = current(model, tube, lumped).total[looks].max(1)
+    return Extremes(tube[looks].min(1), tube[looks].max(1), rate[looks].max(1), ampere, duty * ampere)
 
 
 def clamp_temperature(history: History) -> Array:

@@ -55,7 +55,7 @@ def plot_heating(
 def _heading(plan: HeatingPlan, title: str) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} °C for {plan.spec.hold_time:g} s"
-    kept = "held" if plan.feasible else f"missed by {plan.shortfall:.1f} K"
+    kept = plan.verdict
     curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
     return f"{title or plan.rig.name or 'rig'}:  {wanted}: {kept}\n{curved},  hottest point {plan.hottest:.1f} °C"
 

@@ -223,7 +223,8 @@ def _numbers(figure: Figure, mold: Mold, top: float) -> None:
             _text(figure, x, y, value)
     if len(mold.grooves) > len(shown):
         y = top - (len(_rows(shown[0], mold)) + 1.4) * step
-        _text(figure, EDGE, y, f"tubes 4 to {len(mold.grooves)}: see mold.json")
+        rest = ", ".join(str(groove.number) for groove in mold.grooves[len(shown) :])
+        _text(figure, EDGE, y, f"tubes {rest}: see mold.json")
 
 
 def _steps(figure: Figure, mold: Mold, top: float) -> None:

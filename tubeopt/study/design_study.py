@@ -83,6 +83,9 @@ class DesignStudy(Study):
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements
     objective: Aims
+    ordered: bool = Field(
+        True, description="whether the tubes are in order at home and at all translations that the task names"
+    )
     starts: Count = Field(1, description="dimensions from which to start: the robot's own, and random ones")
     seed: Annotated[Whole, Field(ge=0)] = 0
     turns: Annotated[Whole, Field(ge=0)] = Field(
@@ -114,6 +117,7 @@ class DesignStudy(Study):
             self.requirements.build(),
             tuple(entry.build() for entry in objectives),
             self.name,
+            self.ordered,
         )
 
     def run(

@@ -228,6 +228,9 @@ class MoldEntry(Part):
     cold_length_mm: NotNegative | None = Field(
         default=None, description="of tube from a clamp to where it is hot; by default estimated as a fin"
     )
+    growth_mm: NotNegative | None = Field(
+        default=None, description="of the hot tube between the clamps; by default integrated over the fin"
+    )
     most_strain_percent: Positive | None = Field(
         default=None, description="of a straight tube pressed in; by default what its material springs back from"
     )
@@ -245,6 +248,7 @@ class MoldEntry(Part):
             material=MOLD_MATERIALS[str(self.material)] if named else self.material.build(),  # type: ignore[union-attr]
             springback=self.springback.build(),
             cold_length=None if self.cold_length_mm is None else to_si(self.cold_length_mm, MM),
+            growth=None if self.growth_mm is None else to_si(self.growth_mm, MM),
             most_strain=None if self.most_strain_percent is None else to_si(self.most_strain_percent, PERCENT),
             groove=self.groove.build(),
             plate=self.plate.build(),
