@@ -176,8 +176,9 @@ class _March:
             rotation, step = _exponential(turn, move)
             position, frame, s = position + frame @ step, frame @ rotation, s + h
             out.append((position, frame[:, 2], s))
+        # Zeros are entries as well: who reads the numbers takes them to be all there.
         return (
-            ca.horzcat(*(p for p, _, _ in out)),
-            ca.horzcat(*(t for _, t, _ in out)),
-            ca.vertcat(*(a for *_, a in out)),
+            ca.densify(ca.horzcat(*(p for p, _, _ in out))),
+            ca.densify(ca.horzcat(*(t for _, t, _ in out))),
+            ca.densify(ca.vertcat(*(a for *_, a in out))),
         )
