@@ -83,6 +83,7 @@ def plan_trajectory(
     check_start(task, first)
     seconds = SHARE_OF_GOAL * options.time_limit
     goals = ends(task, first, goal, modulo_turns=options.modulo_turns, seconds=seconds)
+    task = task.from_to(task.chart.of(first), *(end.point for end in goals))
     faults: tuple[str, ...] = ()
     for attempt in range(ATTEMPTS):
         goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
@@ -94,7 +95,7 @@ def plan_trajectory(
         if isinstance(made, Trajectory):
             return made
         faults = made.faults
-        task = roomier(task)
+        task = task.roomier().from_to(task.chart.of(first), *(end.point for end in goals))
         if clock.over:
             break
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
@@ -119,13 +120,6 @@ def _way(
     goals = [*goals, *others]
     again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
     return goals, replace(again, motions=way.motions + again.motions)
-
-
-def roomier(task: Task) -> Task:
-    """The same with more room between what is checked and what must hold."""
-    return Task(
-        task.chart, task.obstacles, task.min_margin, task.clearance, 3 * task.margin_room, 2 * task.clearance_room
-    )
 
 
 def _make(

@@ -13,7 +13,7 @@ from ..transcription.path_program import PathProgram, PathQuestion, parameter_va
 from .clock import Clock
 from .motion import Motion
 from .task import Task
-from .walk import LEFT, walk
+from .walk import walk
 
 OBJECTIVES = ("length", "time", "effort", "margin")
 """Weights of length, time, effort and margin follow from these."""
@@ -62,7 +62,7 @@ class Smoothed:
 
 
 def densify(task: Task, points: Array) -> list[Array]:
-    """Every straight motion of a way as evenly spaced points of the chart (k, m), close enough to check it."""
+    """Every straight motion of a way as evenly spaced points of the chart (k, m)."""
     out = []
     for a, b in pairwise(points):
         ends = np.stack([a, b])
@@ -72,8 +72,13 @@ def densify(task: Task, points: Array) -> list[Array]:
 
 
 def joint_curves(task: Task, points: Array) -> list[Array]:
-    """The same as joint values."""
-    return [task.chart.joints(line, task.arms(line)) for line in densify(task, points)]
+    """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
+    out = []
+    for line in densify(task, points):
+        pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
+        fine = line[0] + np.linspace(0, 1, pieces + 1)[:, None] * (line[-1] - line[0])
+        out.append(task.chart.joints(fine, task.arms(fine)))
+    return out
 
 
 def resample(task: Task, points: Array, count: int) -> Array:
@@ -247,14 +252,13 @@ def _violated(task: Task, start: Equilibrium, motion: Motion) -> tuple[Mask, Arr
     time, q = motion.sampled(task.scale)
     walked = walk(task, start, q)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
-    allowed = walked.allowed(task)
-    wrong = time[: len(allowed)][~allowed]
+    short = walked.short(task)
+    wrong = time[: short.shape[1]][(short > 0).any(0)]
     if walked.lost:
-        wrong = np.append(wrong, time[len(allowed)])
+        wrong = np.append(wrong, time[short.shape[1]])
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True
-    short = [task.min_margin + LEFT - walked.margin, task.clearance + LEFT - walked.clearance]
-    return bad, np.array([max(0.0, float(each.max(initial=0.0))) for each in short])
+    return bad, np.maximum(short.max(1), 0.0)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

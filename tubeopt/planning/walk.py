@@ -10,11 +10,13 @@ from ..equilibrium import Equilibrium
 from ..errors import SolveError
 from ..inverse.posture import posture_of
 from ..kinematics import forward_kinematics
-from ..robots.assembly import Array, Mask
+from ..robots.assembly import Array
+from .motion import SAMPLE_STEP
 from .task import Task
 
 LEFT = 1e-5
-"""What must be left of the room for margin (and, m, of clearance): more than forward kinematics is off."""
+"""What must be left of margin (and, m, of clearance) where samples are as far apart as they may be: more than what
+lies between them can be off. It falls with the square of their distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +37,15 @@ class Walked:
         """(T, 3) m."""
         return np.array([e.tip_position for e in self.equilibria])
 
-    def allowed(self, task: Task) -> Mask:
-        """(T,) whether margin and clearance are kept."""
-        kept: Mask = (self.margin >= task.min_margin + LEFT) & (self.clearance >= task.clearance + LEFT)
-        return kept
+    def short(self, task: Task) -> Array:
+        """(2, T) what margin and clearance (m) lack of what is to be kept and to be left; 0 or less where nothing. Both
+        ends of the table are as they are."""
+        q = np.array([task.chart.space.join(e.rotations, e.translations) for e in self.equilibria]) / task.scale
+        step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)
+        left = LEFT * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
+        out = np.array([task.min_margin + left - self.margin, task.clearance + left - self.clearance])
+        out[:, [0, -1]] = np.minimum(out[:, [0, -1]], 0.0)
+        return out
 
 
 def walk(task: Task, start: Equilibrium, q: Array) -> Walked:
