@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..equilibrium import Equilibrium
 from ..inverse.joints import JointSpace
@@ -48,7 +49,7 @@ class Arms:
         s = np.linspace(0.0, 1.0, FINE) * self.arc_length[:, -1:]
         return s, self.at(s, np.arange(len(s)))
 
-    def at(self, s: Array, rows: Array) -> Array:
+    def at(self, s: Array, rows: NDArray[np.intp]) -> Array:
         """(r, p, 3) centrelines of the equilibria `rows` (r,) at arc lengths s (r, p), by cubic interpolation."""
         along = self.arc_length[rows]
         k = np.clip((along[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, along.shape[1] - 2)

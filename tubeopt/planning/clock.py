@@ -17,6 +17,15 @@ class Clock:
         return time.perf_counter() - self.began
 
     @property
+    def left(self) -> float:
+        """Seconds that are left, 0 when the limit is reached."""
+        return max(0.0, self.limit - self.seconds)
+
+    def part(self, share: float) -> Clock:
+        """A clock of its own for a share of what is left."""
+        return Clock(share * self.left)
+
+    @property
     def over(self) -> bool:
         """Whether the limit is reached."""
         return self.seconds >= self.limit

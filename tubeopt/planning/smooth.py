@@ -117,7 +117,7 @@ def smooth(
             return None
         motion, found, count = solved
         iterations += count
-        bad, short = _violated(task, start, motion)
+        bad, short = _violated(task, start, motion, clock)
         if not bad.any():
             return Smoothed(motion, found, iterations)
         if clock.over:
@@ -246,11 +246,11 @@ def _bounds(
     }
 
 
-def _violated(task: Task, start: Equilibrium, motion: Motion) -> tuple[Mask, Array]:
+def _violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tuple[Mask, Array]:
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short."""
     time, q = motion.sampled(task.scale)
-    walked = walk(task, start, q)
+    walked = walk(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
     short = walked.short(task)
     wrong = time[: short.shape[1]][(short > 0).any(0)]
@@ -258,7 +258,7 @@ def _violated(task: Task, start: Equilibrium, motion: Motion) -> tuple[Mask, Arr
         wrong = np.append(wrong, time[short.shape[1]])
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True
-    return bad, np.maximum(short.max(1), 0.0)
+    return bad, np.maximum(short.max(1, initial=0.0), 0.0)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

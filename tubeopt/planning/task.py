@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..obstacles import Obstacle, nearest_distance
 from ..robots.assembly import Array, Mask
@@ -104,7 +105,7 @@ class Task:
             step = step * 2 / (INSIDE - 1)
         return np.asarray(least)
 
-    def _gap(self, arms: Arms, s: Array, points: Array, rows: Array) -> Array:
+    def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp]) -> Array:
         """(r, p) distances of the surface of arms from obstacles at arc lengths s (r, p), whose centreline is given."""
         shown = s[:, :, None] <= arms.tube_end[rows][:, None, :] + 1e-12
         radius = np.where(shown, self.chart.radius, 0.0).max(2)
