@@ -49,7 +49,12 @@ def plan(
         raise SolveError(f"{error}; as far as it came: {saved[1]}", error.solution) from None
     present(report(answer), out=out, as_json=as_json, plot=plot)
     if not answer.proved:
-        raise NotProvedError(f"a motion was found, but it is {answer.status}")
+        raise NotProvedError(unproved(answer))
+
+
+def unproved(answer: Trajectory) -> str:
+    """What to say of a motion whose proof was not finished."""
+    return f"a motion was found, but it is {answer.status}"
 
 
 def verify(

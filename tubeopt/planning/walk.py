@@ -47,7 +47,8 @@ class Walked:
         step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
         left = LEFT * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
         out = np.array([task.min_margin + left - self.margin, task.clearance + left - self.clearance])
-        out[:, [0, -1]] = np.minimum(out[:, [0, -1]], 0.0)
+        for end in {0, len(q) - 1} if len(q) else ():
+            out[:, end] = np.minimum(out[:, end], 0.0)
         return out
 
 
@@ -72,5 +73,12 @@ def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -
 
 def clearance_of(task: Task, equilibrium: Equilibrium) -> float:
     """Least distance of the arm from obstacles, m; infinite without."""
+    if not task.obstacles:
+        return float("inf")
     posture = posture_of(task.chart.space, equilibrium)
-    return min((posture.clearance(obstacle) for obstacle in task.obstacles), default=float("inf"))
+    s, points, radius = posture.fine
+    coarse = [float((obstacle.signed_distance(points) - radius).min()) for obstacle in task.obstacles]
+    # Between two points a distance falls by no more than half of theirs: others cannot be the nearest.
+    within = min(coarse) + float(np.diff(s).max(initial=0.0)) / 2
+    near = [obstacle for obstacle, least in zip(task.obstacles, coarse, strict=True) if least <= within]
+    return min(posture.clearance(obstacle) for obstacle in near)
