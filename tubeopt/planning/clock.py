@@ -10,6 +10,7 @@ class Clock:
 
     def __init__(self, limit: float) -> None:
         self.began, self.limit = time.perf_counter(), limit
+        self._worked = time.process_time()
 
     @property
     def seconds(self) -> float:
@@ -24,6 +25,12 @@ class Clock:
     def part(self, share: float) -> Clock:
         """A clock of its own for a share of what is left."""
         return Clock(share * self.left)
+
+    @property
+    def crowding(self) -> float:
+        """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
+        worked = time.process_time() - self._worked
+        return max(1.0, self.seconds / worked) if worked > 0 else 1.0
 
     @property
     def over(self) -> bool:

@@ -175,6 +175,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> list
 def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
+    _place_for_the_tip(task, position)
     miss = least_miss(task.chart, position, clock)
     if miss > 0:
         raise SolveError(
@@ -185,6 +186,18 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     except SolveError as error:
         raise SolveError(f"no plan was found, since no joint values meet the goal: {error}") from None
     return [answer.equilibrium]
+
+
+def _place_for_the_tip(task: Task, position: Array) -> None:
+    """Raise SolveError where the tip cannot be at a place, since an obstacle is there."""
+    for k, obstacle in enumerate(task.obstacles):
+        # No arm is thinner at its tip than the thinnest tube.
+        clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
+        if clear < task.clearance:
+            raise SolveError(
+                f"no plan exists: with its tip at the goal the arm has clearance {clear * 1e3:.4g} mm at most from "
+                f"obstacle {k + 1} ({type(obstacle).__name__}); it must keep {task.clearance * 1e3:g} mm"
+            )
 
 
 def _postures(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:

@@ -15,7 +15,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
-from .goals import End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
+from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
@@ -49,9 +49,6 @@ SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 
 SHARE_OF_SMOOTHING = 0.5
 """Share of the time that is left which smoothing may take: the proof needs the rest."""
-
-BUILDING = 6e-5
-"""Seconds per operation of an equilibrium that it may take to build the program of smoothing, which nothing can end."""
 
 Faults = tuple[str, ...]
 
@@ -123,6 +120,8 @@ def _way(
     begin = task.chart.of(first)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
+    if of_the_tip(goal) or len(goals) == MOST_GOALS:  # there may be others
+        way = replace(way, impossible=False)
     if way.points is not None or not postures:
         return task, goals, way
     rest = Clock(left - search.seconds)
@@ -130,7 +129,7 @@ def _way(
     goals = [*goals, *others]
     task = _between(task, first, goals)
     again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
-    return task, goals, replace(again, motions=way.motions + again.motions)
+    return task, goals, replace(again, motions=way.motions + again.motions, impossible=False)
 
 
 def _make(
@@ -148,9 +147,9 @@ def _make(
     points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
     raw = task.length(way.points)
     motions: list[tuple[Motion, str, int, int]] = []
-    left = min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left)
-    if options.objective != "none" and left > max(LEAST_SMOOTHING, BUILDING * task.chart.size) and raw > 1e-9:
-        best = smooth(task, first, points, rates[1], objective=options.objective, seconds=left)
+    own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left))
+    if options.objective != "none" and own.left > LEAST_SMOOTHING and raw > 1e-9:
+        best = smooth(task, first, points, rates[1], objective=options.objective, clock=own)
         if best is not None:
             motions.append((best.motion, options.objective, best.iterations, len(best.points)))
     motions.append((stopping_at(joint_curves(task, points), *rates[1]), "", 0, len(points)))
@@ -263,19 +262,23 @@ def _not_found(
     clock: Clock,
 ) -> SolveError:
     """What to say where the search ended without a way: how close it came, and with what."""
+    if way.impossible:
+        return SolveError(f"no plan exists: {way.why}")
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
         points, motion = _affordable(task, way.closest, rates[1], clock.left)
         built = () if motion is None else build(task, first, None, motion, rates[0], clock)
-        if isinstance(built, Built) and motion is not None:
+        if isinstance(built, Built) and built.proof.holds and motion is not None:
             end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
             numbers = (way.motions, 0.0, task.length(points), 0, len(points))
             seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
             statistics = PlanStatistics("partial", "", *numbers, *seconds)
             partial = built.trajectory(task, first, end, rates[0], statistics)
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
-    return SolveError(f"no plan was found within {clock.limit:g} s: {way.motions} motions were tried{near}", partial)
+    why = f"; {way.why}" if way.why else ""
+    tried = f"{way.motions} motions were tried in {clock.seconds:.1f} s"
+    return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 
 def _affordable(task: Task, points: Array, rates: tuple[Array, Array], left: float) -> tuple[Array, Motion | None]:

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..corridors import MeshObstacle
 from ..equilibrium import Equilibrium
 from ..robots.assembly import Array, Mask
 from ..transcription.path_program import PathProgram, PathQuestion, parameter_values, path_program
@@ -52,6 +53,11 @@ ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
 
+BUILDING, PER_BODY, PER_CELL = 6e-5, 1e-2, 1.5e-4
+"""Seconds that it takes at most on most machines to build the program, which nothing can cut short: per operation of an
+equilibrium, per obstacle, and per cell of the grid about a mesh."""
+
+
 @dataclass(frozen=True, eq=False)
 class Smoothed:
     """A smoothed motion, its knots (K, m) in the chart, and how many iterations and knots it took."""
@@ -59,6 +65,12 @@ class Smoothed:
     motion: Motion
     points: Array
     iterations: int
+
+
+def building(task: Task) -> float:
+    """Seconds of work that it may take to build the program of a task."""
+    cells = sum(body.grid[1].size for body in task.obstacles if isinstance(body, MeshObstacle))
+    return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_CELL * cells
 
 
 def densify(task: Task, points: Array) -> list[Array]:
@@ -102,17 +114,19 @@ def smooth(
     limits: tuple[Array, Array],
     *,
     objective: str = "length",
-    seconds: float = 20.0,
+    clock: Clock | None = None,
 ) -> Smoothed | None:
-    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one."""
-    if task.chart.size > LARGEST:
+    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
+    the clock is over."""
+    clock = clock or Clock(20.0)
+    if task.chart.size > LARGEST or clock.left < clock.crowding * building(task):
         return None
     z = resample(task, points, INTERVALS + 1)
     share = np.full(INTERVALS, 1 / INTERVALS)
-    iterations, clock = 0, Clock(seconds)
+    iterations = 0
     room = np.array([task.margin_room + EXTRA, task.clearance_room])
     for _ in range(REFINEMENTS + 1):
-        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1]), seconds - clock.seconds))
+        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1])), clock)
         if solved is None:
             return None
         motion, found, count = solved
@@ -133,11 +147,12 @@ def _solve(
     share: Array,
     limits: tuple[Array, Array],
     objective: str,
-    room: tuple[float, float, float],
+    room: tuple[float, float],
+    clock: Clock,
 ) -> tuple[Motion, Array, int] | None:
     """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
 
-    `room`: above the margin and the clearance (m) to keep, at knots; seconds left.
+    `room`: above the margin and the clearance (m) to keep, at knots.
     """
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
@@ -165,7 +180,7 @@ def _solve(
     )
     floor = min(task.min_margin + room[0], 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
-    solver = program.solver(room[2])
+    solver = program.solver(clock.left)
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
