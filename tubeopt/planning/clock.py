@@ -6,11 +6,11 @@ import time
 
 
 class Clock:
-    """Time that is left of a limit."""
+    """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
 
-    def __init__(self, limit: float) -> None:
+    def __init__(self, limit: float, within: Clock | None = None) -> None:
         self.began, self.limit = time.perf_counter(), limit
-        self._worked = time.process_time()
+        self._since = (self.began, time.process_time()) if within is None else within._since
 
     @property
     def seconds(self) -> float:
@@ -24,13 +24,13 @@ class Clock:
 
     def part(self, share: float) -> Clock:
         """A clock of its own for a share of what is left."""
-        return Clock(share * self.left)
+        return Clock(share * self.left, self)
 
     @property
     def crowding(self) -> float:
         """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
-        worked = time.process_time() - self._worked
-        return max(1.0, self.seconds / worked) if worked > 0 else 1.0
+        passed, worked = time.perf_counter() - self._since[0], time.process_time() - self._since[1]
+        return max(1.0, passed / worked) if worked > 0 else 1.0
 
     @property
     def over(self) -> bool:

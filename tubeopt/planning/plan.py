@@ -147,7 +147,7 @@ def _make(
     points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
     raw = task.length(way.points)
     motions: list[tuple[Motion, str, int, int]] = []
-    own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left))
+    own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock)
     if options.objective != "none" and own.left > LEAST_SMOOTHING and raw > 1e-9:
         best = smooth(task, first, points, rates[1], objective=options.objective, clock=own)
         if best is not None:
