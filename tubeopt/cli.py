@@ -1,6 +1,7 @@
 """The command line `tubeopt`: commands gathered, failures turned into a sentence and an exit code, in one place.
 
-Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 130 interrupted.
+Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a motion was
+found but not proved in time, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from .commands import (
     view,
     workspace,
 )
-from .errors import InputError, SolveError
+from .errors import InputError, NotProvedError, SolveError
 
-BAD_INPUT, NO_SOLUTION = 2, 3
+BAD_INPUT, NO_SOLUTION, NOT_PROVED = 2, 3, 4
 
 app = typer.Typer(
     help="Concentric tube robots: where they go, whether they snap, how to build them.",
@@ -105,6 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _complain(error, BAD_INPUT)
     except SolveError as error:
         _complain(error, NO_SOLUTION)
+    except NotProvedError as error:
+        _complain(error, NOT_PROVED)
     sys.exit(0)
 
 

@@ -26,6 +26,10 @@ class SolveError(RuntimeError):
         self.solution = solution
 
 
+class NotProvedError(RuntimeError):
+    """An answer was found, and given, whose proof was not finished in time; the message says how far it came."""
+
+
 def positive(name: str, value: float, *, zero: bool = False) -> float:
     """Return `value` as float if it is finite and > 0 (>= 0 with `zero`), else raise InputError naming it."""
     number = finite(name, value)

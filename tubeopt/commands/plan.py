@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError, SolveError
+from ..errors import InputError, NotProvedError, SolveError
 from ..obstacles import Obstacle
 from ..planning import RateLimits, Trajectory, verify_trajectory
 from ..study.obstacle_file import load_obstacles
@@ -29,7 +29,11 @@ def plan(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a motion that stays on one stable branch, around obstacles and within rates, and prove it."""
+    """Plan a motion that stays on one stable branch, around obstacles and within rates, and prove it.
+
+    Ends with 0 if it is proved, 3 where none was found, and 4 where one was found, shown and saved, but the time limit
+    was reached before its proof was finished.
+    """
     question = load_study(study)
     if not isinstance(question, PlanStudy):
         raise InputError(f"{study}: kind is {question.kind!r}; it must be 'plan'")
@@ -44,6 +48,13 @@ def plan(
         saved = report(error.solution).save(out / "partial")
         raise SolveError(f"{error}; as far as it came: {saved[1]}", error.solution) from None
     present(report(answer), out=out, as_json=as_json, plot=plot)
+    if not answer.proved:
+        raise NotProvedError(unproved(answer))
+
+
+def unproved(answer: Trajectory) -> str:
+    """What to say of a motion whose proof was not finished."""
+    return f"a motion was found, but it is {answer.status}"
 
 
 def verify(

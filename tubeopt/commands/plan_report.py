@@ -39,6 +39,7 @@ def proof_record(proof: Proof) -> dict[str, Any]:
     return {
         "proved": p.holds,
         "faults": list(p.faults),
+        "followed_percent": 100 * p.followed,
         "snap_at_percent": None if p.snap is None else 100 * p.snap,
         "least_margin": p.least_margin,
         "least_clearance_mm": p.least_clearance * MM,
@@ -72,7 +73,8 @@ def proof_rows(proof: Proof) -> list[tuple[str, str]]:
         ("way of the tip", f"{p.tip_length * MM:.2f} mm, in steps of at most {p.largest_tip_step * MM:.2f} mm"),
         (
             "followed again",
-            f"through {p.equilibria} equilibria, re-integrated to {p.reintegration * MM:.0e} mm (DOP853)",
+            f"through {p.equilibria} equilibria"
+            + (f", re-integrated to {p.reintegration * MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""),
         ),
     ]
 
@@ -101,6 +103,7 @@ class TrajectoryReport:
             "tip_position_mm": (t.tip_position[-1] * MM).tolist(),
             "tip_rotations_deg": np.degrees(t.end.tip_rotations).tolist(),
             "turns": list(t.turns),
+            "status": t.status,
             "largest_deviation_mm": None if t.deviation is None else float(t.deviation.max()) * MM,
             "proof": proof_record(t.proof),
             "statistics": asdict(t.statistics),
@@ -131,7 +134,8 @@ class TrajectoryReport:
         if s.smoothed:
             words = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
             rows.append(("smoothed", f"{words}, {s.smooth_seconds:.1f} s"))
-        return Group(two_columns(f"{t.robot.name or 'robot'}: a motion on one stable branch, proved", rows))
+        what = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
+        return Group(two_columns(f"{t.robot.name or 'robot'}: {what}", rows))
 
     def save(self, directory: Path) -> list[Path]:
         """Write trajectory.csv, with robot.yaml beside it, tip.csv, and plan.json."""

@@ -6,11 +6,13 @@ from typing import Annotated
 
 import typer
 
-from ..errors import SolveError
+from ..errors import NotProvedError, SolveError
 from ..fabrication.heating_plan import HeatingPlan
+from ..planning import Trajectory
 from ..study.study_file import load_study
 from .heat import missed
 from .options import JsonOption, OutOption, PlotOption
+from .plan import unproved
 from .progress import working
 from .report import can_be_saved, present, report
 
@@ -21,7 +23,7 @@ def run(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the study that a file describes."""
+    """Run the study that a file describes. Ends as the command of its kind does."""
     question = load_study(study)
     can_be_saved(out)
     with working("running the study") as progress:
@@ -29,3 +31,5 @@ def run(
     present(report(answer), out=out, as_json=as_json, plot=plot)
     if isinstance(answer, HeatingPlan) and not answer.feasible:
         raise SolveError(missed(answer))
+    if isinstance(answer, Trajectory) and not answer.proved:
+        raise NotProvedError(unproved(answer))

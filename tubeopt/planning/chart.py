@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..equilibrium import Equilibrium
 from ..inverse.joints import JointSpace
@@ -44,16 +45,21 @@ class Arms:
         return self.points[:, -1]
 
     def fine(self) -> tuple[Array, Array]:
-        """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points, by cubic interpolation."""
+        """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points."""
         s = np.linspace(0.0, 1.0, FINE) * self.arc_length[:, -1:]
-        k = np.clip((self.arc_length[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, self.arc_length.shape[1] - 2)
-        row = np.arange(len(s))[:, None]
-        start = self.arc_length[row, k]
-        h = self.arc_length[row, k + 1] - start
+        return s, self.at(s, np.arange(len(s)))
+
+    def at(self, s: Array, rows: NDArray[np.intp]) -> Array:
+        """(r, p, 3) centrelines of the equilibria `rows` (r,) at arc lengths s (r, p), by cubic interpolation."""
+        along = self.arc_length[rows]
+        k = np.clip((along[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, along.shape[1] - 2)
+        row, own = rows[:, None], np.arange(len(rows))[:, None]
+        start = along[own, k]
+        h = along[own, k + 1] - start
         x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
         p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
         ends = p * (1 + 2 * x) * (1 - x) ** 2 + q * x**2 * (3 - 2 * x)
-        return s, ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x))
+        return np.asarray(ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x)))
 
 
 @lru_cache(maxsize=64)
@@ -104,23 +110,27 @@ class Chart:
         """(N, m) independent joint values of points and their arms."""
         return np.concatenate([arms.rotations, z[:, self.space.robot.n_tubes :]], axis=1)
 
-    def arms(self, z: Array, margin: float) -> Arms:
-        """The equilibria of points z (N, m), and whether their margin is above `margin`."""
+    def arms(self, z: Array, margin: float | Array) -> Arms:
+        """The equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,)."""
         n = self.space.robot.n_tubes
         shift = self.translations(z)
-        parts = [self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], margin) for k in range(0, len(z), BATCH)]
+        floor = np.broadcast_to(margin, len(z))
+        parts = [
+            self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], floor[k : k + BATCH, None])
+            for k in range(0, len(z), BATCH)
+        ]
         rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
         tubes = self.space.robot.tubes
         end = shift + np.array([tube.length - tube.straight_length for tube in tubes])
         return Arms(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
 
-    def _batch(self, tip: Array, shift: Array, margin: float) -> list[Array]:
+    def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
         n, count = len(tip[0]), len(tip)
         size = BATCH if count > 1 else 1
         function = _mapped(n, self.eccentric, size, threading.get_ident())
         pad = size - count
         if pad:
-            tip, shift = np.pad(tip, ((0, pad), (0, 0)), mode="edge"), np.pad(shift, ((0, pad), (0, 0)), mode="edge")
+            tip, shift, margin = (np.pad(each, ((0, pad), (0, 0)), mode="edge") for each in (tip, shift, margin))
         out = function(tip, shift, margin, self.parameters)
         width = out[2].shape[0] // size
         rotations, fields, points, tangents, s = (array.copy() for array in out)

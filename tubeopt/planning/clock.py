@@ -6,15 +6,31 @@ import time
 
 
 class Clock:
-    """Time that is left of a limit."""
+    """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
 
-    def __init__(self, limit: float) -> None:
+    def __init__(self, limit: float, within: Clock | None = None) -> None:
         self.began, self.limit = time.perf_counter(), limit
+        self._since = (self.began, time.process_time()) if within is None else within._since
 
     @property
     def seconds(self) -> float:
         """Seconds since the start."""
         return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left, 0 when the limit is reached."""
+        return max(0.0, self.limit - self.seconds)
+
+    def part(self, share: float) -> Clock:
+        """A clock of its own for a share of what is left."""
+        return Clock(share * self.left, self)
+
+    @property
+    def crowding(self) -> float:
+        """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
+        passed, worked = time.perf_counter() - self._since[0], time.process_time() - self._since[1]
+        return max(1.0, passed / worked) if worked > 0 else 1.0
 
     @property
     def over(self) -> bool:

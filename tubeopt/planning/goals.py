@@ -19,9 +19,10 @@ from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
+from .clock import Clock
 from .reach import least_miss
 from .task import Task
-from .walk import clearances
+from .walk import clearance_of
 
 MOST_GOALS = 12
 """Goals that are tried, the nearest to the start first."""
@@ -34,6 +35,10 @@ DISTINCT = 1e-3
 
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
+
+
+LEAST_SECONDS = 1e-3
+"""Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +77,16 @@ def check_start(task: Task, start: Equilibrium) -> None:
 
 
 def ends(
-    task: Task, start: Equilibrium, goal: Any, *, modulo_turns: bool = False, seconds: float = math.inf
+    task: Task, start: Equilibrium, goal: Any, clock: Clock | None = None, *, modulo_turns: bool = False
 ) -> list[End]:
-    """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for so many seconds.
+    """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for until the clock is
+    over.
 
     Raises:
         InputError: a goal that is none, or out of range.
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
-    found = _equilibria(task, start, goal, seconds)
+    found = _equilibria(task, start, goal, clock or Clock(math.inf))
     reasons, good = [], []
     for e in found:
         try:
@@ -104,9 +110,9 @@ def other_ends(
     start: Equilibrium,
     goal: Any,
     known: Sequence[End],
+    clock: Clock,
     *,
     modulo_turns: bool = False,
-    seconds: float = math.inf,
 ) -> list[End]:
     """Further equilibria that meet the goal, if it is one of the tip, the nearest first: its other postures."""
     wanted = _tip_goal(goal)
@@ -114,7 +120,7 @@ def other_ends(
         return []
     here, found = task.chart.of(start), []
     try:
-        postures = _postures(task, start, wanted, seconds)
+        postures = _postures(task, start, wanted, clock)
     except SolveError:  # none in so short a time
         return []
     for e in postures:
@@ -143,7 +149,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
     return TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m"))
 
 
-def _equilibria(task: Task, start: Equilibrium, goal: Any, seconds: float) -> list[Equilibrium]:
+def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> list[Equilibrium]:
     space = task.chart.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium
@@ -153,7 +159,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, seconds: float) -> li
         return [goal]
     wanted = _tip_goal(goal)
     if wanted is not None:
-        return _posed(task, start, wanted, seconds)
+        return _posed(task, start, wanted, clock)
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     try:
@@ -166,36 +172,49 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, seconds: float) -> li
     return sorted(found, key=lambda e: -e.margin)
 
 
-def _posed(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> list[Equilibrium]:
+def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
-    miss = least_miss(task.chart, position)
+    _place_for_the_tip(task, position)
+    miss = least_miss(task.chart, position, clock)
     if miss > 0:
         raise SolveError(
             f"no plan exists: the goal is out of reach, the tip comes no closer to it than {miss * 1e3:.4g} mm"
         )
     try:
-        answer = inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal, seconds))
+        answer = inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal, clock))
     except SolveError as error:
         raise SolveError(f"no plan was found, since no joint values meet the goal: {error}") from None
     return [answer.equilibrium]
 
 
-def _postures(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> list[Equilibrium]:
+def _place_for_the_tip(task: Task, position: Array) -> None:
+    """Raise SolveError where the tip cannot be at a place, since an obstacle is there."""
+    for k, obstacle in enumerate(task.obstacles):
+        # No arm is thinner at its tip than the thinnest tube.
+        clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
+        if clear < task.clearance:
+            raise SolveError(
+                f"no plan exists: with its tip at the goal the arm has clearance {clear * 1e3:.4g} mm at most from "
+                f"obstacle {k + 1} ({type(obstacle).__name__}); it must keep {task.clearance * 1e3:g} mm"
+            )
+
+
+def _postures(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """All equilibria whose tip has a pose, as far as inverse kinematics finds them."""
     robot = task.chart.space.robot
-    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_inverse(task, start, goal, seconds))
+    answers = inverse_kinematics(robot, goal.position, all_solutions=True, **_inverse(task, start, goal, clock))
     return [answer.equilibrium for answer in answers]
 
 
-def _inverse(task: Task, start: Equilibrium, goal: TipGoal, seconds: float) -> dict[str, Any]:
+def _inverse(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     return {
         "direction": goal.direction,
         "seed": start,
         "min_margin": task.min_margin + 2 * FINISHED,
         "limits": limits_of(task.chart.space),
         "obstacles": task.obstacles,
-        "options": InverseOptions(clearance=task.clearance, time_limit=seconds),
+        "options": InverseOptions(clearance=task.clearance, time_limit=max(clock.left, LEAST_SECONDS)),
     }
 
 
@@ -240,7 +259,7 @@ def _allowed(task: Task, name: str, e: Equilibrium) -> None:
         raise SolveError(
             f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}", e
         )
-    clear = float(clearances(task, [e])[0])
+    clear = clearance_of(task, e)
     if clear < task.clearance:
         where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"
         raise SolveError(

@@ -23,7 +23,7 @@ from ..solvers.least_squares import constrained_least_squares
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import build
+from .plan import Built, build
 from .question import asked
 from .task import Task
 from .tip_path import distance_from, timed
@@ -79,6 +79,8 @@ def follow_the_leader(
     length = float(last.arc_length[-1])
     z, points = task.chart.of(last), []
     for share in np.linspace(1.0, begin, STEPS + 1):
+        if clock.over:
+            raise SolveError(f"no deployment was found within {clock.limit:g} s")
         points.append(_fit(task, z, last, share * length) if share < 1 else z)
         z = points[-1]
     path = np.array(points[::-1])
@@ -88,12 +90,11 @@ def follow_the_leader(
     motion = timed(q, task.scale, rates)
     end = End(path[-1], q[-1], (0,) * robot.n_tubes)
     searched = clock.seconds
-    built, proof = build(task, first, end, motion, rate_limits)
-    if built is None:
-        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(proof.faults)}")
-    walked = walk(task, first, built.joints)
-    way = np.concatenate([first.position, walked.tip[1:]])
-    deviation = np.array([distance_from(way, e.position).max() for e in walked.equilibria])
+    built = build(task, first, end, motion, rate_limits, clock)
+    if not isinstance(built, Built):
+        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(built)}")
+    way = np.concatenate([first.position, built.tip[1:]])
+    deviation = np.array([distance_from(way, e.position).max() for e in built.equilibria])
     moved = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
     done = clock.seconds
     statistics = PlanStatistics("leader", "", 0, moved, moved, 0, len(q), searched, 0.0, done - searched, done)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
-from .goals import End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
+from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
@@ -47,7 +47,10 @@ FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
 SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 """Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
 
-Progress = Callable[[str, float], object]
+SHARE_OF_SMOOTHING = 0.5
+"""Share of the time that is left which smoothing may take: the proof needs the rest."""
+
+Faults = tuple[str, ...]
 
 
 def plan_trajectory(
@@ -77,15 +80,18 @@ def plan_trajectory(
         InputError: start or goal out of range, or numbers that make no sense.
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
+
+    The time limit bounds all of it. A motion whose proof was not finished in time is returned as such: its `.proved`
+    is False, and its `.status` says how much of it was followed.
     """
     task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
-    seconds = SHARE_OF_GOAL * options.time_limit
-    goals = ends(task, first, goal, modulo_turns=options.modulo_turns, seconds=seconds)
-    faults: tuple[str, ...] = ()
+    goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
+    task = _between(task, first, goals)
+    faults: Faults = ()
     for attempt in range(ATTEMPTS):
-        goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
+        task, goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
         if way.points is None:
             raise _not_found(task, first, goals, way, (rate_limits, rates), clock)
         reached = way.points[-1]
@@ -93,16 +99,20 @@ def plan_trajectory(
         made = _make(task, first, end, way, (rate_limits, rates), options, clock)
         if isinstance(made, Trajectory):
             return made
-        faults = made.faults
-        task = roomier(task)
+        faults = made
+        task = _between(task.roomier(), first, goals)
         if clock.over:
             break
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
+def _between(task: Task, first: Equilibrium, goals: Sequence[End]) -> Task:
+    return task.from_to(task.chart.of(first), *(end.point for end in goals))
+
+
 def _way(
     task: Task, first: Equilibrium, goal: Any, goals: list[End], clock: Clock, options: PlanOptions
-) -> tuple[list[End], Way]:
+) -> tuple[Task, list[End], Way]:
     """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
     until = options.time_limit - min(FOR_REPORT, MOST_FOR_REPORT * options.time_limit)
     left = max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds)
@@ -110,22 +120,16 @@ def _way(
     begin = task.chart.of(first)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
+    if of_the_tip(goal) or len(goals) == MOST_GOALS:  # there may be others
+        way = replace(way, impossible=False)
     if way.points is not None or not postures:
-        return goals, way
+        return task, goals, way
     rest = Clock(left - search.seconds)
-    others = other_ends(
-        task, first, goal, goals, modulo_turns=options.modulo_turns, seconds=0.5 * (rest.limit - rest.seconds)
-    )
+    others = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
     goals = [*goals, *others]
+    task = _between(task, first, goals)
     again = find_way(task, begin, [end.point for end in others or goals], rest, options, seed=options.seed + 1)
-    return goals, replace(again, motions=way.motions + again.motions)
-
-
-def roomier(task: Task) -> Task:
-    """The same with more room between what is checked and what must hold."""
-    return Task(
-        task.chart, task.obstacles, task.min_margin, task.clearance, 3 * task.margin_room, 2 * task.clearance_room
-    )
+    return task, goals, replace(again, motions=way.motions + again.motions, impossible=False)
 
 
 def _make(
@@ -136,43 +140,44 @@ def _make(
     rates: tuple[RateLimits, tuple[Array, Array]],
     options: PlanOptions,
     clock: Clock,
-) -> Trajectory | Proof:
+) -> Trajectory | Faults:
     """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
     assert way.points is not None
     searched = clock.seconds
-    points = shorten(task, way.points, Clock(min(2.0, 0.3 * (clock.limit - clock.seconds))), seed=options.seed)
+    points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
     raw = task.length(way.points)
     motions: list[tuple[Motion, str, int, int]] = []
-    left = min(SMOOTHING, 0.7 * (clock.limit - clock.seconds))
-    if options.objective != "none" and left > LEAST_SMOOTHING and raw > 1e-9:
-        best = smooth(task, first, points, rates[1], objective=options.objective, seconds=left)
+    own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock)
+    if options.objective != "none" and own.left > LEAST_SMOOTHING and raw > 1e-9:
+        best = smooth(task, first, points, rates[1], objective=options.objective, clock=own)
         if best is not None:
             motions.append((best.motion, options.objective, best.iterations, len(best.points)))
     motions.append((stopping_at(joint_curves(task, points), *rates[1]), "", 0, len(points)))
     smoothed = clock.seconds
-    proof: Proof | None = None
+    faults: Faults = ()
     for motion, how, iterations, knots in motions:
-        built, proof = build(task, first, end, motion, rates[0])
-        if built is None:
+        built = build(task, first, end, motion, rates[0], clock)
+        if not isinstance(built, Built):
+            faults = built
             continue
         length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
         done = clock.seconds
         numbers = (way.motions, raw, length, iterations, knots)
         seconds = (searched, smoothed - searched, done - smoothed, done)
         return built.trajectory(task, first, end, rates[0], PlanStatistics(way.how, how, *numbers, *seconds))
-    assert proof is not None
-    return proof
+    return faults
 
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A sampled motion that is proved, its equilibria walked through."""
+    """A sampled motion that was followed to its end, and its proof, which may not have been finished in time."""
 
     time: Array
     joints: Array
     tip: Array
     margin: Array
     clearance: Array
+    equilibria: tuple[Equilibrium, ...]
     proof: Proof
 
     def trajectory(
@@ -196,7 +201,7 @@ class Built:
             margin=self.margin,
             clearance=self.clearance,
             start=first,
-            end=self.proof.end,
+            end=self.equilibria[-1],
             turns=end.turns,
             obstacles=task.obstacles,
             min_margin=task.min_margin,
@@ -209,9 +214,9 @@ class Built:
 
 
 def build(
-    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits
-) -> tuple[Built | None, Proof]:
-    """Sample a motion, make its ends exact, and prove it; None where the proof finds a fault."""
+    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits, clock: Clock
+) -> Built | Faults:
+    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these."""
     space = task.chart.space
     t, q = motion.sampled(task.scale)
     begin = space.join(first.rotations, first.translations)
@@ -223,6 +228,10 @@ def build(
     q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
     table = np.array([space.joint(row) for row in q])
     n = space.robot.n_tubes
+    walked = walk(task, first, q, clock)
+    if walked.lost:
+        over = f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
+        return (over if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
         t,
@@ -234,21 +243,14 @@ def build(
         clearance=task.clearance,
         rate_limits=rates,
         limits=None if space.robot.limits is None else limits_of(space),
+        clock=clock,
     )
-    if proof.holds and end is not None:
-        missed = float(np.abs(task.chart.of(proof.end) - end.point).max())
-        if missed > 1e-3:
-            proof = _with_fault(proof, "the motion ends on another branch than that of the goal")
-    if not proof.holds:
-        return None, proof
-    walked = walk(task, first, q)
-    if walked.lost:
-        return None, _with_fault(proof, "the branch is lost between samples")
-    return Built(t, q, walked.tip, walked.margin, walked.clearance, proof), proof
-
-
-def _with_fault(proof: Proof, fault: str) -> Proof:
-    return replace(proof, faults=(*proof.faults, fault))
+    if not (proof.holds or proof.open):
+        return proof.faults
+    reached = walked.equilibria[-1]
+    if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
+        return (*proof.faults, "the motion ends on another branch than that of the goal")
+    return Built(t, q, walked.tip, walked.margin, walked.clearance, walked.equilibria, proof)
 
 
 def _not_found(
@@ -260,19 +262,23 @@ def _not_found(
     clock: Clock,
 ) -> SolveError:
     """What to say where the search ended without a way: how close it came, and with what."""
+    if way.impossible:
+        return SolveError(f"no plan exists: {way.why}")
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
-        points, motion = _affordable(task, way.closest, rates[1], clock.limit - clock.seconds)
-        built = None if motion is None else build(task, first, None, motion, rates[0])[0]
-        if built is not None and motion is not None:
+        points, motion = _affordable(task, way.closest, rates[1], clock.left)
+        built = () if motion is None else build(task, first, None, motion, rates[0], clock)
+        if isinstance(built, Built) and built.proof.holds and motion is not None:
             end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
             numbers = (way.motions, 0.0, task.length(points), 0, len(points))
             seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
             statistics = PlanStatistics("partial", "", *numbers, *seconds)
             partial = built.trajectory(task, first, end, rates[0], statistics)
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
-    return SolveError(f"no plan was found within {clock.limit:g} s: {way.motions} motions were tried{near}", partial)
+    why = f"; {way.why}" if way.why else ""
+    tried = f"{way.motions} motions were tried in {clock.seconds:.1f} s"
+    return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 
 def _affordable(task: Task, points: Array, rates: tuple[Array, Array], left: float) -> tuple[Array, Motion | None]:

@@ -29,6 +29,7 @@ from ..robots.robot import Robot
 from ..stability.following import _waypoints
 from ..verification import verify_equilibrium
 from .arguments import check_robot, checked_obstacles, kind_of
+from .clock import Clock
 from .motion import RateLimits
 
 TURN = 0.02
@@ -71,6 +72,7 @@ class Proof:
         reintegration: largest difference of a tip from DOP853, m.
         equilibria: how many were solved.   end: the last of them.
         faults: in words, what is not as it must be; empty for a trajectory that is proved.
+        followed: share of the time that was followed before a time limit ended the proof; else 1, or up to a snap.
     """
 
     snap: float | None
@@ -87,11 +89,17 @@ class Proof:
     equilibria: int
     end: Equilibrium
     faults: tuple[str, ...]
+    followed: float = 1.0
 
     @property
     def holds(self) -> bool:
         """Whether the trajectory is proved."""
         return not self.faults
+
+    @property
+    def open(self) -> bool:
+        """Whether time ran out before anything was proved or refuted."""
+        return self.snap is None and self.followed < 1 and len(self.faults) == 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +111,12 @@ class Follower:
     min_margin: float
     clearance: float
     length: float
+    clock: Clock | None = None
+
+    @property
+    def late(self) -> bool:
+        """Whether the time that there is for the proof is over."""
+        return self.clock is not None and self.clock.over
 
     def surface(self, e: Equilibrium) -> Array:
         """(p, 3) points of the arm's surface, m; of the centreline where there are no obstacles to be clear of."""
@@ -145,6 +159,7 @@ def verify_trajectory(
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
     limits: JointLimits | None = None,
+    clock: Clock | None = None,
 ) -> Proof:
     """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
 
@@ -153,6 +168,7 @@ def verify_trajectory(
         start: stable equilibrium at the first sample; by default that of `forward_kinematics`.
         obstacles, min_margin, clearance (m), rate_limits, limits: what must be kept. Rates are not limited by default;
             joint limits are those of the robot.
+        clock: when it is over the proof ends where it is, not proved: `.open`, `.followed`.
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
@@ -176,7 +192,7 @@ def verify_trajectory(
     if np.abs(own).max() > 1e-6:
         raise InputError("start is at other joint values than the first sample; they must be the same")
     space = joint_space(robot, limits)
-    follower = Follower(robot, bodies, min_margin, clearance, space.length)
+    follower = Follower(robot, bodies, min_margin, clearance, space.length, clock)
     steps, snap = _follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     return _judge(follower, space, steps, snap, (t, alpha, shift), rate_limits)
 
@@ -215,6 +231,8 @@ def _follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> 
             ahead = _towards(follower, steps[-1], at, there, HALVINGS)
             if ahead is None:
                 return steps, steps[-1].at
+            if follower.late:
+                return steps, None
             steps += ahead
     return steps, None
 
@@ -237,7 +255,7 @@ def _towards(follower: Follower, here: Step, at: float, joint: Array, halvings: 
     change = abs(e.margin - here.equilibrium.margin)
     near = min(e.margin, here.equilibrium.margin) - 0.5 * change < follower.min_margin + 1e-4
     tight = _bound(follower, here, there) < follower.clearance
-    if halvings == 0 or not (near or tight or leaps):
+    if halvings == 0 or not (near or tight or leaps) or follower.late:
         return [there]
     if np.abs(joint - own).max() < 1e-9:
         return [there]
@@ -276,10 +294,13 @@ def _judge(
     tips = np.array([step.equilibrium.tip_position for step in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     picked = [steps[k].equilibrium for k in np.unique(np.linspace(0, len(steps) - 1, SAMPLES).astype(int))]
-    checks = [verify_equilibrium(e).verification for e in picked]
-    again = max(check.tip_position for check in checks if check is not None)
+    late = follower.late and snap is None and steps[-1].at < 1 - SLACK
+    checks = [] if late else [verify_equilibrium(e).verification for e in picked]
+    again = max((check.tip_position for check in checks if check is not None), default=float("nan"))
     rates = [_rates(t, values) for values in (alpha, shift)]
     faults = []
+    if late:
+        faults.append(f"not proved: the time limit was reached when {100 * steps[-1].at:.1f} % of it was followed")
     if snap is not None:
         faults.append(f"the robot snaps: the branch ends after {100 * snap:.2f} % of the time")
     if margin < follower.min_margin:
@@ -307,6 +328,7 @@ def _judge(
         equilibria=len(steps),
         end=steps[-1].equilibrium,
         faults=tuple(faults),
+        followed=steps[-1].at if late or snap is not None else 1.0,
     )
 
 

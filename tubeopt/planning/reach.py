@@ -14,6 +14,7 @@ from ..inverse.table import nearest_starts, spread_starts
 from ..robots.assembly import Array
 from ..solvers.least_squares import constrained_least_squares
 from .chart import Chart
+from .clock import Clock
 
 STARTS = 8
 """Configurations from which the place is tried: of those in the table, the nearest half, and half that differ."""
@@ -31,13 +32,16 @@ LONGEST = 0.4
 """Largest change of a coordinate per step, in units of the scales."""
 
 
-def least_miss(chart: Chart, position: Array) -> float:
-    """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near."""
+def least_miss(chart: Chart, position: Array, clock: Clock | None = None) -> float:
+    """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near, and
+    where the clock is over before all of them ended."""
     space = chart.space
     target = (position, None)
     known = nearest_starts(space, known_starts(space), target, min_margin=0.0, reference=None)
     least = np.inf
     for q in spread_starts(space, known, STARTS, first=STARTS // 2):
+        if clock is not None and clock.over:
+            return 0.0
         least = min(least, _closest(chart, q, position))
         if least <= NEAR * space.length:
             return 0.0

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..robots.assembly import Array
 from ..stability.certificate import snap_free_certificate
 from .clock import Clock
+from .closed import pocket, wall
 from .task import Task
 
 SEARCHES = ("auto", "rrt_connect", "optimal")
@@ -26,6 +27,13 @@ DETOURS = 24
 
 DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
 """Most seconds, and most of the time that is left, in which detours are looked for; then chance has its turn."""
+
+WALL_SECONDS, WALL_SHARE = 5.0, 0.15
+"""Most seconds, and most of the time that is left, in which it is looked for what keeps start and goal apart."""
+
+SHARE_OF_FIRST, SHARE_WITH_REASON, SHARE_OF_POCKETS = 0.5, 0.3, 0.3
+"""Shares of the time that is left: of the search by long motions; of the same where something stands against a way;
+and, of the rest, in which it is looked whether start or goal lie in a closed pocket."""
 
 REACH = 1.2
 """Longest motion that RRT-Connect tries at once, in units of the joints' scales."""
@@ -59,12 +67,15 @@ class Way:
     """Points (k, m) of the chart whose straight motions hold, and how they were found: "straight", "detour", "search".
 
     motions: how many motions were checked.   closest: without a way, what came closest to the goal (points).
+    why: without a way, what stands against there being one, in words; `impossible` where that is proved.
     """
 
     points: Array | None
     how: str
     motions: int
     closest: Array | None = None
+    why: str = ""
+    impossible: bool = False
 
 
 def find_way(
@@ -80,15 +91,19 @@ def find_way(
         tried += 1
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
-    if search.search != "rrt_connect":
-        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * (clock.limit - clock.seconds)))
+    between = wall(task, start, goals, Clock(min(WALL_SECONDS, WALL_SHARE * clock.left)), seed=seed)
+    if between is not None and between.proved:
+        return Way(None, "search", tried, None, between.words, True)
+    if search.search != "rrt_connect" and between is None:
+        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * clock.left))
         for goal in goals:
             for points in detours(task, start, goal, share):
                 tried += len(points) - 1
                 if task.path(points):
                     detour = Way(np.stack(points), "detour", tried)
                     return _improved(task, detour, goals, clock, search, seed)
-    found = by_sampling(task, start, goals, clock, seed=seed, tried=tried)
+    reason = "" if between is None else between.words
+    found = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
     return _improved(task, found, goals, clock, search, seed)
 
 
@@ -146,8 +161,12 @@ def by_sampling(
     *,
     seed: int = 0,
     tried: int = 0,
+    reason: str = "",
 ) -> Way:
     """RRT-Connect of OMPL between a point and goals until the clock is over, or BIT* for the time that it is given.
+
+    `reason`: what stands against a way, in words. It ends the search early, and so does a start or a goal that turns
+    out to lie in a closed pocket.
 
     Raises:
         InputError: OMPL is not installed.
@@ -184,7 +203,7 @@ def by_sampling(
         wanted.addState(_state(space, goal / scale))
     problem.setGoal(wanted)
     if search.search == "optimal":
-        clock = Clock(min(search.search_seconds, clock.limit - clock.seconds))
+        clock = Clock(min(search.search_seconds, clock.left))
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
         planner = geometric.BITstar(information)
     else:
@@ -192,8 +211,41 @@ def by_sampling(
         planner.setRange(REACH)
     planner.setProblemDefinition(problem)
     planner.setup()
-    planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
-    return _way(problem, scale, (start, goals), count[0])
+    first = clock if search.search == "optimal" else clock.part(SHARE_WITH_REASON if reason else SHARE_OF_FIRST)
+    planner.solve(base.PlannerTerminationCondition(lambda: first.over))
+    if first is not clock and not problem.hasExactSolution():
+        reason = reason or closed_off(task, start, goals, clock.part(SHARE_OF_POCKETS), seed=seed)
+        if reason:
+            return replace(_way(problem, scale, (start, goals), count[0]), why=reason)
+        # Where long motions do not lead on, short ones may.
+        planner.setRange(REACH / 4)
+        planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
+    data = base.PlannerData(information)
+    planner.getPlannerData(data)
+    return replace(_way(problem, scale, (start, goals), count[0]), why=_trees(data))
+
+
+def _trees(data: Any) -> str:
+    """How many states the trees of RRT-Connect hold, in words."""
+    tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
+    return f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
+
+
+def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:
+    """Which end of a plan no motion was found to leave, in words; empty where both are open, or time is over."""
+    for name, points in (("goal", goals), ("start", [start])):
+        filled = []
+        for point in points:
+            filled.append(pocket(task, point, clock, seed=seed))
+            if filled[-1] is None:
+                break
+        else:
+            states = sum(count for count in filled if count is not None)
+            return (
+                f"no way was found from the {name}'s side: its tree filled {states} states and could not leave "
+                "(evidence, not a proof)"
+            )
+    return ""
 
 
 def _state(space: Any, values: Array) -> Any:

@@ -7,13 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..corridors import MeshObstacle
 from ..equilibrium import Equilibrium
 from ..robots.assembly import Array, Mask
 from ..transcription.path_program import PathProgram, PathQuestion, parameter_values, path_program
 from .clock import Clock
 from .motion import Motion
 from .task import Task
-from .walk import LEFT, walk
+from .walk import walk
 
 OBJECTIVES = ("length", "time", "effort", "margin")
 """Weights of length, time, effort and margin follow from these."""
@@ -52,6 +53,11 @@ ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
 
+BUILDING, PER_BODY, PER_CELL = 6e-5, 1e-2, 1.5e-4
+"""Seconds that it takes at most on most machines to build the program, which nothing can cut short: per operation of an
+equilibrium, per obstacle, and per cell of the grid about a mesh."""
+
+
 @dataclass(frozen=True, eq=False)
 class Smoothed:
     """A smoothed motion, its knots (K, m) in the chart, and how many iterations and knots it took."""
@@ -61,8 +67,14 @@ class Smoothed:
     iterations: int
 
 
+def building(task: Task) -> float:
+    """Seconds of work that it may take to build the program of a task."""
+    cells = sum(body.grid[1].size for body in task.obstacles if isinstance(body, MeshObstacle))
+    return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_CELL * cells
+
+
 def densify(task: Task, points: Array) -> list[Array]:
-    """Every straight motion of a way as evenly spaced points of the chart (k, m), close enough to check it."""
+    """Every straight motion of a way as evenly spaced points of the chart (k, m)."""
     out = []
     for a, b in pairwise(points):
         ends = np.stack([a, b])
@@ -72,8 +84,13 @@ def densify(task: Task, points: Array) -> list[Array]:
 
 
 def joint_curves(task: Task, points: Array) -> list[Array]:
-    """The same as joint values."""
-    return [task.chart.joints(line, task.arms(line)) for line in densify(task, points)]
+    """The joint values of every straight motion of a way (k, m), evenly spaced and as close as it takes to check it."""
+    out = []
+    for line in densify(task, points):
+        pieces = (len(line) - 1) * 2 ** (task.fineness(line[0], line[-1]) or 0)
+        fine = line[0] + np.linspace(0, 1, pieces + 1)[:, None] * (line[-1] - line[0])
+        out.append(task.chart.joints(fine, task.arms(fine)))
+    return out
 
 
 def resample(task: Task, points: Array, count: int) -> Array:
@@ -97,22 +114,24 @@ def smooth(
     limits: tuple[Array, Array],
     *,
     objective: str = "length",
-    seconds: float = 20.0,
+    clock: Clock | None = None,
 ) -> Smoothed | None:
-    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one."""
-    if task.chart.size > LARGEST:
+    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
+    the clock is over."""
+    clock = clock or Clock(20.0)
+    if task.chart.size > LARGEST or clock.left < clock.crowding * building(task):
         return None
     z = resample(task, points, INTERVALS + 1)
     share = np.full(INTERVALS, 1 / INTERVALS)
-    iterations, clock = 0, Clock(seconds)
+    iterations = 0
     room = np.array([task.margin_room + EXTRA, task.clearance_room])
     for _ in range(REFINEMENTS + 1):
-        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1]), seconds - clock.seconds))
+        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1])), clock)
         if solved is None:
             return None
         motion, found, count = solved
         iterations += count
-        bad, short = _violated(task, start, motion)
+        bad, short = _violated(task, start, motion, clock)
         if not bad.any():
             return Smoothed(motion, found, iterations)
         if clock.over:
@@ -128,11 +147,12 @@ def _solve(
     share: Array,
     limits: tuple[Array, Array],
     objective: str,
-    room: tuple[float, float, float],
+    room: tuple[float, float],
+    clock: Clock,
 ) -> tuple[Motion, Array, int] | None:
     """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
 
-    `room`: above the margin and the clearance (m) to keep, at knots; seconds left.
+    `room`: above the margin and the clearance (m) to keep, at knots.
     """
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
@@ -160,7 +180,7 @@ def _solve(
     )
     floor = min(task.min_margin + room[0], 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
-    solver = program.solver(room[2])
+    solver = program.solver(clock.left)
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
@@ -241,20 +261,19 @@ def _bounds(
     }
 
 
-def _violated(task: Task, start: Equilibrium, motion: Motion) -> tuple[Mask, Array]:
+def _violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tuple[Mask, Array]:
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short."""
     time, q = motion.sampled(task.scale)
-    walked = walk(task, start, q)
+    walked = walk(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
-    allowed = walked.allowed(task)
-    wrong = time[: len(allowed)][~allowed]
+    short = walked.short(task)
+    wrong = time[: short.shape[1]][(short > 0).any(0)]
     if walked.lost:
-        wrong = np.append(wrong, time[len(allowed)])
+        wrong = np.append(wrong, time[short.shape[1]])
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True
-    short = [task.min_margin + LEFT - walked.margin, task.clearance + LEFT - walked.clearance]
-    return bad, np.array([max(0.0, float(each.max(initial=0.0))) for each in short])
+    return bad, np.maximum(short.max(1, initial=0.0), 0.0)
 
 
 def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:

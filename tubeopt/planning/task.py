@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..obstacles import Obstacle, nearest_distance
 from ..robots.assembly import Array, Mask
-from .chart import Arms, Chart
+from .chart import BATCH, Arms, Chart
 
 TURN_STEP = 0.15
 """Largest change (rad) of a tip rotation between points of a motion that are checked."""
@@ -21,12 +22,30 @@ JOINT_STEP = 0.35
 SHIFT_STEP = 0.02
 """Largest change of a translation between points that are checked, as a share of the longest tube."""
 
+HALVINGS = 4
+"""Times that the step between points that are checked is halved at most, where little is to spare."""
+
+CLEARANCE_SLOPE, MARGIN_SLOPE = 3e-4, 0.02
+"""Clearance (m) and margin that must be to spare per unit of distance (joints' scales) from an end: at the end itself
+nothing, and away from it, before steps grow long, as much as anywhere."""
+
+SAME = 1e-9
+"""Distance (joints' scales) of points that are one."""
+
+WINDOWS, INSIDE = 12, 9
+"""Stretches between points along an arm that are looked at once more, and points in each."""
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Margin and clearance to keep, with the room that the search leaves for what is between its points.
+    """Margin and clearance (m) to keep, and what a search leaves for what is between its points.
 
-    min_margin, margin_room; clearance, clearance_room (m); obstacles.
+    What lies between two points that are checked deviates from the chord by the square of their distance. So a point
+    is allowed if it keeps what is asked, and how much it has to spare decides how close its neighbours must be: one
+    `margin_room` and one `clearance_room` (m) at the longest steps, a quarter at half of these.
+
+    `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
+    found to be allowed by other code.
     """
 
     chart: Chart
@@ -35,27 +54,76 @@ class Task:
     clearance: float
     margin_room: float = 2e-3
     clearance_room: float = 3e-4
+    floor: float = 3e-5
+    ends: Array | None = None
 
     @property
     def scale(self) -> Array:
         """(m,) one unit of each coordinate."""
         return self.chart.space.scale
 
+    def from_to(self, start: Array, *goals: Array) -> Task:
+        """The same with the point of the chart (m,) at which a plan begins, and those at which it may end."""
+        ends = np.stack([start, *goals])
+        left = self.clearances(self.arms(ends)) - self.clearance
+        # Where the plate itself is this close to an obstacle, no arm has more to spare.
+        floor = min(self.floor, max(0.0, float(min(left[0], left[1:].max()) / 2)))
+        return replace(self, ends=ends, floor=floor)
+
+    def roomier(self) -> Task:
+        """The same with more room between what is checked and what must hold."""
+        return replace(
+            self,
+            margin_room=3 * self.margin_room,
+            clearance_room=2 * self.clearance_room,
+            floor=4 * self.floor,
+        )
+
     def clearances(self, arms: Arms) -> Array:
-        """(N,) least distance of the arms' surfaces from obstacles, m; infinite without obstacles."""
+        """(N,) least distance of the arms' surfaces from obstacles, m; infinite without obstacles.
+
+        Arms that may come closer than is asked between points along them are looked at more closely there.
+        """
         if not self.obstacles:
             return np.full(len(arms.points), np.inf)
         s, points = arms.fine()
-        shown = s[:, :, None] <= arms.tube_end[:, None, :] + 1e-12
+        gap = self._gap(arms, s, points, np.arange(len(s)))
+        least = gap.min(1)
+        # A distance changes by no more than its point moves.
+        step = s[:, 1]
+        rows = np.flatnonzero(least - step / 2 < self.clearance + self.clearance_room)
+        if not len(rows):
+            return np.asarray(least)
+        step = step[rows, None, None]
+        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, :WINDOWS], axis=1)
+        for _ in range(2):
+            near = middle[..., None] + np.linspace(-1, 1, INSIDE) * step
+            near = np.clip(near, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
+            gap = self._gap(arms, near, arms.at(near, rows), rows)
+            least[rows] = np.minimum(least[rows], gap.min(1))
+            middle = np.take_along_axis(near, gap.argmin(1)[:, None], axis=1)
+            step = step * 2 / (INSIDE - 1)
+        return np.asarray(least)
+
+    def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp]) -> Array:
+        """(r, p) distances of the surface of arms from obstacles at arc lengths s (r, p), whose centreline is given."""
+        shown = s[:, :, None] <= arms.tube_end[rows][:, None, :] + 1e-12
         radius = np.where(shown, self.chart.radius, 0.0).max(2)
-        return np.asarray((nearest_distance(self.obstacles, points) - radius).min(1))
+        return np.asarray(nearest_distance(self.obstacles, points) - radius)
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""
-        return self.chart.arms(z, self.min_margin + self.margin_room)
+        return self.chart.arms(z, self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z)))
 
-    def holds(self, z: Array, *, arms: Arms | None = None) -> Mask:
-        """(N,) whether points keep margin, clearance, ranges and order."""
+    def _away(self, z: Array) -> Array:
+        """(N,) distance of points from the nearest of the ends, in units of the scales; infinite without ends."""
+        if self.ends is None:
+            return np.full(len(z), np.inf)
+        return np.asarray(np.linalg.norm((z[:, None] - self.ends) / self.scale, axis=2).min(1))
+
+    def spare(self, z: Array, *, arms: Arms | None = None) -> Array:
+        """(N,) what points have to spare of margin and clearance, as a share of the room; negative where they do not
+        keep margin, clearance, ranges and order."""
         arms = self.arms(z) if arms is None else arms
         space = self.chart.space
         q = self.chart.joints(z, arms)
@@ -63,21 +131,55 @@ class Task:
         inside = ((q >= space.lower - slack) & (q <= space.upper + slack)).all(1)
         if len(space.least):
             inside &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
-        good: Mask = arms.stable & inside
-        if self.obstacles and good.any():
-            good = good & (self.clearances(arms) >= self.clearance + self.clearance_room)
-        return good
+        away = self._away(z)
+        known = away < SAME
+        allowed = inside & (arms.stable | known)
+        spare = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
+        if self.obstacles and allowed.any():
+            left = self.clearances(arms) - self.clearance
+            allowed &= (left >= np.minimum(self.floor, CLEARANCE_SLOPE * away)) | known
+            spare = np.minimum(spare, np.maximum(left, 0.0) / self.clearance_room)
+        return np.where(allowed, spare, -1.0)
+
+    def holds(self, z: Array) -> Mask:
+        """(N,) whether points keep margin, clearance, ranges and order."""
+        return np.asarray(self.spare(z) >= 0)
 
     def motion(self, start: Array, end: Array) -> bool:
         """Whether the straight motion between two points holds all the way."""
+        return self.fineness(start, end) is not None
+
+    def fineness(self, start: Array, end: Array) -> int | None:
+        """Times that the steps of a straight motion had to be halved to tell that it holds; None where it does not."""
         ends = np.stack([start, end])
         arms = self.arms(ends)
-        if not self.holds(ends, arms=arms).all():
-            return False
-        inner = self.between(start, end, arms)
+        line = np.concatenate([start[None], self.between(start, end, arms), end[None]])
+        spare = np.empty(len(line))
+        spare[[0, -1]] = self.spare(ends, arms=arms)
+        if (spare[[0, -1]] < 0).any():
+            return None
         # Far points first: the middle of a motion is where most of them fail.
-        order = np.argsort(np.abs(np.arange(len(inner)) - (len(inner) - 1) / 2), kind="stable")
-        return all(self.holds(inner[order[k : k + 8]]).all() for k in range(0, len(inner), 8))
+        inner = np.arange(1, len(line) - 1)
+        order = inner[np.argsort(np.abs(inner - (len(line) - 1) / 2), kind="stable")]
+        for k in range(0, len(order), BATCH):
+            some = order[k : k + BATCH]
+            spare[some] = self.spare(line[some])
+            if (spare[some] < 0).any():
+                return None
+        return self._halved(line, spare)
+
+    def _halved(self, line: Array, spare: Array) -> int | None:
+        """`fineness` of a motion whose points (k, m) have something to spare."""
+        for halvings in range(HALVINGS + 1):
+            tight = np.flatnonzero(np.minimum(spare[:-1], spare[1:]) < 0.25**halvings)
+            if not len(tight) or halvings == HALVINGS:
+                return halvings
+            middle = (line[tight] + line[tight + 1]) / 2
+            found = self.spare(middle)
+            if (found < 0).any():
+                return None
+            line, spare = np.insert(line, tight + 1, middle, axis=0), np.insert(spare, tight + 1, found)
+        return None
 
     def between(self, start: Array, end: Array, arms: Arms) -> Array:
         """(k, m) points of a motion that are to be checked beside its ends, whose arms are given."""

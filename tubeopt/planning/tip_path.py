@@ -18,10 +18,10 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .clock import Clock
-from .goals import End, check_start, start_equilibrium
+from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import build
+from .plan import Built, build
 from .question import asked
 from .reach import least_miss
 from .task import Task
@@ -32,6 +32,9 @@ SPACING = 0.008
 
 REFINEMENTS = 3
 """Times that the spacing is halved where the tip leaves the curve in between."""
+
+SHARE_OF_STARTS = 0.3
+"""Share of the time limit in which configurations with the tip at the first point are looked for."""
 
 MOST_STARTS = 8
 """Configurations from which the curve is tried."""
@@ -73,12 +76,12 @@ def follow_tip_path(
     task, _, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     curve = _curve(path, spline)
     furthest, reason = 0.0, "the first point is out of reach"
-    for first in _starts(task, curve, start, tolerance, limits, options):
+    for first in _starts(task, curve, start, tolerance, limits, options, clock):
         spacing = SPACING * task.chart.space.length
         for _ in range(REFINEMENTS + 1):
             places = _spaced(curve, spacing)
             try:
-                equilibria = _track(task, first, places, limits, options)
+                equilibria = _track(task, first, places, limits, options, clock)
             except _StuckError as stuck:
                 if stuck.share >= furthest:
                     furthest, reason = stuck.share, str(stuck)
@@ -135,7 +138,13 @@ def _spaced(curve: Array, spacing: float) -> Array:
 
 
 def _starts(
-    task: Task, curve: Array, start: Any, tolerance: float, limits: JointLimits | None, options: PlanOptions
+    task: Task,
+    curve: Array,
+    start: Any,
+    tolerance: float,
+    limits: JointLimits | None,
+    options: PlanOptions,
+    clock: Clock,
 ) -> Iterator[Equilibrium]:
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
@@ -148,14 +157,17 @@ def _starts(
             )
         yield first
         return
-    miss = least_miss(task.chart, curve[0])
+    miss = least_miss(task.chart, curve[0], clock)
     if miss > 0:
         raise SolveError(
             "the tip can follow 0 % of the curve: its first point is out of reach, the tip comes no closer to it than "
             f"{miss * 1e3:.4g} mm"
         )
     how = InverseOptions(
-        clearance=options.clearance, carriage_gap=options.carriage_gap, section_length=options.section_length
+        clearance=options.clearance,
+        carriage_gap=options.carriage_gap,
+        section_length=options.section_length,
+        time_limit=max(SHARE_OF_STARTS * clock.left, LEAST_SECONDS),
     )
     question: dict[str, Any] = {"min_margin": task.min_margin, "limits": limits, "obstacles": task.obstacles}
     found = inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, options=how, **question)
@@ -164,7 +176,7 @@ def _starts(
 
 
 def _track(
-    task: Task, first: Equilibrium, places: Array, limits: JointLimits | None, options: PlanOptions
+    task: Task, first: Equilibrium, places: Array, limits: JointLimits | None, options: PlanOptions, clock: Clock
 ) -> list[Equilibrium]:
     """Equilibria with their tips at all places, each followed from the last; raises _StuckError."""
     how = InverseOptions(
@@ -179,6 +191,8 @@ def _track(
         raise _StuckError(0.0, str(error)) from None
     out = [first]
     for k, place in enumerate(places[1:], start=1):
+        if clock.over:
+            raise _StuckError(k / len(places), "no answer was found in time")
         try:
             out.append(session.solve(place).equilibrium)
         except SolveError as error:
@@ -195,9 +209,9 @@ def _make(
     searched = clock.seconds
     motion = timed(q, task.scale, rates.of(space))
     end = End(task.chart.of(equilibria[-1]), q[-1], (0,) * space.robot.n_tubes)
-    built, proof = build(task, equilibria[0], end, motion, rates)
-    if built is None:
-        return proof.faults
+    built = build(task, equilibria[0], end, motion, rates, clock)
+    if not isinstance(built, Built):
+        return built
     length = float(np.linalg.norm(np.diff(built.joints / task.scale, axis=0), axis=1).sum())
     done = clock.seconds
     statistics = PlanStatistics("tip path", "", len(q), length, length, 0, len(q), searched, 0.0, done - searched, done)

@@ -46,7 +46,8 @@ class Trajectory:
         start, end: equilibria at both ends.
         turns: (n,) whole turns by which the rotations at the end differ from the goal as given.
         obstacles, min_margin, min_clearance (m), rate_limits: what is kept.
-        proof: of all of this, by other code.   statistics: how it was found.
+        proof: of all of this, by other code; `.proved` says whether it was finished in time, `.status` says it in
+            words.   statistics: how it was found.
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
     """
@@ -68,6 +69,16 @@ class Trajectory:
     proof: Proof
     statistics: PlanStatistics
     deviation: Array | None = None
+
+    @property
+    def proved(self) -> bool:
+        """Whether all of it is proved; else the time limit was reached before the proof was finished."""
+        return self.proof.holds
+
+    @property
+    def status(self) -> str:
+        """Whether it is proved, in words."""
+        return "proved" if self.proved else "; ".join(self.proof.faults)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""

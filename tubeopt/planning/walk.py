@@ -10,16 +10,20 @@ from ..equilibrium import Equilibrium
 from ..errors import SolveError
 from ..inverse.posture import posture_of
 from ..kinematics import forward_kinematics
-from ..robots.assembly import Array, Mask
+from ..robots.assembly import Array
+from .clock import Clock
+from .motion import SAMPLE_STEP
 from .task import Task
 
 LEFT = 1e-5
-"""What must be left of the room for margin (and, m, of clearance): more than forward kinematics is off."""
+"""What must be left of margin (and, m, of clearance) where samples are as far apart as they may be: more than what
+lies between them can be off. It falls with the square of their distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """Equilibria in the order of the table, their margins and clearances (m); `lost` where the branch ended early."""
+    """Equilibria in the order of the table, their margins and clearances (m); `lost` where the branch ended early, or
+    time did."""
 
     equilibria: tuple[Equilibrium, ...]
     clearance: Array
@@ -35,34 +39,46 @@ class Walked:
         """(T, 3) m."""
         return np.array([e.tip_position for e in self.equilibria])
 
-    def allowed(self, task: Task) -> Mask:
-        """(T,) whether margin and clearance are kept."""
-        kept: Mask = (self.margin >= task.min_margin + LEFT) & (self.clearance >= task.clearance + LEFT)
-        return kept
+    def short(self, task: Task) -> Array:
+        """(2, T) what margin and clearance (m) lack of what is to be kept and to be left; 0 or less where nothing. Both
+        ends of the table are as they are."""
+        joints = [task.chart.space.join(e.rotations, e.translations) for e in self.equilibria]
+        q = np.reshape(joints, (-1, len(task.scale))) / task.scale
+        step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
+        left = LEFT * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
+        out = np.array([task.min_margin + left - self.margin, task.clearance + left - self.clearance])
+        for end in {0, len(q) - 1} if len(q) else ():
+            out[:, end] = np.minimum(out[:, end], 0.0)
+        return out
 
 
-def walk(task: Task, start: Equilibrium, q: Array) -> Walked:
-    """Follow the branch of `start` through joint values q (T, m)."""
+def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -> Walked:
+    """Follow the branch of `start` through joint values q (T, m), until the clock is over."""
     space = task.chart.space
     here = start
     found: list[Equilibrium] = []
+    clear: list[float] = []
     for row in q:
         rotations, shift = space.split(row)
         try:
             here = forward_kinematics(space.robot, rotations, shift, guess=here)
         except SolveError:
-            return Walked(tuple(found), clearances(task, found), True)
-        if not here.stable:
-            return Walked(tuple(found), clearances(task, found), True)
+            break
+        if not here.stable or (clock is not None and clock.over):
+            break
         found.append(here)
-    return Walked(tuple(found), clearances(task, found), False)
+        clear.append(clearance_of(task, here))
+    return Walked(tuple(found), np.array(clear), len(found) < len(q))
 
 
-def clearances(task: Task, equilibria: list[Equilibrium]) -> Array:
-    """(T,) least distance of the arms from obstacles, m; infinite without."""
-    out = np.full(len(equilibria), np.inf)
-    if task.obstacles:
-        for k, e in enumerate(equilibria):
-            posture = posture_of(task.chart.space, e)
-            out[k] = min(posture.clearance(obstacle) for obstacle in task.obstacles)
-    return out
+def clearance_of(task: Task, equilibrium: Equilibrium) -> float:
+    """Least distance of the arm from obstacles, m; infinite without."""
+    if not task.obstacles:
+        return float("inf")
+    posture = posture_of(task.chart.space, equilibrium)
+    s, points, radius = posture.fine
+    coarse = [float((obstacle.signed_distance(points) - radius).min()) for obstacle in task.obstacles]
+    # Between two points a distance falls by no more than half of theirs: others cannot be the nearest.
+    within = min(coarse) + float(np.diff(s).max(initial=0.0)) / 2
+    near = [obstacle for obstacle, least in zip(task.obstacles, coarse, strict=True) if least <= within]
+    return min(posture.clearance(obstacle) for obstacle in near)

@@ -275,4 +275,5 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
 def _heading(t: Trajectory, title: str) -> str:
     least = f"least margin {t.proof.least_margin:.3f}"
     clear = f",  least clearance {t.proof.least_clearance * MM:.2f} mm" if np.isfinite(t.proof.least_clearance) else ""
-    return f"{title or t.robot.name or 'robot'}\n{number(float(t.time[-1]), 1)} s,  {least}{clear},  proved"
+    proved = "proved" if t.proved else "not proved"
+    return f"{title or t.robot.name or 'robot'}\n{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}"

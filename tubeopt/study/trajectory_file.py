@@ -61,7 +61,7 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_
     turns, shifts = joint_columns(t.robot.n_tubes)
     tips = ", ".join(str(in_unit(float(angle), DEG)) for angle in t.start.tip_rotations)
     comment = [f"{ROBOT}{robot_file}"] if robot_file else []
-    comment += [f"{BRANCH}{tips}", f"least margin {t.proof.least_margin:.6f}, proved"]
+    comment += [f"{BRANCH}{tips}", f"least margin {t.proof.least_margin:.6f}, {t.status}"]
     rows = (
         [in_unit(float(time), RAD), *(in_unit(float(a), DEG) for a in alpha), *(in_unit(float(d), MM) for d in shift)]
         for time, alpha, shift in zip(t.time, t.rotations, t.translations, strict=True)

@@ -1,0 +1,226 @@
+"""Places that are barely clear are planned to; time limits bound everything; what cannot be reached says why."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tubeopt import (
+    Equilibrium,
+    JointLimits,
+    PlanOptions,
+    SolveError,
+    Trajectory,
+    forward_kinematics,
+    load_robot,
+    plan_trajectory,
+    verify_trajectory,
+)
+from tubeopt.corridors import Corridor
+from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.posture import posture_of
+from tubeopt.obstacles import Box, Capsule, Obstacle, Sphere
+from tubeopt.planning import plan
+from tubeopt.planning.chart import Chart
+from tubeopt.planning.clock import Clock
+from tubeopt.planning.closed import pocket
+from tubeopt.planning.task import Task
+from tubeopt.robots.robot import Robot
+
+from ..command_line import ROOT, THESIS as THESIS_FILE, Run
+from ..examples import CRL, DEG, THESIS, TWO_TUBE
+
+PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
+HOME = ([0.0] * 3, [0.0] * 3)
+
+
+def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> Obstacle:
+    """A body beyond the tip at the goal, seen from the start, that the arm is clear of by 1 mm and `spare`."""
+    tip, ahead = goal.tip_position, goal.tip_rotation[:, 2]
+    away = tip - start.tip_position
+    away -= away @ ahead * ahead
+    away /= np.linalg.norm(away)
+    side = np.cross(ahead, away)
+
+    def made(x: float) -> Obstacle:
+        at = tip + away * x
+        if kind == "sphere":
+            return Sphere(tuple(at.tolist()), 4e-3)
+        if kind == "capsule":
+            return Capsule(tuple((at - 0.02 * side).tolist()), tuple((at + 0.02 * side).tolist()), 2e-3)
+        low = tip + np.array([-0.01, -0.01, x])
+        return Box(tuple(low.tolist()), tuple((low + [0.02, 0.02, 5e-3]).tolist()))
+
+    space = joint_space(goal.robot)
+    return made(brentq(lambda x: posture_of(space, goal).clearance(made(x)) - 1e-3 - spare, 1e-3, 0.1, xtol=1e-12))
+
+
+@pytest.mark.parametrize("spare", [3e-4, 1e-4, 5e-5, 1e-5])
+@pytest.mark.parametrize(("robot", "kind"), [(THESIS, "sphere"), (THESIS, "box"), (CRL, "capsule")])
+def test_places_that_are_barely_clear_are_planned_to(robot: Robot, kind: str, spare: float) -> None:
+    shift = joint_space(robot).split(joint_space(robot).middle())[1]
+    start = forward_kinematics(robot, np.zeros(3), shift)
+    goal = forward_kinematics(robot, [1.2, 0.9, 0.4], shift)
+    body = body_at(goal, start, kind, spare)
+    found = plan_trajectory(robot, start, goal, obstacles=[body], options=PLAIN)
+    assert found.proved
+    assert found.proof.least_clearance >= 1e-3
+    again = plan_trajectory(robot, goal, start, obstacles=[body], options=PLAIN)
+    assert again.proved
+
+
+def test_goals_of_barely_enough_margin_are_planned_to() -> None:
+    goal = forward_kinematics(THESIS, [100 * DEG, 0.0, 0.0])
+    found = plan_trajectory(
+        THESIS, HOME, goal, min_margin=goal.margin - 1e-5, options=PlanOptions(objective="none", time_limit=20.0)
+    )
+    assert found.proved
+    assert found.margin.min() >= goal.margin - 1.1e-5
+
+
+def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
+    """The robot and a pose of configs/studies/design_corner.yaml, whose optimum leaves 0.018 mm at that pose."""
+    text = (ROOT / "configs" / "studies" / "design_corner.yaml").read_text()
+    lines = text.split("centreline_mm:\n")[1].split("objective")[0].splitlines()
+    centreline = [tuple(float(x) / 1e3 for x in line.strip(" -[]").split(",")) for line in lines if "[" in line]
+    vessel = Corridor(tuple((x, y, z) for x, y, z in centreline), 0.012)
+    base = load_robot(ROOT / "configs" / "robots" / "example_corner.yaml")
+    tubes = tuple(
+        type(tube)(
+            outer_diameter=tube.outer_diameter,
+            inner_diameter=tube.inner_diameter,
+            straight_length=straight,
+            curved_length=curved,
+            curvature=curvature,
+            material=tube.material,
+        )
+        for tube, straight, curved, curvature in zip(
+            base.tubes,
+            (0.049963544102053, 0.020000000123505803, 0.020000000121258757),
+            (0.12388843784831018, 0.11515851863324332, 0.07004725064870838),
+            (3.5660919271587144, 18.999999946092807, 4.945621500014814),
+            strict=True,
+        )
+    )
+    robot = type(base)(tubes=tubes)
+    goal = forward_kinematics(
+        robot,
+        np.radians([8.204975725556416, -19.205449298513432, 18.904199926066283]),
+        np.array([46.8460976408652, 19.99999931598615, 19.999999745138847]) / 1e3,
+    )
+    start = forward_kinematics(robot, np.zeros(3), [-0.9 * tube.curved_length for tube in tubes])
+    clear = posture_of(joint_space(robot), goal).clearance(vessel)
+    assert 1e-5 < clear < 5e-5
+    options = PlanOptions(objective="none", clearance=clear - 1e-5, time_limit=60.0)
+    found = plan_trajectory(robot, start, goal, obstacles=[vessel], options=options)
+    assert found.proved
+    assert found.proof.least_clearance >= clear - 1e-5
+
+
+def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
+    """Its clearance, too, is that of forward kinematics, from bodies much smaller than the points are apart."""
+    space, random = joint_space(THESIS), np.random.default_rng(1)
+    chart = Chart(space)
+    for q in space.sample(12):
+        e = forward_kinematics(THESIS, *space.split(q))
+        arms = chart.arms(chart.of(e)[None], 0.0)
+        s, line = arms.fine()
+        posture = posture_of(space, e)
+        np.testing.assert_allclose(line[0], posture._at(s[0])[1], atol=2e-6)
+        place = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
+        body = Sphere(tuple(place.tolist()), 2e-4)
+        least = posture.clearance(body)
+        own = float(Task(chart, (body,), 0.0, max(least, 0.0)).clearances(arms)[0])
+        assert own == pytest.approx(least, abs=3e-6 if least > 5e-4 else 5e-5)
+
+
+def test_a_proof_that_is_out_of_time_says_so() -> None:
+    t, ways = np.linspace(0, 10, 50), np.linspace(0, 1, 50)[:, None] * [2.0, 1.0, 0.0]
+    proof = verify_trajectory(THESIS, t, ways, clock=Clock(0.005))
+    assert not proof.holds
+    assert proof.open
+    assert 0 < proof.followed < 1 or proof.followed == 0
+    assert "not proved: the time limit was reached" in proof.faults[0]
+    assert verify_trajectory(THESIS, t, ways, clock=Clock(60.0)).holds
+
+
+def unproved(*arguments: object, **keywords: object) -> object:
+    """The proof as it is when time is over after its first steps."""
+    return verify_trajectory(*arguments, **{**keywords, "clock": Clock(0.0)})  # type: ignore[arg-type]
+
+
+def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan, "verify_trajectory", unproved)
+    found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
+    assert isinstance(found, Trajectory)
+    assert not found.proved
+    assert found.status.startswith("not proved: the time limit was reached")
+    np.testing.assert_allclose(found.rotations[-1], [0.5, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("command", ["plan", "run"])
+def test_the_command_ends_with_4_where_the_proof_is_missing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.setattr(plan, "verify_trajectory", unproved)
+    study = tmp_path / "plan.yaml"
+    study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")
+    outcome = run(command, str(study), "--out", str(tmp_path / "out"))
+    assert outcome.code == 4
+    assert "a motion was found, but it is not proved" in outcome.err
+    assert "not proved" in (tmp_path / "out" / "trajectory.csv").read_text().split("time_s")[0]
+    assert '"proved": false' in (tmp_path / "out" / "plan.json").read_text()
+
+
+def test_time_limits_bound_the_whole_call() -> None:
+    """On a goal that cannot be reached and among many bodies, each of which costs the search and the proof."""
+    random = np.random.default_rng(0)
+    places = random.normal(size=(60, 3)) * 0.03 + [0.15, 0.15, 0.15]
+    bodies = [Sphere(tuple(place.tolist()), 1e-3) for place in places]
+    fixed = JointLimits(((-5.0, 5.0),) * 3, ((0.0, 0.0),) * 3)
+    forward_kinematics(THESIS, [0.1, 0.0, 0.0])
+    for goal, obstacles, limits in (([2.0, 0.3, 0.3], bodies, None), ([270 * DEG, 0.0, 0.0], [], fixed)):
+        began = time.perf_counter()
+        try:
+            plan_trajectory(
+                THESIS, HOME, (goal, None), obstacles=obstacles, limits=limits, options=PlanOptions(time_limit=3.0)
+            )
+        except SolveError as error:
+            assert error.solution is None or error.solution.proved
+        assert time.perf_counter() - began <= 1.1 * 3.0 + 0.5
+
+
+def test_a_turn_that_must_snap_is_told_at_once() -> None:
+    """Two tubes that cannot slide: on every way one is turned half a turn against the other, which snaps."""
+    fixed = JointLimits(((-7.0, 7.0),) * 2, ((0.0, 0.0),) * 2)
+    began = time.process_time()
+    with pytest.raises(SolveError, match=r"no plan exists: every way passes tube 1 turned by .* against tube 2"):
+        plan_trajectory(TWO_TUBE, ([0.0, 0.0], None), ([300 * DEG, 0.0], None), limits=fixed)
+    assert time.process_time() - began < 5
+
+
+def test_a_wall_of_states_ends_the_search_before_its_time() -> None:
+    fixed = JointLimits(((-7.0, 7.0),) * 3, ((0.0, 0.0),) * 3)
+    with pytest.raises(SolveError, match=r"every way passes tube 1 turned by .* states on a grid \(evidence, not"):
+        plan_trajectory(THESIS, HOME, ([270 * DEG, 0.0, 0.0], None), limits=fixed, options=PlanOptions(time_limit=6.0))
+
+
+def test_a_tip_in_an_obstacle_is_told_before_inverse_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", lambda *_, **__: pytest.fail("was asked"))
+    tip = forward_kinematics(THESIS, [1.0, 0.5, 0.0]).tip_position
+    body = Sphere(tuple((tip + [0.0, 0.0, 2e-3]).tolist()), 5e-3)
+    with pytest.raises(SolveError, match=r"no plan exists: with its tip at the goal the arm has clearance -3\.5 mm at"):
+        plan_trajectory(THESIS, HOME, tip, obstacles=[body])
+
+
+def test_a_closed_pocket_is_told_from_an_open_place() -> None:
+    """A joint space that is a tiny box is filled by a few states; that of the robot is not."""
+    z = Chart(joint_space(THESIS)).of(forward_kinematics(THESIS, *HOME))
+    tiny = JointLimits(((-0.02, 0.02),) * 3, ((0.0, 0.0),) * 3)
+    closed = Task(Chart(joint_space(THESIS, tiny)), (), 0.05, 0.0)
+    assert pocket(closed, z, Clock(60.0)) is not None
+    assert pocket(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None

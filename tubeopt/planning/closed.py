@@ -1,0 +1,200 @@
+"""Why there may be no way: sections that every way must cross and on which nothing is allowed, and closed pockets.
+
+A way is continuous, so that whatever changes from one value to another takes every value in between: the tip rotation
+of a tube, that of one tube against another, a translation. If no state with one of these values is allowed, there is no
+way. Where nothing but that value is free, one state decides, and that is a proof. Else states are looked at on a grid,
+or at random: what is found then is a reason to give up and not a proof, and says how many states were looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ..robots.assembly import Array
+from .clock import Clock
+from .task import SHIFT_STEP, TURN_STEP, Task
+
+LEVELS = 9
+"""Values between those at start and goal at which a section is looked at."""
+
+SCREEN = 48
+"""Random states that a section is screened by: most have one that is allowed."""
+
+AT_ONCE = 16
+"""States that are looked at before it is asked whether one was allowed."""
+
+LARGEST_GRID = 20_000
+"""States on a grid at most; larger sections are not decided."""
+
+DOUBT = 2e-3
+"""Margin that states must lack to count as not allowed: more than the integration is off."""
+
+TRIES = 1500
+"""Motions in a row that fail before a pocket counts as filled."""
+
+OPEN = 60
+"""States from which on a place counts as open."""
+
+APART, SHORTEST, LONGEST = 0.02, -2.5, 0.0
+"""Distance of states that are two, and decimal logarithms of the lengths of motions out of them (joints' scales)."""
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What separates start and goal, in words, and whether that is proved."""
+
+    words: str
+    proved: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """All states z with row @ z = level; `name` in words.
+
+    free: axes (k, m) along which states of the section differ.   low, high, step (k,) along them; base (m,) is one.
+    """
+
+    name: str
+    base: Array
+    free: Array
+    low: Array
+    high: Array
+    step: Array
+
+    def points(self, shares: Array) -> Array:
+        """(N, m) states at shares (N, k) of the ranges."""
+        return np.asarray(self.base + (self.low + shares * (self.high - self.low)) @ self.free)
+
+    def grid(self) -> Array | None:
+        """(N, m) all states, no farther apart than the points of a motion that are checked; None of too many."""
+        counts = [int(np.ceil(x - 1e-9)) + 1 for x in (self.high - self.low) / self.step]
+        if np.prod(np.array(counts, dtype=float)) > LARGEST_GRID:
+            return None
+        axes = np.meshgrid(*(np.linspace(0, 1, count) for count in counts), indexing="ij")
+        return self.points(np.stack([axis.ravel() for axis in axes], axis=1)) if counts else self.base[None]
+
+
+def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
+    """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over."""
+    bare = replace(task, min_margin=task.min_margin - DOUBT, margin_room=0.0, floor=0.0, ends=None)
+    random = np.random.default_rng(seed)
+    found = None
+    for goal in goals:
+        found = next(iter(_walls(bare, start, goal, clock, random)), None)
+        if found is None:
+            return None
+    return found
+
+
+def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.random.Generator) -> Iterator[Wall]:
+    for section in _sections(task, start, goal):
+        if clock.over:
+            return
+        k = len(section.free)
+        if k and _any(task, section.points(random.random((SCREEN, k))), clock):
+            continue
+        grid = section.grid()
+        if grid is None or _any(task, grid, clock) or clock.over:
+            continue
+        what = "margin and clearance" if task.obstacles else "the margin"
+        if k == 0:
+            words = f"every way passes {section.name}, where {what} cannot be kept"
+            yield Wall(words, not task.chart.eccentric)
+        else:
+            words = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
+            words = f"every way passes {section.name}, where {words} of {len(grid)} states on a grid"
+            yield Wall(f"{words} (evidence, not a proof)", False)
+
+
+def _any(task: Task, z: Array, clock: Clock) -> bool:
+    """Whether some state (N, m) is allowed; rotations of the joints may be any where there is nothing to collide with,
+    since the robot can be turned as a whole."""
+    space = task.chart.space
+    n = space.robot.n_tubes
+    for k in range(0, len(z), AT_ONCE):
+        if clock.over:
+            return False
+        arms = task.arms(z[k : k + AT_ONCE])
+        q = task.chart.joints(z[k : k + AT_ONCE], arms)
+        allowed = arms.stable.copy()
+        if len(space.least):
+            allowed &= (q @ space.rows.T >= space.least - 1e-9 * space.length).all(1)
+        if task.obstacles:
+            slack = 1e-6 * space.scale[:n]
+            allowed &= ((q[:, :n] >= space.lower[:n] - slack) & (q[:, :n] <= space.upper[:n] + slack)).all(1)
+            if allowed.any():
+                allowed &= task.clearances(arms) >= task.clearance
+        if allowed.any():
+            return True
+    return False
+
+
+def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
+    """Sections between two points, the middle ones first."""
+    space = task.chart.space
+    n, m = space.robot.n_tubes, len(start)
+    unit = np.eye(m)
+    rows = [
+        (unit[i] - unit[j], f"tube {i + 1} turned by {{:.4g}} deg at its tip against tube {j + 1}")
+        for i, j in combinations(range(n), 2)
+    ]
+    if task.obstacles:
+        rows += [(unit[i], f"tube {i + 1} turned to {{:.4g}} deg at its tip") for i in range(n)]
+    rows += [
+        (unit[n + k], f"tube {tubes[0] + 1} moved to {{:.4g}} mm from home") for k, tubes in enumerate(space.carriages)
+    ]
+    moved = np.flatnonzero(space.upper[n:] - space.lower[n:] > 1e-9) + n
+    low = np.append(np.minimum(space.lower[:n], np.minimum(start, goal)[:n]) - np.pi, space.lower[n:])
+    high = np.append(np.maximum(space.upper[:n], np.maximum(start, goal)[:n]) + np.pi, space.upper[n:])
+    shares = np.arange(1, LEVELS + 1) / (LEVELS + 1)
+    for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
+        base = start + share * (goal - start)
+        for row, name in rows:
+            if abs(row @ (goal - start)) < 1e-6:
+                continue
+            value = float(row @ base) * (180 / np.pi if np.abs(row[:n]).any() else 1e3)
+            axes = [axis for axis in unit[:n] if row @ axis == 0]
+            if row.any() and not row.sum():
+                axes.append(np.abs(row))  # both of two tubes turned by the same
+            if not task.obstacles:
+                axes.pop()  # turned as a whole, the robot is as it was
+            axes += [unit[k] for k in moved if row[k] == 0]
+            yield _section(name.format(value), base, np.reshape(axes, (-1, m)), (low, high), task)
+
+
+def _section(name: str, base: Array, free: Array, box: tuple[Array, Array], task: Task) -> _Section:
+    n = task.chart.space.robot.n_tubes
+    low, high, step = [], [], []
+    for axis in free:
+        i = int(np.argmax(axis != 0))
+        turns = i < n
+        # Without anything to collide with a whole turn is all that there is.
+        whole = turns and not task.obstacles
+        low.append(0.0 if whole else box[0][i] - base[i])
+        high.append(2 * np.pi if whole else box[1][i] - base[i])
+        step.append(TURN_STEP if turns else SHIFT_STEP * task.chart.space.length)
+    return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
+
+
+def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | None:
+    """How many states fill the place around a point that no motion was found to leave; None where it is open, or the
+    clock is over. Evidence, and no proof: motions of random length and direction are tried."""
+    random = np.random.default_rng(seed)
+    states, failed = [point], 0
+    while failed < TRIES:
+        if clock.over or len(states) >= OPEN:
+            return None
+        at = states[random.integers(len(states))]
+        way = random.normal(size=len(point))
+        there = at + 10 ** random.uniform(SHORTEST, LONGEST) * way / np.linalg.norm(way) * task.scale
+        apart = np.linalg.norm((np.array(states) - there) / task.scale, axis=1).min()
+        if task.motion(at, there):
+            if apart > APART:
+                states, failed = [*states, there], 0
+        else:
+            failed += 1
+    return len(states)
