@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.stats import qmc
+from numpy.typing import ArrayLike
 
 from ..equilibrium import Equilibrium
 from ..errors import SolveError, vector
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
-from ..solvers.newton import newton
-from ..transcription.reduced import (
-    Index,
-    ReducedProblem,
-    evaluate,
-    margin,
-    on_centreline,
-    residual,
-    to_unknowns,
-)
-from .shooting import profiles, to_base
-
-TURN = 2 * np.pi
-
-FIRST_GRID = {1: 96, 2: 40}
-"""Points per turn of the coarsest grid, by the number of relative tip angles."""
-
-FINEST_GRID = {1: 6144, 2: 640}
-
-RANDOM_STARTS = 4096
-"""Starting points for four tubes and more."""
-
-SIDES = (0.1, 0.2, 0.4)
-"""How far to either side of a fold, rad of tip angle, a pair of equilibria is looked for."""
+from ..solvers.newton import descend, newton
+from ..transcription.reduced import ReducedProblem, margin, to_unknowns
+from .certificate import worst_case
+from .groups import groups_of
+from .shooting import profiles
+from .tips import Preimage, preimage
 
 SAME = 1e-5
 """Equilibria whose rotations differ by less (rad) everywhere are one."""
+
+CONVEX = 1e-6
+"""Certificate above which there is one equilibrium: 0, and what round-off may add to it."""
 
 
 def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> list[Equilibrium]:
@@ -72,56 +54,46 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
 
 
 def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
-    """All solutions of a reduced problem; raises SolveError where their degree is not 1.
-
-    For tubes off the centreline see `_with_offsets`.
-    """
-    if problem.assembly.eccentric:
-        return _with_offsets(problem, rotations)
-    found, settled = _search(problem, rotations)
-    if not settled:
+    """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
+    if not problem.assembly.eccentric and worst_case(problem)[0] > CONVEX:
+        result = descend(problem, rotations, np.zeros(problem.size))
+        if result.converged:
+            return [Solution(problem, rotations, result, margin(problem, result.state))]
+    found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations)))
+    if degree(found) != 1:
         raise SolveError(_incomplete(len(found), degree(found)))
     return found
 
 
-def _search(problem: ReducedProblem, rotations: Array) -> tuple[list[Solution], bool]:
-    """Solutions from ever finer grids of tip angles, until no more are found and their degree is 1; whether so."""
-    free = _coupled_tubes(problem)
-    if len(free) < 2:
-        return _solve(problem, rotations, rotations[None]), True
-    found: list[Solution] = []
-    for starts in _starts(problem, rotations, free):
-        before = len(found)
-        found = _merge([*found, *_solve(problem, rotations, starts)])
-        if len(found) == before and degree(found) == 1:
-            return found, True
-    return found, False
+def _all_tips(problem: ReducedProblem, rotations: Array) -> Array:
+    """(S, n) tip angles that lead to the joint rotations: of one group after the other, from the base to the tip.
 
-
-def _with_offsets(problem: ReducedProblem, rotations: Array) -> list[Solution]:
-    """All solutions for tubes off the centreline.
-
-    The search is done on the centreline, where turning all joints turns the whole; each equilibrium is then solved with
-    the offsets. These also move the folds, where a pair comes or goes: so there are starts too at tip angles that
-    nearly bring the joints, on the centreline, to where they should be. How nearly, the residual tells that the
-    solutions leave there.
+    Off the centreline every solution of the groups below gives its own transmissions to those that pass through them.
     """
-    centred = on_centreline(problem)
-    free = _coupled_tubes(centred)
-    found = _solve_from(problem, rotations, [s.result.state.theta for s in _search(centred, rotations)[0]])
-    reach = 2 * max((_left(centred, rotations, s.result.state.theta) for s in found), default=0.0)
-    for finer in (2, 4):
-        if reach and len(free) - 1 in FIRST_GRID:
-            tips = _almost(centred, rotations, free, finer * FIRST_GRID[len(free) - 1], reach)
-            found = _merge([*found, *_solve_from(problem, rotations, profiles(centred, tips) if len(tips) else [])])
-        if degree(found) == 1:
-            return found
-    raise SolveError(_incomplete(len(found), degree(found)))
+    # The tip of a tube that nothing turns is where its joint is.
+    branches = [(rotations.copy(), np.zeros(problem.assembly.n_tubes))]
+    for group in groups_of(problem):
+        bundle, known, longer = group.bundle, {}, []
+        for tips, extra in branches:
+            key = extra.tobytes()
+            if key not in known:
+                # Straight tubes that only keep a place have no torsion to transmit.
+                own = np.pad(extra[group.tubes], (0, bundle.n_tubes - len(group.tubes)))
+                known[key] = _complete(preimage(bundle, bundle.transmission + own, rotations[group.tubes]))
+            found = known[key]
+            for angles, travel in zip(found.tips, found.travel, strict=True):
+                turned = tips.copy()
+                turned[group.tubes] = angles
+                more = travel[group.seat] - bundle.length.sum() if bundle.place else 0.0
+                longer.append((turned, extra + more))
+        branches = longer
+    return np.array([tips for tips, _ in branches])
 
 
-def _left(problem: ReducedProblem, rotations: Array, theta: Array) -> float:
-    """What rotations (N, n) leave in the equations of a problem, rad."""
-    return residual(problem, evaluate(problem, rotations, to_unknowns(problem, rotations, theta)))
+def _complete(found: Preimage) -> Preimage:
+    if not found.settled:
+        raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
+    return found
 
 
 def _incomplete(count: int, degree: int) -> str:
@@ -131,12 +103,16 @@ def _incomplete(count: int, degree: int) -> str:
 
 def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Array]) -> list[Solution]:
     """Newton on the collocation equations from rotations (N, n) at their points, one after the other."""
-    out = []
+    out: list[Solution] = []
     for theta in profiles:
         result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        if result.converged:
+        if result.converged and all(_differ(result.state.theta, kept.result.state.theta) for kept in out):
             out.append(Solution(problem, rotations, result, margin(problem, result.state)))
-    return _merge(out)
+    return out
+
+
+def _differ(one: Array, other: Array) -> bool:
+    return bool(np.abs(one - other).max(initial=0.0) > SAME or not one.size)
 
 
 def degree(solutions: list[Solution]) -> int:
@@ -145,158 +121,3 @@ def degree(solutions: list[Solution]) -> int:
     It is 1 for a complete set, since the equations deform into those without coupling.
     """
     return int(sum(np.linalg.slogdet(s.result.state.hessian)[0] for s in solutions))
-
-
-def _coupled_tubes(problem: ReducedProblem) -> Index:
-    """Tubes whose rotation is coupled to that of another one."""
-    return np.unique(problem.tube)
-
-
-def _starts(problem: ReducedProblem, rotations: Array, free: Index) -> Iterator[Array]:
-    """Tip angles (B, n) from which to solve, from ever finer grids."""
-    dimension = len(free) - 1
-    if dimension in FIRST_GRID:
-        size = FIRST_GRID[dimension]
-        while size <= FINEST_GRID[dimension]:
-            yield _candidates(problem, rotations, free, size)
-            size *= 2
-        return
-    for power in range(int(np.log2(RANDOM_STARTS)) - 2, int(np.log2(RANDOM_STARTS)) + 3):
-        unit = qmc.Sobol(dimension, rng=power).random_base2(power)
-        tips = np.tile(rotations, (len(unit), 1))
-        tips[:, free[:-1]] = unit * TURN
-        yield _shoot(problem, rotations, free, tips)
-
-
-def _candidates(problem: ReducedProblem, rotations: Array, free: Index, size: int) -> Array:
-    """Tip angles of every cell of a grid that may hold a solution, after a few Newton steps."""
-    return _shoot(problem, rotations, free, _cells(problem, rotations, free, size, 0.0))
-
-
-def _cells(problem: ReducedProblem, rotations: Array, free: Index, size: int, reach: float) -> Array:
-    """Tip angles in the middle of every cell of a grid that may bring the joints within `reach` (rad) of where they
-    should be."""
-    dimension = len(free) - 1
-    axis = np.arange(size) * TURN / size
-    mesh = np.stack(np.meshgrid(*[axis] * dimension, indexing="ij"), axis=-1)
-    tips = np.tile(rotations, (size**dimension, 1))
-    tips[:, free] = 0.0
-    tips[:, free[:-1]] = mesh.reshape(-1, dimension)
-    relative = _relative(to_base(problem, tips), free).reshape(*mesh.shape)
-    # What is left to the wanted relative rotations: continuous along the grid, in turns.
-    gap = (relative - _relative(rotations[None], free)[0]) / TURN
-    corners = np.stack([_corner(gap, offset) for offset in itertools.product((0, 1), repeat=dimension)])
-    low, high = corners.min(0), corners.max(0)
-    # A cell is a candidate if in every component some whole number of turns lies in its range, widened by half of
-    # it, since the function bends inside the cell.
-    slack = (high - low) / 2 + reach / TURN + 1e-9
-    hit = (np.floor(high + slack) >= np.ceil(low - slack)).all(-1)
-    cells = np.argwhere(hit)
-    start = np.tile(rotations, (len(cells), 1))
-    start[:, free] = 0.0
-    start[:, free[:-1]] = (cells + 0.5) * TURN / size
-    return start
-
-
-def _almost(problem: ReducedProblem, rotations: Array, free: Index, size: int, reach: float) -> Array:
-    """Tip angles to either side of those that bring the joints within `reach` (rad) of where they should be, but not
-    there: of folds nearby."""
-    tips = _cells(problem, rotations, free, size, reach)
-    for _ in range(12):
-        if not len(tips):
-            return tips
-        gap, slope = _gap(problem, rotations, free, tips), _slope(problem, free, tips)
-        # Levenberg's steps come to rest where the joints come closest.
-        square = slope @ slope.swapaxes(1, 2) + reach**2 * np.eye(len(free) - 1)
-        _move(tips, free, -(slope.swapaxes(1, 2) @ np.linalg.solve(square, gap[:, :, None]))[:, :, 0])
-    gap = np.abs(_gap(problem, rotations, free, tips)).max(1)
-    tips = tips[(gap > 1e-6) & (gap < reach)]
-    tips = tips[np.unique(np.round(tips[:, free] / SIDES[0]), axis=0, return_index=True)[1]]
-    if not len(tips):
-        return np.asarray(tips)
-    soft = np.linalg.svd(_slope(problem, free, tips))[2][:, -1]
-    sides = np.concatenate([tips] * 2 * len(SIDES))
-    sides[:, free[:-1]] += np.concatenate([sign * side * soft for side in SIDES for sign in (-1, 1)])
-    return _unwound(problem, rotations, free, sides, np.inf)
-
-
-def _move(tips: Array, free: Index, step: NDArray[np.floating[Any]]) -> None:
-    """A step of the relative tip angles, held to a fraction of a turn: from a steep place it may leave for anywhere."""
-    size = np.abs(step).max(1)
-    tips[:, free[:-1]] += step * np.minimum(1.0, 0.5 / np.maximum(size, 1e-12))[:, None]
-
-
-def _corner(gap: Array, offset: tuple[int, ...]) -> Array:
-    """The grid shifted by one cell in some directions, continued past a turn."""
-    out = gap
-    for axis, step in enumerate(offset):
-        if step:
-            out = np.roll(out, -1, axis=axis)
-            # One turn of a tip turns its own joint by one.
-            out.swapaxes(0, axis)[-1, ..., axis] += 1.0
-    return out
-
-
-def _relative(angles: Array, free: Index) -> Array:
-    return angles[:, free[:-1]] - angles[:, free[-1:]]
-
-
-def _shoot(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
-    """Newton steps on the relative tip angles; then tip angles, unwound, whose joints are as wanted. Drops what does
-    not get close."""
-    for _ in range(8):
-        if not len(tips):
-            return tips
-        gap = _gap(problem, rotations, free, tips)
-        slope = _slope(problem, free, tips)
-        _move(tips, free, np.linalg.solve(slope + 1e-12 * np.eye(len(free) - 1), -gap[:, :, None])[:, :, 0])
-    return _unwound(problem, rotations, free, tips, 1e-2)
-
-
-def _gap(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
-    """(B, d) how far the relative joint rotations are from where they should be, up to whole turns."""
-    gap = _relative(to_base(problem, tips), free) - _relative(rotations[None], free)
-    return np.asarray(gap - TURN * np.round(gap / TURN))
-
-
-def _unwound(problem: ReducedProblem, rotations: Array, free: Index, tips: Array, close: float) -> Array:
-    """Tip angles whose joints are `close` (rad) to where they should be, without whole turns and without doubles."""
-    base = to_base(problem, tips)
-    gap = _relative(base, free) - _relative(rotations[None], free)
-    turns = np.round(gap / TURN)
-    kept = np.abs(gap - TURN * turns).max(1) < close
-    tips, base, turns = tips[kept], base[kept], turns[kept]
-    tips[:, free[:-1]] -= TURN * turns
-    base[:, free[:-1]] -= TURN * turns
-    # Turn everything so that the outermost joint is where it should be.
-    tips[:, free] += (rotations[free[-1]] - base[:, free[-1]])[:, None]
-    keys = np.round(tips[:, free] / 1e-4).astype(np.int64)
-    return np.asarray(tips[np.unique(keys, axis=0, return_index=True)[1]])
-
-
-def _slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
-    """(B, d, d) derivatives of the relative joint rotations with respect to the relative tip angles."""
-    dimension, epsilon = len(free) - 1, 1e-5
-    columns = []
-    for k in range(dimension):
-        moved = np.repeat(tips[None], 2, axis=0)
-        moved[0, :, free[k]] += epsilon
-        moved[1, :, free[k]] -= epsilon
-        forward, backward = (_relative(to_base(problem, side), free) for side in moved)
-        columns.append((forward - backward) / (2 * epsilon))
-    return np.stack(columns, axis=2)
-
-
-def _solve(problem: ReducedProblem, rotations: Array, tips: Array) -> list[Solution]:
-    """Newton on the collocation equations from each set of tip angles."""
-    return _solve_from(problem, rotations, profiles(problem, tips)) if len(tips) else []
-
-
-def _merge(solutions: list[Solution]) -> list[Solution]:
-    """Solutions without doubles."""
-    out: list[Solution] = []
-    for candidate in solutions:
-        theta = candidate.result.state.theta
-        if all(np.abs(theta - kept.result.state.theta).max(initial=0.0) > SAME for kept in out):
-            out.append(candidate)
-    return out

@@ -1,73 +1,185 @@
 """From the tip to the base: the initial-value problem whose solution at the plate are the joint rotations.
 
-At the tip all torsion is 0, so the rotations of the tube tips fix everything: alpha = theta(0) - |beta| theta'(0) is a
+At the tip all torsion is 0, so the rotations of the tube tips fix everything: alpha = theta(0) - |beta| w(0) is a
 function of the tip angles. Every equilibrium is a preimage of the joint rotations, which makes the search for all of
-them finite: turning all tips turns all joints, and turning one tip by a whole turn turns its joint by one.
+them finite: turning one tip by a whole turn turns its joint by one, and on the centreline turning all tips turns all
+joints. The derivatives of the joints by the tips are integrated along, from those of the cross-section.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ..robots.assembly import Array
+from ..robots.assembly import Array, Mask
 from ..transcription.buffered import section_function
 from ..transcription.reduced import ReducedProblem
 
-CHUNK = 512
-"""Tip angles integrated at once."""
+CHUNKS = (512, 64, 8)
+"""Tip angles integrated at once: the largest that is at most half padding."""
 
 STEPS = 8
 """Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
+State = tuple[Array, ...]
+"""theta and w (B, n), the length of every tube so far (B, n); where they are wanted, the derivatives (B, n, n) of theta
+and w by the tip angles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Tubes that are integrated together, on P pieces, base to tip.
+
+    length: (P,) m.  bent: (P,) whether torsion is not linear there.  stiffness, moment: (P, n) kb_i of the tubes
+    present and m_i of the tubes curved.  torsional_stiffness, transmission: (n,), the latter m between where a tube is
+    held and the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
+    """
+
+    length: Array
+    bent: Mask
+    stiffness: Array
+    moment: Array
+    torsional_stiffness: Array
+    transmission: Array
+    place: tuple[Array, ...]
+
+    @property
+    def n_tubes(self) -> int:
+        """Number of tubes n."""
+        return len(self.transmission)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """Where tip angles lead: joint rotations and w there (B, n), the derivatives (B, n, n) of the rotations by the tip
+    angles where these were asked for, and the length of every tube along the pieces (B, n), m."""
+
+    rotations: Array
+    twist: Array
+    by_tip: Array | None
+    travel: Array
+
+
+def whole(problem: ReducedProblem) -> Bundle:
+    """All tubes of a problem on all its pieces."""
+    assembly, mesh = problem.assembly, problem.mesh
+    return Bundle(
+        length=mesh.length,
+        bent=mesh.collocated,
+        stiffness=problem.piece_stiffness,
+        moment=problem.piece_moment,
+        torsional_stiffness=assembly.torsional_stiffness,
+        transmission=assembly.transmission,
+        place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
+    )
+
+
+def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
+    """Joint rotations of tip angles (B, n), with their derivatives if `slopes`."""
+    shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(tips)]
+    columns = [np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True)]
+    return Shot(columns[0], columns[1], columns[3] if slopes else None, columns[2])
+
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
     """Joint rotations (B, n) of tip angles (B, n)."""
-    return np.concatenate([_integrate(problem, part)[0] for part in _chunks(tips)])[: len(tips)]
+    return shoot(whole(problem), tips).rotations
 
 
 def profiles(problem: ReducedProblem, tips: Array) -> Array:
     """theta (B, N, n) at the collocation points, for tip angles (B, n)."""
-    return np.concatenate([_integrate(problem, part)[1] for part in _chunks(tips)])[: len(tips)]
+    bundle = whole(problem)
+    return np.concatenate([_profiles(problem, bundle, part) for part in _chunks(tips)])[: len(tips)]
 
 
 def _chunks(tips: Array) -> list[Array]:
     """Equal chunks, the last one padded: the functions are bound to one number of points."""
-    size = CHUNK if len(tips) > CHUNK // 8 else CHUNK // 8
+    size = next((size for size in CHUNKS if len(tips) > size // 2), CHUNKS[-1])
     missing = -len(tips) % size
     padded = np.concatenate([tips, np.repeat(tips[-1:], missing, axis=0)])
     return np.split(padded, len(padded) // size)
 
 
-def _integrate(problem: ReducedProblem, tips: Array) -> tuple[Array, Array]:
-    """Joint rotations (B, n) and theta (B, N, n): Nystrom's method of order 4 for theta'' = M / kt, from the tip."""
-    mesh, assembly = problem.mesh, problem.assembly
-    count, n = tips.shape
-    theta, twist = tips.copy(), np.zeros_like(tips)
+def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
+    """Rotations, w, travel and, if `slopes`, the derivatives of the rotations."""
+    state = _at_tip(tips, slopes)
+    for piece in reversed(range(len(bundle.length))):
+        for _ in range(steps if bundle.bent[piece] else 1):
+            state, _ = _step(bundle, piece, state, bundle.length[piece] / steps)
+    reach = bundle.transmission
+    shot = (state[0] - reach * state[1], state[1], state[2])
+    return (*shot, state[3] - reach[:, None] * state[4]) if slopes else shot
+
+
+def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
+    mesh = problem.mesh
     nodes, degree = mesh.tableau.nodes, mesh.tableau.degree
-    out = np.empty((count, len(problem.weight), n))
+    out = np.empty((len(tips), len(problem.weight), tips.shape[1]))
     at = len(problem.weight)
-    function = section_function("moment", count, n, False)
-    for p in range(len(mesh.length) - 1, -1, -1):
-        if not mesh.collocated[p]:
-            theta = theta - mesh.length[p] * twist
-            continue
-        h = mesh.length[p] / STEPS
-        stiffness, pull = problem.piece_stiffness[p], problem.piece_moment[p]
+    state = _at_tip(tips, False)
+    for piece in reversed(range(len(mesh.length))):
+        h = mesh.length[piece] / STEPS
+        grid = []
+        for _ in range(STEPS if mesh.collocated[piece] else 1):
+            before = state[0]
+            state, slope = _step(bundle, piece, state, h)
+            grid.append((before, slope))
+        if mesh.collocated[piece]:
+            grid.append((state[0], _rate(bundle, piece, state)[0]))
+            at -= degree
+            out[:, at : at + degree] = _hermite(grid, nodes, h)
+    return out
 
-        def bend(angle: Array, stiffness: Array = stiffness, pull: Array = pull) -> Array:
-            return function(angle, stiffness, pull)[0] / assembly.torsional_stiffness
 
-        grid = [(theta, twist)]
-        for _ in range(STEPS):
-            k1 = bend(theta)
-            k2 = bend(theta - h / 2 * twist + h**2 / 8 * k1)
-            k3 = bend(theta - h * twist + h**2 / 2 * k2)
-            theta = theta - h * twist + h**2 / 6 * (k1 + 2 * k2)
-            twist = twist - h / 6 * (k1 + 4 * k2 + k3)
-            grid.append((theta, twist))
-        at -= degree
-        out[:, at : at + degree] = _hermite(grid, nodes, h)
-    return theta - assembly.transmission * twist, out
+def _at_tip(tips: Array, slopes: bool) -> State:
+    count, n = tips.shape
+    state = (tips, np.zeros_like(tips), np.zeros_like(tips))
+    return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
+
+
+def _step(bundle: Bundle, piece: int, state: State, h: float) -> tuple[State, Array]:
+    """One step of the classical Runge-Kutta method towards the base, all of a piece where torsion is linear; and
+    theta' where it began."""
+    k1 = _rate(bundle, piece, state)
+    if not bundle.bent[piece]:
+        return _back(state, bundle.length[piece], k1), k1[0]
+    k2 = _rate(bundle, piece, _back(state, h / 2, k1))
+    k3 = _rate(bundle, piece, _back(state, h / 2, k2))
+    k4 = _rate(bundle, piece, _back(state, h, k3))
+    mean = tuple((a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+    return _back(state, h, mean), k1[0]
+
+
+def _back(state: State, h: float, rate: State) -> State:
+    """The state h nearer to the base; lengths add up on the way."""
+    moved = [value - h * slope for value, slope in zip(state, rate, strict=True)]
+    moved[2] = state[2] + h * rate[2]
+    return tuple(moved)
+
+
+def _rate(bundle: Bundle, piece: int, state: State) -> State:
+    """Derivatives of a state by arc length."""
+    theta, twist = state[:2]
+    count, n = theta.shape
+    if not bundle.bent[piece]:
+        straight = (twist, np.zeros_like(twist), np.ones_like(twist))
+        return (*straight, state[4], np.zeros_like(state[4])) if len(state) > 3 else straight
+    function = section_function("balance" if len(state) > 3 else "moment", count, n, bool(bundle.place))
+    out = function(theta, bundle.stiffness[piece], bundle.moment[piece], *bundle.place)
+    kt = bundle.torsional_stiffness
+    bend = out[0] / kt
+    if len(state) == 3:
+        return (out[1] * twist, bend, out[1].copy()) if bundle.place else (twist, bend, np.ones_like(twist))
+    # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
+    stiff = out[1].reshape(count, n, n).swapaxes(1, 2) / kt[:, None]
+    theta_by_tip, twist_by_tip = state[3:]
+    turned = stiff @ theta_by_tip
+    if not bundle.place:
+        return twist, bend, np.ones_like(twist), twist_by_tip, turned
+    stretch = out[3].copy()
+    stretched = out[4].reshape(count, n, n).swapaxes(1, 2) @ theta_by_tip
+    return stretch * twist, bend, stretch, stretch[:, :, None] * twist_by_tip + twist[:, :, None] * stretched, turned
 
 
 def _hermite(grid: list[tuple[Array, Array]], nodes: Array, h: float) -> Array:

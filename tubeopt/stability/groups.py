@@ -1,0 +1,88 @@
+"""Tubes that act on one another, apart from the others: what makes a search over all tip angles a search over few.
+
+Two tubes act on each other where both are curved. A tube that is straight in a section only shares the stiffness of
+the section, and its torsion w is constant there: on the centreline it does not notice the others at all. Off the
+centreline they change its length, theta' = g w, and so the transmission to its own curved part,
+
+    alpha_i = theta_i - w_i (|beta_i| + int g_i ds),
+
+with the integral over everything between the plate and where its group begins. A tube is curved to its end, so that
+a group lies beyond all those that it passes through: the equations are block triangular, from the base to the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ..robots.assembly import Assembly
+from ..transcription.reduced import Index, ReducedProblem
+from .shooting import Bundle
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Tubes that act on one another, and what is integrated to shoot them.
+
+    Attributes:
+        tubes: (k,) which of the n tubes.
+        bundle: these, and behind them a straight tube for each place that has none of them. Each place has the
+            stiffness of all tubes there. The transmissions are those of the robot on the centreline.
+        seat: (n,) tube of the bundle at whose place each tube of the robot lies.
+    """
+
+    tubes: Index
+    bundle: Bundle
+    seat: Index
+
+
+@lru_cache(maxsize=32)
+def groups_of(problem: ReducedProblem) -> list[Group]:
+    """Groups of tubes, base to tip.
+
+    On the centreline a single tube is none: its torsion is 0. Off it a single curved one still bends the others.
+    """
+    assembly = problem.assembly
+    curved = assembly.curved
+    together = (curved[:, :, None] & curved[:, None, :]).any(0)
+    label = connected_components(together, directed=False)[1]
+    groups = [np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)]
+    least = 1 if assembly.eccentric else 2
+    sections = [np.flatnonzero(curved[:, tubes].any(1)) for tubes in groups]
+    order = sorted((where[0], k) for k, where in enumerate(sections) if len(where) and len(groups[k]) >= least)
+    return [_group(problem, groups[k], sections[k]) for _, k in order]
+
+
+def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
+    assembly, mesh = problem.assembly, problem.mesh
+    place = _places(assembly)
+    others = [int(np.argmax(place == p)) for p in np.setdiff1d(place, place[tubes])]
+    members = np.concatenate([tubes, np.array(others, dtype=np.intp)])
+    seat = np.array([int(np.argmax(place[members] == p)) for p in place])
+    pieces = np.flatnonzero(np.isin(mesh.section, sections))
+    stiffness = np.zeros((len(pieces), len(members)))
+    stiffness[:, : len(tubes)] = problem.piece_stiffness[np.ix_(pieces, tubes)]
+    for i in np.setdiff1d(np.arange(assembly.n_tubes), tubes):
+        stiffness[:, seat[i]] += problem.piece_stiffness[pieces, i]
+    moment = np.zeros_like(stiffness)
+    moment[:, : len(tubes)] = problem.piece_moment[np.ix_(pieces, tubes)]
+    bundle = Bundle(
+        length=mesh.length[pieces],
+        bent=mesh.collocated[pieces],
+        stiffness=stiffness,
+        moment=moment,
+        torsional_stiffness=assembly.torsional_stiffness[members],
+        transmission=assembly.transmission[members] + assembly.start[sections[0]],
+        place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
+    )
+    return Group(tubes, bundle, seat)
+
+
+def _places(assembly: Assembly) -> Index:
+    """(n,) number of the place beside the centreline at which each tube lies."""
+    spot = assembly.offset * np.exp(1j * assembly.offset_angle)
+    rounded = np.round(np.stack([spot.real, spot.imag], axis=1), 12)
+    return np.asarray(np.unique(rounded + 0.0, axis=0, return_inverse=True)[1]).ravel()

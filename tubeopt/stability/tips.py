@@ -1,0 +1,138 @@
+"""All tip angles of a group of tubes that lead to given joint rotations.
+
+Newton's method starts wherever a table of the map from tips to joints (`stability.tables`) says a solution may lie.
+The table is read on ever finer grids until the set no longer changes and its topological degree, the sum of the signs
+of det(d alpha / d theta_tip), is 1, as it must be: alpha - theta_tip is bounded, so that the map deforms into the
+identity. For more than three tubes there is no table, and the starts are a Sobol sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from ..robots.assembly import Array
+from .shooting import STEPS, Bundle, Shot
+from .tables import TURN, joints, starts, table_of
+
+GRIDS = {1: (1024, 4096, 16384), 2: (160, 320, 640), 3: (80, 120, 180)}
+"""Points per turn of the grids on which a table is read, by the number of its angles."""
+
+RANDOM_STARTS = 4096
+"""Starting points for four tubes and more."""
+
+ROUGH_STEPS = 4
+"""Steps of the integration per piece on the way to a solution: errors near 1e-5 rad."""
+
+ROUGH, CLOSE = 1e-3, 1e-2
+"""A solution of the rough integration is left to the finer one once its joints are as close (rad) as the first; where
+Newton's method does not get there, as next to a fold, from the best that it saw if that is as close as the second."""
+
+ARRIVED = 1e-8
+"""Joints as close (rad) are solved."""
+
+SAME = 1e-4
+"""Tip angles that differ by less (rad) and lie on the same side of a fold are one."""
+
+LONGEST_STEP = 0.5
+"""Largest change (rad) of a tip angle by one step: from next to a fold it may leave for anywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Preimage:
+    """Tip angles (S, k) that lead to given joints, the signs (S,) of det(d alpha / d theta_tip) there, and the length
+    (S, m) of every tube of the bundle, m; `settled`: whether the search ended because nothing was missing."""
+
+    tips: Array
+    sign: Array
+    travel: Array
+    settled: bool
+
+
+def preimage(bundle: Bundle, transmission: Array, rotations: Array) -> Preimage:
+    """Tip angles that lead to joint rotations (k,) of the first k tubes of a bundle, the others being straight, if its
+    transmissions were (n,) `transmission`, m."""
+    part = replace(bundle, transmission=transmission)
+    found = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))))
+    if len(rotations) == 1:
+        # Nothing turns a single tube.
+        return found
+    for near in _starts(bundle, transmission, rotations):
+        before = len(found.tips)
+        found = _finish(part, rotations, np.concatenate([found.tips, _approach(part, rotations, near)]))
+        if len(found.tips) == before and found.sign.sum() == 1:
+            return found
+    return replace(found, settled=False)
+
+
+def _starts(bundle: Bundle, transmission: Array, wanted: Array) -> Iterator[Array]:
+    """Tip angles (B, k) from which to solve, from ever finer grids."""
+    k = len(wanted)
+    if k <= 3:
+        table = table_of(bundle, k)
+        for size in GRIDS[len(table.size)]:
+            yield starts(table, transmission[:k], wanted, size)
+        return
+    for power in range(int(np.log2(RANDOM_STARTS)) - 2, int(np.log2(RANDOM_STARTS)) + 3):
+        tips = np.pad(qmc.Sobol(k - 1, rng=power).random_base2(power) * TURN, ((0, 0), (0, 1)))
+        yield tips + (wanted - joints(replace(bundle, transmission=transmission), tips, ROUGH_STEPS).rotations)[:, -1:]
+
+
+def _gap(rotations: Array, wanted: Array) -> Array:
+    """(B, k) how far joints are from the wanted ones, but for whole turns."""
+    gap = rotations - wanted
+    return np.asarray(gap - TURN * np.round(gap / TURN))
+
+
+def _newton(bundle: Bundle, wanted: Array, tips: Array, how: tuple[int, int, float]) -> tuple[Array, Array]:
+    """Tip angles (B, k) of Newton's method where they left the least gap, and this gap (B,); `how`: steps of the
+    integration, most iterations, and the gap that ends them."""
+    steps, iterations, enough = how
+    best, least = tips.copy(), np.full(len(tips), np.inf)
+    going, here = np.arange(len(tips)), tips
+    for _ in range(iterations):
+        if not len(going):
+            break
+        shot = joints(bundle, here, steps, slopes=True)
+        gap = _gap(shot.rotations, wanted)
+        size = np.abs(gap).max(1)
+        better = size < least[going]
+        best[going[better]], least[going[better]] = here[better], size[better]
+        left = size > enough
+        going, here, gap, slope = going[left], here[left], gap[left], _slope(shot)[left]
+        step = np.linalg.solve(slope + 1e-12 * np.eye(tips.shape[1]), -gap[:, :, None])[:, :, 0]
+        longest = np.abs(step).max(1, initial=0.0)
+        here = here + step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, 1e-12))[:, None]
+    return best, least
+
+
+def _slope(shot: Shot) -> Array:
+    assert shot.by_tip is not None
+    return shot.by_tip
+
+
+def _approach(bundle: Bundle, wanted: Array, starts: Array) -> Array:
+    """Starts that got close, by rough integration, without doubles."""
+    tips, gap = _newton(bundle, wanted, starts, (ROUGH_STEPS, 12, ROUGH))
+    tips = tips[gap < CLOSE] % TURN
+    return np.asarray(tips[np.unique(np.round(tips / CLOSE), axis=0, return_index=True)[1]])
+
+
+def _finish(bundle: Bundle, wanted: Array, starts: Array) -> Preimage:
+    """Tip angles that starts lead to, unwound so that their joints are the wanted ones without whole turns."""
+    tips, gap = _newton(bundle, wanted, starts, (STEPS, 12, ARRIVED))
+    tips = tips[gap < ARRIVED]
+    if not len(tips):
+        return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
+    shot = joints(bundle, tips, STEPS, slopes=True)
+    tips = tips - TURN * np.round((shot.rotations - wanted) / TURN)
+    sign = np.sign(np.linalg.det(_slope(shot)))
+    kept: list[int] = []
+    for i in range(len(tips)):
+        near = np.abs(tips[kept] - tips[i]).max(1, initial=0.0) < SAME
+        if not (near & (sign[kept] == sign[i])).any():
+            kept.append(i)
+    return Preimage(tips[kept], sign[kept], shot.travel[kept], True)
