@@ -64,12 +64,13 @@ class InverseSolution:
         margin: of the equilibrium.   clearance: least distance of the arm from any obstacle, m; infinite without.
         cold_start_agrees: whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody
             asked, as in a servo step.
-        straight_from_seed: whether the straight way of joint values from the seed leads to it without a snap; None
-            without a seed.
+        straight_from_seed: whether the straight way of joint values from the seed is known to lead to it without a snap;
+            False where it snaps, or comes too close to that for a quick look; None without a seed.
         reachable: whether a way is known from the seed, or else from home, on which the robot does not snap: True with
-            `way`; None where only the straight one was tried, and snaps; False where `reachable=True` was asked for and
-            none was found, which does not prove that there is none.
-        way: that way; None without. It keeps the ranges of the joints; obstacles are left to `plan_trajectory`.
+            `way`; None where only a quick look was taken at the straight one; False where `reachable=True` was asked for
+            and none was found, which does not prove that there is none.
+        way: that way; None without. It keeps the ranges of the joints; obstacles are left to `plan_trajectory`. Home is
+            the joint values nearest to it that ranges and order of the tubes allow.
         leaps: for an answer of `IkSession`, what makes the straight way of joint values from the last answer a leap, in
             words; empty where the tip stays near the line between the two targets.
         active: in words, what holds the joint values: ends of ranges, tubes that touch, margin, obstacles.

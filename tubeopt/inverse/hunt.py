@@ -64,8 +64,9 @@ def known_starts(space: JointSpace) -> StartTable:
 
 @lru_cache(maxsize=32)
 def known_home(space: JointSpace) -> Posture | None:
-    """The equilibrium at home, or at the joint values that the ranges allow nearest to it; None without one."""
-    return start_at(space, space.middle())
+    """The equilibrium at home, or at the joint values nearest to it that ranges and order allow; None without one."""
+    home = space.middle()
+    return start_at(space, home if space.admissible(home) else space.nearest(home))
 
 
 @dataclass
@@ -76,8 +77,8 @@ class Hunt:
     not depend on their number, and what is done after them depends on the first of them.
 
     `ends` are postures in which searches ended without an answer, in order, one list for each kind of start; `stalled`
-    the starts from which the fast path found none; `least` (m) what the best of all searches missed by, and `agreeing` how many more missed
-    by the same.
+    the starts from which the fast path found none; `least` (m) what the best of all searches missed by, and `agreeing`
+    how many more missed by the same.
     """
 
     goal: Goal
@@ -191,7 +192,12 @@ class Hunt:
     @property
     def late(self) -> bool:
         """Whether the time limit is reached."""
-        return time.perf_counter() - self.began >= self.options.time_limit
+        return self.seconds >= self.options.time_limit
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the question was asked."""
+        return time.perf_counter() - self.began
 
     def _at_reference(self) -> Posture | None:
         """The reference itself, brought inside of the limits."""
@@ -318,9 +324,7 @@ class Hunt:
             straight_from_seed=straight,
             active=tuple(held_by(goal, at)),
             status=status,
-            statistics=InverseStatistics(
-                method, name, max(self.tries, 1), self.iterations, self.solves, time.perf_counter() - self.began
-            ),
+            statistics=InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, self.seconds),
             reachable=None if way is None else True,
             way=way,
         )
@@ -340,10 +344,10 @@ class Hunt:
         why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
         tried = f"in {self.tries} start{'' if self.tries == 1 else 's'}"
         if late:
-            tried = f"within {self.options.time_limit:g} s, which ran out {tried}"
+            tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
         beyond = goal.beyond_reach()
-        far = f"the target is out of reach, {beyond:.3g} m beyond the longest arm; " if beyond > 0 else ""
-        raise SolveError(f"no answer was found {tried}: {far}{missed_by(goal, at)}: {why}", closest)
+        far = f"; the target is out of reach, {beyond:.3g} m beyond the longest arm" if beyond > 0 else ""
+        raise SolveError(f"no answer was found {tried}: {missed_by(goal, at)}: {why}{far}", closest)
 
     def _without_a_pose(self, late: bool) -> str:
         """Why there is not even a closest pose."""
