@@ -64,10 +64,10 @@ class InverseSolution:
         margin: of the equilibrium.   clearance: least distance of the arm from any obstacle, m; infinite without.
         cold_start_agrees: whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody
             asked, as in a servo step.
-        straight_from_seed: whether the straight way of joint values from the seed is known to lead to it without a snap;
-            False where it snaps, or comes too close to that for a quick look; None without a seed.
+        straight_from_seed: whether the straight way of joint values from the seed is known to lead there without a
+            snap; False where it snaps, or comes too close to that for a quick look; None without a seed.
         reachable: whether a way is known from the seed, or else from home, on which the robot does not snap: True with
-            `way`; None where only a quick look was taken at the straight one; False where `reachable=True` was asked for
+            `way`; None where only a quick look was taken at the straight one; False where `reachable=True` was given
             and none was found, which does not prove that there is none.
         way: that way; None without. It keeps the ranges of the joints; obstacles are left to `plan_trajectory`. Home is
             the joint values nearest to it that ranges and order of the tubes allow.
