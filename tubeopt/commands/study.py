@@ -8,8 +8,10 @@ import typer
 
 from ..errors import SolveError
 from ..fabrication.heating_plan import HeatingPlan
+from ..study.inverse_study import Postures, TargetTable
 from ..study.study_file import load_study
 from .heat import missed
+from .inverse import refuse_misses
 from .options import JsonOption, OutOption, PlotOption
 from .progress import working
 from .report import can_be_saved, present, report
@@ -29,3 +31,5 @@ def run(
     present(report(answer), out=out, as_json=as_json, plot=plot)
     if isinstance(answer, HeatingPlan) and not answer.feasible:
         raise SolveError(missed(answer))
+    if isinstance(answer, Postures | TargetTable):
+        refuse_misses(answer)

@@ -135,12 +135,7 @@ class IkSession:
             table = [np.concatenate([way.rotations, way.translations], axis=1) for way in known]
             rows = np.concatenate([table[0], *(each[1:] for each in table[1:])])
             whole = JointWay(LAST, *np.split(rows, 2, axis=1))
-        statistics = replace(
-            last.statistics,
-            iterations=sum(each.statistics.iterations for each in answers),
-            solves=sum(each.statistics.solves for each in answers),
-            seconds=sum(each.statistics.seconds for each in answers),
-        )
+        statistics = _summed([each.statistics for each in answers])
         leaps = next((each.leaps for each in answers if each.leaps), "")
         self._solution = replace(
             last, reachable=None if whole is None else True, way=whole, leaps=leaps, statistics=statistics
@@ -185,7 +180,19 @@ class IkSession:
                 continue
             answers.append(self._keep(part, there, near, (words, safe, solves, began)))
             done, share = end, min(2 * share, most)
-        return answers
+        return answers if len(answers) == 1 else self._merged(goal, first, answers)
+
+    def _merged(self, goal: Goal, first: Posture, answers: list[InverseSolution]) -> list[InverseSolution]:
+        """The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere."""
+        assert self._here is not None
+        words, safe = leap(goal, first, self._here)
+        if words:
+            return answers
+        way = joint_way(LAST, goal.space, [first.q, self._here.q])
+        self._solution = replace(
+            answers[-1], way=way, straight_from_seed=safe, leaps="", statistics=_summed([a.statistics for a in answers])
+        )
+        return [self._solution]
 
     def _finer(self, goal: Goal, first: Posture, part: tuple[float, float]) -> bool:
         """Whether the branch leads half of a part farther, too; a leap is better than no answer."""
@@ -265,6 +272,12 @@ class IkSession:
         )
         self._here, self._near, self._solution = at, near, answer
         return answer
+
+
+def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
+    """What answers one after another have cost."""
+    iterations, solves = sum(each.iterations for each in parts), sum(each.solves for each in parts)
+    return replace(parts[-1], iterations=iterations, solves=solves, seconds=sum(each.seconds for each in parts))
 
 
 def _parts(goal: Goal, here: Posture) -> int:
