@@ -9,6 +9,9 @@ import pytest
 
 import tubeopt
 from tubeopt import IkSession, InputError, SolveError, forward_kinematics
+from tubeopt.inverse.leaps import leap
+from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.question import pose_question
 from tubeopt.obstacles import Sphere
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
@@ -130,19 +133,26 @@ def test_it_does_not_leap() -> None:
 
 
 def test_a_leap_is_said() -> None:
-    """Past the axis of the plate the robot has to turn half round: no targets in between make that a small motion."""
-    way = np.linspace(-4, 4, 5)[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.05, 175.0])
-    session, told = IkSession(THESIS), []
-    for target in way * MM:
-        try:
-            answers = session.lead(target)
-        except SolveError:
-            break
-        told += [answer.leaps for answer in answers]
-        for answer in answers[1:]:
-            assert answer.leaps or np.abs(answer.rotations).max() < 10
-    else:
-        assert any("turns by" in words or "line between" in words for words in told)
+    """From one posture to another with nearly the same tip; a robot that is moved on by the same motion does not leap."""
+    before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+    goal = pose_question(
+        THESIS, before.tip_position, None, (None, None), 0.05, None, None, (), tubeopt.InverseOptions()
+    )
+    here = posture_of(goal.space, before)
+    near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
+    assert near is not None
+    assert leap(goal, here, near) == ("", True)
+    back = here.to(here.q + np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]))
+    assert back is not None
+    words, safe = leap(goal, here, back)
+    assert "the tip leaves the line between the targets by" in words  # it goes round on an arc
+    assert safe
+    # The fold of the thesis' robot lies at 214 deg.
+    home = posture_of(goal.space, forward_kinematics(THESIS, np.zeros(3)))
+    beyond = posture_of(goal.space, forward_kinematics(THESIS, np.radians([270.0, 0.0, 0.0])))
+    words, safe = leap(goal, home, beyond)
+    assert "the robot snaps on the straight way" in words
+    assert not safe
 
 
 def test_the_way_to_a_far_target_is_given() -> None:
