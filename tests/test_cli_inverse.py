@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubeopt import InputError, forward_kinematics, load_equilibrium, load_robot
+from tubeopt import InputError, follow, forward_kinematics, load_equilibrium, load_robot
 from tubeopt.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.study.obstacle_file import load_obstacles
+from tubeopt.study.path_file import load_waypoints
 from tubeopt.study.study_file import load_study
 from tubeopt.study.target_file import load_joints, load_targets
 
@@ -54,8 +55,8 @@ def test_a_table_for_people(run: Run) -> None:
         "the target is reached by a stable equilibrium",
         "tip position",
         "50.000000, 30.000000, 150.000000 mm",
-        "the straight way",
-        "leads there without a snap",
+        "a way without a snap",
+        "straight from the seed",
     ):
         assert part in outcome.out
 
@@ -65,9 +66,22 @@ def test_all_postures_are_saved_with_a_picture(run: Run, tmp_path: Path) -> None
     outcome = run("ik", THESIS, *TARGET, "--all", "--out", str(out))
     assert outcome.code == 0
     assert "other postures with the same tip" in outcome.out
-    assert sorted(p.name for p in out.iterdir()) == ["arrays.npz", "inverse.png", "result.json", "solutions.json"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "arrays.npz",
+        "inverse.png",
+        "result.json",
+        "solutions.json",
+        "way.csv",
+    ]
     best, *others = json.loads((out / "solutions.json").read_text())["solutions"]
     assert others
+    # The waypoints lead to the best of them without a snap.
+    waypoints = load_waypoints(out / "way.csv", load_robot(THESIS))
+    path = follow(load_robot(THESIS), waypoints.rotations, waypoints.translations)
+    assert not path.snaps
+    np.testing.assert_allclose(path.equilibria[-1].tip_position * 1e3, [50, 30, 150], atol=1e-3)
+    assert best["reachable"]
+    assert len(best["way"]["rotations_deg"]) == len(waypoints.rotations)
     np.testing.assert_allclose(load_equilibrium(out).tip_position * 1e3, best["tip_position_mm"], atol=1e-9)
     assert (out / "inverse.png").read_bytes().startswith(b"\x89PNG")
 
@@ -80,6 +94,8 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["solutions.csv", "targets.png"]
     rows = list(csv.DictReader((tmp_path / "solutions.csv").read_text().splitlines()))
     assert len(rows) == 21
+    assert [row["target"] for row in rows] == [str(k) for k in range(1, 22)]
+    assert not any(row["leaps"] for row in rows)
     robot, before = load_robot(THESIS), None
     for row in rows:
         rotations = np.radians([float(row[f"rotation_{i}_deg"]) for i in (1, 2, 3)])
@@ -89,6 +105,20 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
         np.testing.assert_allclose(before.tip_position * 1e3, wanted, atol=1e-4)
 
 
+def test_far_targets_are_led_to_through_others(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "targets.csv"
+    table.write_text("x_mm,y_mm,z_mm\n50,30,150\n62,20,145\n")
+    data = answer(run("ik", THESIS, "--targets", str(table), "--follow", "--json"))
+    assert (data["targets"], data["reached"]) == (2, 2)
+    numbers = [each["target"] for each in data["solutions"]]
+    assert (numbers[0], numbers[-1]) == (1, 2)
+    assert numbers == sorted(numbers)
+    first, last = np.array([50, 30, 150]), np.array([62, 20, 145])
+    for each in data["solutions"]:
+        np.testing.assert_allclose(each["tip_position_mm"], first + (each["target"] - 1) * (last - first), atol=1e-3)
+        assert each["leaps"] == ""
+
+
 def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -> None:
     table = tmp_path / "targets.csv"
     table.write_text("x_mm,y_mm,z_mm\n0,-20,80\n0,0,200\n")
@@ -96,6 +126,7 @@ def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -
     assert (data["targets"], data["reached"]) == (2, 1)
     assert "short" in data["solutions"][1]["problem"]
     data = answer(run("ik", ETR, "--targets", str(table), "--closest", "--json"))
+    assert data["targets"] == 2
     assert data["solutions"][1]["status"] == "CLOSEST"
     outcome = run("ik", ETR, "--targets", str(table), "--out", str(tmp_path / "out"))
     assert outcome.code == 0
@@ -107,6 +138,9 @@ def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -
     outcome = run("ik", ETR, "--targets", str(table))
     assert outcome.code == 3
     assert "none of 1 targets was reached; the first: no answer was found" in outcome.err
+    outcome = run("ik", ETR, "--targets", str(table), "--closest")
+    assert outcome.code == 3
+    assert "none of 1 targets was reached; the first: 106 mm short" in outcome.err
 
 
 def test_obstacles_are_kept_clear_of(run: Run) -> None:
@@ -119,7 +153,10 @@ def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
     outcome = run("ik", ETR, "--target-mm", "0,0,200")
     assert outcome.code == 3
     assert "m short" in outcome.err
-    found = answer(run("ik", ETR, "--target-mm", "0,0,200", "--closest", "--json"))["solutions"][0]
+    outcome = run("ik", ETR, "--target-mm", "0,0,200", "--closest", "--json")
+    assert outcome.code == 3
+    assert "the target was reached from no start; this is the closest pose that was found: 106 mm short" in outcome.err
+    (found,) = json.loads(outcome.out)["solutions"]
     assert found["status"] == "CLOSEST"
     assert found["position_error_mm"] == pytest.approx(106, abs=0.5)
 

@@ -241,10 +241,16 @@ class TestObstacles:
         assert answer.clearance >= 2 * MM
 
     def test_a_target_inside_of_one_is_out_of_reach(self) -> None:
-        with pytest.raises(SolveError, match=r"m short.*arm at obstacle 1 \(sphere\)"):
-            inverse_kinematics(
-                THESIS, TARGET, obstacles=[Sphere(tuple(TARGET), 0.01)], options=InverseOptions(starts=6)
-            )
+        """The tip, 0.5 mm thick, touches the sphere: no pose is closer, and as many starts as there may be find it."""
+        body = Sphere(tuple(TARGET), 0.01)
+        nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
+        for starts in (1, 2, 6, 12):
+            options = InverseOptions(starts=starts)
+            with pytest.raises(SolveError, match=r"m short.*arm at obstacle 1 \(sphere\)") as told:
+                inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
+            closest = told.value.solution
+            assert closest.position_error == pytest.approx(nearest, abs=2e-5)
+            assert closest.clearance >= 0
 
     def test_a_small_one_is_seen_between_the_points_of_the_measurement(self) -> None:
         at = posture_of(joint_space(THESIS), forward_kinematics(THESIS, [0.0, 1.0, 2.0]))
@@ -284,6 +290,33 @@ class TestOutOfReach:
         with pytest.raises(SolveError) as failure:
             inverse_kinematics(ETR, [0.0, 0.0, 0.2], options=InverseOptions(starts=6))
         assert failure.value.solution.position_error == pytest.approx(closest.position_error, abs=1e-4)
+
+    @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
+    def test_more_starts_never_give_a_worse_one(self, robot: Robot) -> None:
+        target = 1.6 * next(reachable(robot, 1, seed=8)).tip_position + np.array([10.0, 0.0, 0.0]) * MM
+        missed = [
+            inverse_kinematics(
+                robot, target, on_failure="closest", options=InverseOptions(starts=starts)
+            ).position_error
+            for starts in (1, 2, 4, 8, 16)
+        ]
+        assert (np.diff(missed) <= 1e-7 * 0.4).all()
+
+    @pytest.mark.parametrize("robot", [THESIS, CRL, ETR], ids=lambda robot: robot.name)
+    def test_the_closest_pose_is_a_minimum(self, robot: Robot) -> None:
+        """No small motion that keeps ranges, order and margin brings the tip closer, by plain forward kinematics."""
+        target = 1.6 * next(reachable(robot, 1, seed=8)).tip_position + np.array([10.0, 0.0, 0.0]) * MM
+        closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=4))
+        space, random, tried = joint_space(robot), np.random.default_rng(0), 0
+        q = space.join(closest.rotations, closest.translations)
+        for _ in range(200):
+            near = space.nearest(q + random.choice([1e-3, 1e-2, 5e-2]) * random.normal(size=len(q)) * space.scale)
+            there = forward_kinematics(robot, *space.split(near), guess=closest.equilibrium)
+            if there.margin < 0.05:
+                continue
+            tried += 1
+            assert np.linalg.norm(there.tip_position - target) >= closest.position_error - 1e-7
+        assert tried >= 50
 
     def test_the_closest_pose_keeps_order_and_margin(self) -> None:
         inner = Tube(1.0 * MM, 0.7 * MM, 62.6 * MM, 186.2 * MM, 4.24)
@@ -467,6 +500,53 @@ class TestInput:
             inverse_kinematics(TWO_TUBE, TARGET, direction=[0, 0, 1], options=InverseOptions(method="nlp"))
 
 
+class TestWays:
+    """Whether the robot gets to an answer without a snap is said, and a way is found where it is asked for."""
+
+    def test_a_way_is_followed_without_a_snap(self) -> None:
+        """Among random targets are some to which the straight way from home snaps; the way that is found does not."""
+        around = 0
+        for wanted in reachable(THESIS, 8, seed=33):
+            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+            assert answer.reachable
+            assert answer.way is not None
+            assert answer.way.origin == "home"
+            path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations)
+            assert not path.snaps
+            assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+            np.testing.assert_array_equal(answer.way.rotations[-1], answer.rotations)
+            np.testing.assert_array_equal(answer.way.rotations[0], np.zeros(3))
+            home = THESIS.home_translations
+            straight = tubeopt.follow(THESIS, [np.zeros(3), answer.rotations], [home, answer.translations])
+            around += bool(straight.snaps)
+        assert around
+
+    def test_it_begins_at_the_seed(self) -> None:
+        seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+        answer = inverse_kinematics(THESIS, TARGET, seed=seed, reachable=True)
+        assert answer.way is not None
+        assert answer.way.origin == "seed"
+        np.testing.assert_allclose(answer.way.translations[0], seed.translations, atol=1e-15)
+        path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations, start=seed)
+        assert not path.snaps
+        assert np.linalg.norm(path.equilibria[-1].tip_position - TARGET) <= 1e-6
+
+    def test_without_being_asked_only_a_known_way_is_stated(self) -> None:
+        for wanted in reachable(CRL, 8, seed=33):
+            answer = inverse_kinematics(CRL, wanted.tip_position)
+            assert answer.reachable is (None if answer.way is None else True)
+            if answer.way is not None:
+                path = tubeopt.follow(CRL, answer.way.rotations, answer.way.translations)
+                assert not path.snaps
+                assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+
+    def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("tubeopt.planning.reachable.snap_free_way", lambda *_, **__: None)
+        for wanted in reachable(THESIS, 5, seed=33):
+            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+            assert answer.reachable is (answer.way is not None)
+
+
 def test_an_answer_pickles() -> None:
     answer = inverse_kinematics(THESIS, TARGET)
     again = pickle.loads(pickle.dumps(answer))
@@ -480,5 +560,12 @@ def test_a_time_limit_ends_the_search() -> None:
     with pytest.raises(SolveError, match=r"was found within 0\.001 s") as told:
         inverse_kinematics(THESIS, far, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
     assert told.value.solution.statistics.tries == 1
+    assert told.value.solution.status is InverseStatus.TIMED_OUT
+    # Without a single start in time, that is what is said, and not that there is no margin.
+    with pytest.raises(SolveError, match=r"within 1e-09 s.*whether the target can be reached is not known") as told:
+        inverse_kinematics(THESIS, far, options=InverseOptions(time_limit=1e-9))
+    assert "margin" not in str(told.value)
+    with pytest.raises(SolveError, match=r"out of reach, 1\.6 m beyond the longest arm"):
+        inverse_kinematics(THESIS, far, options=InverseOptions(starts=1))
     with pytest.raises(InputError, match="time_limit is 0; it must be greater than 0"):
         InverseOptions(time_limit=0)

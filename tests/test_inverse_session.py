@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import tubeopt
 from tubeopt import IkSession, InputError, SolveError, forward_kinematics
+from tubeopt.inverse.leaps import leap
+from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.question import pose_question
 from tubeopt.obstacles import Sphere
 from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.study.target_file import load_targets
 
+from .command_line import ROOT
 from .examples import CRL, MM, THESIS, eccentric_robot
 from .inverse_targets import inside
 
@@ -98,6 +105,67 @@ def test_a_target_out_of_reach_leaves_it_where_it_was() -> None:
     assert session.solution is first
     again = session.solve([0.0, -0.02, 0.078])
     np.testing.assert_allclose(again.rotations, first.rotations, atol=1e-9)
+
+
+def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.InverseSolution) -> Array:
+    """(9, 3) tips on the straight way of joint values between two answers."""
+    share = np.linspace(0, 1, 9)[:, None]
+    rotations = before.rotations + share * (after.rotations - before.rotations)
+    translations = before.translations + share * (after.translations - before.translations)
+    path = tubeopt.follow(robot, rotations, translations, start=before.equilibrium)
+    assert not path.snaps
+    return np.array([e.tip_position for e in path.equilibria])
+
+
+def test_it_does_not_leap() -> None:
+    """Targets 3.2 mm apart between two of which a carriage may go 31 mm, the tip 0.5 mm off the line."""
+    targets = load_targets(ROOT / "configs/targets/arc.csv").position
+    session = IkSession(THESIS)
+    answers = [answer for target in targets for answer in session.lead(target)]
+    for before, after in pairwise(answers):
+        assert not after.leaps
+        tips = tips_between(THESIS, before, after)
+        along = tips[-1] - tips[0]
+        distance = np.linalg.norm(along)
+        aside = np.linalg.norm(np.cross(tips - tips[0], along / distance), axis=1).max()
+        assert aside <= 0.06 * distance + 1.1e-5
+        assert np.abs(after.translations - before.translations).max() <= 4 * distance + 2.1 * MM
+
+
+def test_a_leap_is_said() -> None:
+    """Of motions of the joints that bring the tip straight on, round on an arc, and through a snap."""
+    before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+    goal = pose_question(
+        THESIS, before.tip_position, None, (None, None), 0.05, None, None, (), tubeopt.InverseOptions()
+    )
+    here = posture_of(goal.space, before)
+    near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
+    assert near is not None
+    assert leap(goal, here, near) == ("", True)
+    back = here.to(here.q + np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]))
+    assert back is not None
+    words, safe = leap(goal, here, back)
+    assert "the tip leaves the line between the targets by" in words  # it goes round on an arc
+    assert safe
+    # The fold of the thesis' robot lies at 214 deg.
+    home = posture_of(goal.space, forward_kinematics(THESIS, np.zeros(3)))
+    beyond = posture_of(goal.space, forward_kinematics(THESIS, np.radians([270.0, 0.0, 0.0])))
+    words, safe = leap(goal, home, beyond)
+    assert "the robot snaps on the straight way" in words
+    assert not safe
+
+
+def test_the_way_to_a_far_target_is_given() -> None:
+    seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+    far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], guess=seed).tip_position
+    answer = IkSession(THESIS, seed=seed).solve(far)
+    assert answer.way is not None
+    np.testing.assert_allclose(answer.way.rotations[0], seed.rotations, atol=1e-15)
+    path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations, start=seed)
+    assert not path.snaps
+    tips = np.array([e.tip_position for e in path.equilibria]) - seed.tip_position
+    along = (far - seed.tip_position) / np.linalg.norm(far - seed.tip_position)
+    assert np.linalg.norm(np.cross(tips, along), axis=1).max() <= 1e-5
 
 
 def test_seeds_that_are_not_allowed_are_refused() -> None:

@@ -14,7 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ..errors import SolveError
-from ..inverse import InverseSolution
+from ..inverse import InverseSolution, JointWay
+from ..robots.assembly import Array
 from ..study.checked import check
 from ..study.csv_file import to_csv
 from ..study.files import atomic_write, write_text
@@ -66,12 +67,20 @@ def ik(
     follow: Annotated[
         bool, typer.Option("--follow", help="Solve each of TARGETS.csv from the last one, on its branch.")
     ] = False,
+    reachable: Annotated[
+        bool,
+        typer.Option(
+            "--reachable/--no-reachable",
+            help="Find a way without a snap, from --from or home, or say none.",
+        ),
+    ] = True,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Inverse kinematics: stable joint values that bring the tip to a target, and point it there.
 
-    Ends with 3 where the target, or every one of a table, is missed; misses within a table are named in it.
+    Ends with 3 where the target, or every one of a table, is missed, with --closest as well; misses within a table are
+    named in it. With --follow, targets are put between those of the table where the robot would leap.
     """
     flags: dict[str, Any] = {
         "kind": "inverse_kinematics",
@@ -89,6 +98,7 @@ def ik(
         "all": every,
         "closest": closest,
         "follow": follow,
+        "reachable": reachable,
     }
     names = {key: f"--{key.replace('_', '-')}" for key in flags} | PATHS
     given = {key: value for key, value in flags.items() if value is not None}
@@ -97,8 +107,19 @@ def ik(
     with working("solving targets") as progress:
         answer = study.run(progress)
     present(report(answer), out=out, as_json=as_json)
-    if isinstance(answer, TargetTable) and all(row.solution is None for row in answer.rows):
-        raise SolveError(f"none of {len(answer.rows)} targets was reached; the first: {answer.rows[0].problem}")
+    refuse_misses(answer)
+
+
+def refuse_misses(answer: Postures | TargetTable) -> None:
+    """Raise SolveError where the target, or every one of a table, is missed."""
+    if isinstance(answer, Postures):
+        best = answer.solutions[0]
+        if not best.reached:
+            raise SolveError(f"{best.status}: {_miss(best)}", best)
+        return
+    given = [row for row in answer.rows if row.given]
+    if not any(row.solution is not None and row.solution.reached for row in given):
+        raise SolveError(f"none of {len(given)} targets was reached; the first: {_why(given[0])}")
 
 
 def solution_record(solution: InverseSolution) -> dict[str, Any]:
@@ -120,8 +141,19 @@ def solution_record(solution: InverseSolution) -> dict[str, Any]:
         "energy_mJ": e.energy * MM,
         "cold_start_agrees": s.cold_start_agrees,
         "straight_from_start": s.straight_from_seed,
+        "reachable": s.reachable,
+        "way": None if s.way is None else _way_record(s.way),
+        "leaps": s.leaps,
         "active": list(s.active),
         "statistics": asdict(s.statistics),
+    }
+
+
+def _way_record(way: JointWay) -> dict[str, Any]:
+    return {
+        "from": way.origin,
+        "rotations_deg": np.degrees(way.rotations).tolist(),
+        "translations_mm": (way.translations * MM).tolist(),
     }
 
 
@@ -148,10 +180,18 @@ class PosturesReport:
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write solutions.json, and result.json with arrays.npz of the best."""
+        """Write solutions.json, result.json with arrays.npz of the best, and way.csv, the waypoints to it, where a way
+        is known; `tubeopt follow` reads them."""
+        best = self.answer.solutions[0]
         path = directory / "solutions.json"
         write_text(path, to_text(self.record()))
-        return [path, *save_equilibrium(self.answer.solutions[0].equilibrium, directory)]
+        paths = [path, *save_equilibrium(best.equilibrium, directory)]
+        if best.way is not None:
+            paths.append(directory / "way.csv")
+            turns, shifts = joint_columns(self.answer.robot.n_tubes)
+            table = zip(best.way.rotations, best.way.translations, strict=True)
+            write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
+        return paths
 
     def draw(self, directory: Path) -> list[Path]:
         """Write inverse.png."""
@@ -178,15 +218,26 @@ def _rows(s: InverseSolution) -> list[tuple[str, str]]:
     rows.append(("margin", f"{s.margin:.3f}"))
     if np.isfinite(s.clearance):
         rows.append(("clear of obstacles by", f"{s.clearance * MM:.4f} mm"))
-    if s.straight_from_seed is not None:
-        words = "leads there without a snap" if s.straight_from_seed else "snaps: go there by steps, or around"
-        rows.append(("the straight way", words))
+    rows.append(("a way without a snap", _way_words(s)))
     if s.active:
         rows.append(("held by", ", ".join(s.active)))
     count = s.statistics
     tries = "1 start" if count.tries == 1 else f"{count.tries} starts"
     rows.append(("solved", f"in {count.seconds * MM:.1f} ms by {count.method}, {tries}, from the {count.start}"))
     return rows
+
+
+def _way_words(s: InverseSolution) -> str:
+    if s.way is not None:
+        count = len(s.way.rotations) - 2
+        there = "straight" if count == 0 else f"through {count} waypoint{'' if count == 1 else 's'}"
+        return f"{there} from {'home' if s.way.origin == 'home' else f'the {s.way.origin}'}"
+    return "none was found" if s.reachable is False else "none is known"
+
+
+def _joints(rotations: Array, translations: Array) -> list[object]:
+    """Cells of one row of joint values."""
+    return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM_UNIT) for x in translations)]
 
 
 def _others(solutions: Sequence[InverseSolution]) -> Table:
@@ -213,20 +264,25 @@ class TargetTableReport:
         """The answers as JSON, one per target."""
         return {
             "robot": self.answer.robot.name,
-            "targets": len(self.answer.rows),
+            "targets": len(self._given()),
             "reached": len(self._reached()),
             "solutions": [
-                (solution_record(r.solution) if r.solution is not None else _missing(r)) | {"problem": r.problem}
+                {"target": r.number}
+                | (solution_record(r.solution) if r.solution is not None else _missing(r))
+                | {"problem": r.problem}
                 for r in self.answer.rows
             ],
         }
 
+    def _given(self) -> list[Row]:
+        return [r for r in self.answer.rows if r.given]
+
     def _reached(self) -> list[InverseSolution]:
-        return [r.solution for r in self.answer.rows if r.solution is not None and r.solution.reached]
+        return [r.solution for r in self._given() if r.solution is not None and r.solution.reached]
 
     def table(self) -> Group:
         """How many targets were reached, and why others were not."""
-        rows, reached = self.answer.rows, self._reached()
+        rows, reached = self._given(), self._reached()
         lines = [("reached", f"{len(reached)} of {len(rows)} targets")]
         if reached:
             lines += [
@@ -234,35 +290,48 @@ class TargetTableReport:
                 ("least margin", f"{min(s.margin for s in reached):.3f}"),
                 ("median time", f"{np.median([s.statistics.seconds for s in reached]) * MM:.1f} ms per target"),
             ]
-        failed = [(k, r) for k, r in enumerate(rows, start=1) if r.solution is None or not r.solution.reached]
-        notes = [Text(f"target {k}: {_why(r)}") for k, r in failed[:10]]
-        notes += [Text(f"and {len(failed) - 10} more")] if len(failed) > 10 else []
-        return Group(two_columns(self.answer.robot.name or "robot", lines), *notes)
+        lines += self._ways(reached)
+        notes = [(r, _why(r)) for r in rows if r.solution is None or not r.solution.reached]
+        notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
+        texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:10]]
+        texts += [Text(f"and {len(notes) - 10} more")] if len(notes) > 10 else []
+        return Group(two_columns(self.answer.robot.name or "robot", lines), *texts)
+
+    def _ways(self, reached: Sequence[InverseSolution]) -> list[tuple[str, str]]:
+        """What is known of how the robot gets from one answer, or from home, to the next."""
+        if not self.answer.followed:
+            known = sum(s.way is not None for s in reached)
+            return [("a way without a snap", f"known to {known} of {len(reached)}")] if reached else []
+        between = len(self.answer.rows) - len(self._given())
+        leaping = sum(bool(r.solution and r.solution.leaps) for r in self.answer.rows)
+        lines = [("put in between", f"{between} targets, so that the robot does not leap")] if between else []
+        return [*lines, ("leaps", f"{leaping or 'none'}, of {len(self.answer.rows)} rows")]
 
     def save(self, directory: Path) -> list[Path]:
         """Write solutions.csv: a row per target, empty cells where there is no answer."""
         turns, shifts = joint_columns(self.answer.robot.n_tubes)
         tips = [f"tip_{name}" for name in POSITION]
         columns = ["target", *POSITION, *DIRECTION, *turns, *shifts, *tips]
-        columns += ["position_error_mm", "direction_error_deg", "margin", "status", "problem"]
+        columns += ["position_error_mm", "direction_error_deg", "margin", "reachable", "leaps", "status", "problem"]
         path = directory / "solutions.csv"
         write_text(path, to_csv(columns, self._cells(len(turns) + len(shifts) + len(tips))))
         return [path]
 
     def _cells(self, answers: int) -> Iterator[Sequence[object]]:
-        for k, r in enumerate(self.answer.rows, start=1):
-            target: list[object] = [in_unit(float(x), MM_UNIT) for x in r.position]
+        for r in self.answer.rows:
+            target: list[object] = [f"{r.number:g}", *(in_unit(float(x), MM_UNIT) for x in r.position)]
             target += ["", "", ""] if r.direction is None else [float(x) for x in r.direction]
             s = r.solution
             if s is None:
-                yield [k, *target, *[""] * (answers + 3), "FAILED", f'"{r.problem}"']
+                yield [*target, *[""] * (answers + 5), "FAILED", f'"{r.problem}"']
                 continue
-            joints = [in_unit(float(x), DEG) for x in s.rotations] + [
-                in_unit(float(x), MM_UNIT) for x in s.translations
-            ]
+            joints = _joints(s.rotations, s.translations)
             tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * MM]
             turned = "" if r.direction is None else float(np.degrees(s.direction_error))
-            yield [k, *target, *joints, *tip, s.position_error * MM, turned, s.margin, s.status.name, ""]
+            known = {True: "yes", False: "no", None: ""}[s.reachable]
+            leaps = f'"{s.leaps}"' if s.leaps else ""
+            errors = [s.position_error * MM, turned, s.margin]
+            yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write targets.png: the arm along the targets that were reached."""
@@ -285,8 +354,12 @@ def _missing(r: Row) -> dict[str, Any]:
 def _why(r: Row) -> str:
     if r.solution is None:
         return r.problem
-    held = ", ".join(r.solution.active)
-    return f"{r.solution.position_error * MM:.4g} mm short{f': {held}' if held else ''}"
+    return _miss(r.solution)
+
+
+def _miss(s: InverseSolution) -> str:
+    held = ", ".join(s.active)
+    return f"{s.position_error * MM:.4g} mm short{f': {held}' if held else ''}"
 
 
 @report.register

@@ -9,8 +9,10 @@ import typer
 from ..errors import NotProvedError, SolveError
 from ..fabrication.heating_plan import HeatingPlan
 from ..planning import Trajectory
+from ..study.inverse_study import Postures, TargetTable
 from ..study.study_file import load_study
 from .heat import missed
+from .inverse import refuse_misses
 from .options import JsonOption, OutOption, PlotOption
 from .plan import unproved
 from .progress import working
@@ -33,3 +35,5 @@ def run(
         raise SolveError(missed(answer))
     if isinstance(answer, Trajectory) and not answer.proved:
         raise NotProvedError(unproved(answer))
+    if isinstance(answer, Postures | TargetTable):
+        refuse_misses(answer)

@@ -1,6 +1,6 @@
-"""Inverse kinematics that never answers with a snap: which joint values put the tip here, pointing there?"""
+"""Inverse kinematics with stable answers only: which joint values put the tip here, pointing there?"""
 
-from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .session import IkSession
 from .solving import inverse_kinematics
 
@@ -10,5 +10,6 @@ __all__ = [
     "InverseSolution",
     "InverseStatistics",
     "InverseStatus",
+    "JointWay",
     "inverse_kinematics",
 ]

@@ -20,7 +20,8 @@ class InverseStatus(Enum):
     """What became of a target; every value reads as a sentence."""
 
     REACHED = "the target is reached by a stable equilibrium"
-    CLOSEST = "the target is out of reach; this is the closest pose that was found"
+    CLOSEST = "the target was reached from no start; this is the closest pose that was found"
+    TIMED_OUT = "the time ran out before the target was reached; this is the closest pose that was found till then"
 
     def __str__(self) -> str:
         return self.value
@@ -39,6 +40,19 @@ class InverseStatistics:
 
 
 @dataclass(frozen=True, eq=False)
+class JointWay:
+    """Joint values on which the robot does not snap: slowly through W waypoints, straight from one to the next.
+
+    origin: where it begins: "seed", "home", or "last target".
+    rotations, translations: (W, n) rad and m; the last are those of the answer.
+    """
+
+    origin: str
+    rotations: Array
+    translations: Array
+
+
+@dataclass(frozen=True, eq=False)
 class InverseSolution:
     """Joint values that bring the tip to a target, and the equilibrium that the robot takes there.
 
@@ -50,8 +64,15 @@ class InverseSolution:
         margin: of the equilibrium.   clearance: least distance of the arm from any obstacle, m; infinite without.
         cold_start_agrees: whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody
             asked, as in a servo step.
-        straight_from_seed: whether the straight way of joint values from the seed leads to it without a snap; None
-            without a seed.
+        straight_from_seed: whether the straight way of joint values from the seed is known to lead there without a
+            snap; False where it snaps, or comes too close to that for a quick look; None without a seed.
+        reachable: whether a way is known from the seed, or else from home, on which the robot does not snap: True with
+            `way`; None where only a quick look was taken at the straight one; False where `reachable=True` was given
+            and none was found, which does not prove that there is none.
+        way: that way; None without. It keeps the ranges of the joints; obstacles are left to `plan_trajectory`. Home is
+            the joint values nearest to it that ranges and order of the tubes allow.
+        leaps: for an answer of `IkSession`, what makes the straight way of joint values from the last answer a leap, in
+            words; empty where the tip stays near the line between the two targets.
         active: in words, what holds the joint values: ends of ranges, tubes that touch, margin, obstacles.
         status, statistics: how the search ended, and its cost.
     """
@@ -70,6 +91,9 @@ class InverseSolution:
     active: tuple[str, ...]
     status: InverseStatus
     statistics: InverseStatistics
+    reachable: bool | None = None
+    way: JointWay | None = None
+    leaps: str = ""
 
     @property
     def margin(self) -> float:
@@ -97,7 +121,7 @@ class InverseOptions:
         method: "auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone.
         starts: most starting configurations.
         distinct: answers of `all_solutions` differ somewhere along the arm by this share of its length.
-        time_limit: s, after which no further start is tried; infinite by default.
+        time_limit: s, after which no further start, polishing of a miss or way is begun; infinite by default.
 
     Raises:
         InputError: a value that is not allowed.

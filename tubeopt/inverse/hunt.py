@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import SolveError
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .closest import SAME_MISS, closest_of
 from .descent import (
     DIRECTION_TOLERANCE,
     POSITION_TOLERANCE,
@@ -28,9 +29,13 @@ from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
+from .way import straight_way
 
-UNANIMOUS, SAME_MISS = 10, 2e-5
-"""So many starts that end as far from the target, to this share of the robot's length, say that there is no better."""
+UNANIMOUS = 10
+"""So many starts that end as far from the target say that there is no better."""
+
+SAME_COST = 1e-7
+"""Share of a cost by which a later answer must be better to take an earlier one's place."""
 
 ENOUGH, FAR_OFF = 24, 0.02
 """So many starts, all ending farther from the target than this share of the robot's length, say: out of reach."""
@@ -57,12 +62,23 @@ def known_starts(space: JointSpace) -> StartTable:
     return start_table(space)
 
 
+@lru_cache(maxsize=32)
+def known_home(space: JointSpace) -> Posture | None:
+    """The equilibrium at home, or at the joint values nearest to it that ranges and order allow; None without one."""
+    home = space.middle()
+    return start_at(space, home if space.admissible(home) else space.nearest(home))
+
+
 @dataclass
 class Hunt:
-    """One search: the question, and the best that was found so far.
+    """One search: the question, and what came of it so far.
 
-    `closest` is the allowed posture that misses the target least; `least` (m) what the best of all searches missed by,
-    and `agreeing` how many more missed by the same.
+    More starts only add to what fewer do, so that they never give a worse answer: starts come in a sequence that does
+    not depend on their number, and what is done after them depends on the first of them.
+
+    `ends` are postures in which searches ended without an answer, in order, one list for each kind of start; `stalled`
+    the starts from which the fast path found none; `least` (m) what the best of all searches missed by, and `agreeing`
+    how many more missed by the same.
     """
 
     goal: Goal
@@ -73,10 +89,11 @@ class Hunt:
     tries: int = 0
     iterations: int = 0
     solves: int = 0
-    closest: Search | None = None
     least: float = np.inf
     agreeing: int = 0
     everywhere: bool = False
+    ends: list[list[Posture]] = field(default_factory=list)
+    stalled: list[Posture] = field(default_factory=list)
 
     def one(self) -> InverseSolution | None:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
@@ -84,25 +101,41 @@ class Hunt:
         wanted = COMPARED if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
-        for answer, from_seed in self._answers(self.options.starts):
+        for answer, from_seed in self._by_starts(self.options.starts):
             if from_seed:
                 return answer
             (good if answer.cold_start_agrees else doubtful).append(answer)
             if len(good) == wanted or len(doubtful) == COLD_DISAGREES:
                 break
-        return min(good or doubtful, key=self._cost, default=None)
+        if self.goal.ranked or not good:
+            for answer in self._by_programs():
+                (good if answer.cold_start_agrees else doubtful).append(answer)
+                if good and not self.goal.ranked:
+                    break
+        found = good or doubtful or list(islice(self._by_clear_starts(), 1))
+        return self._cheapest(found)
 
-    def _cost(self, answer: InverseSolution) -> float:
-        return self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
+    def _cheapest(self, found: list[InverseSolution]) -> InverseSolution | None:
+        """The answer of least cost, the first of those that differ by round-off."""
+        best, least = None, np.inf
+        for answer in found:
+            cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
+            if cost < least - SAME_COST * max(abs(cost), 1e-3):
+                best, least = answer, cost
+        return best
 
     def all(self) -> list[InverseSolution]:
         """Distinct answers, best first."""
         self.everywhere = True
-        found = [answer for answer, _ in self._answers(self.options.starts)]
+        found = [answer for answer, _ in self._by_starts(self.options.starts)]
+        found += self._by_programs()
+        if not found:
+            found += self._by_clear_starts()
+        # Rounded, so that round-off does not choose among mirror images.
         if self.near:
-            found.sort(key=lambda answer: self._distance(answer))
+            found.sort(key=lambda answer: round(self._distance(answer), 6))
         else:
-            found.sort(key=lambda answer: (-round(answer.margin, 3), answer.equilibrium.energy))
+            found.sort(key=lambda answer: (-round(answer.margin, 3), round(answer.equilibrium.energy, 9)))
         kept: list[InverseSolution] = []
         for answer in found:
             if all(_difference(answer, other) > self.options.distinct for other in kept):
@@ -113,9 +146,10 @@ class Hunt:
         q = self.goal.space.join(answer.rotations, answer.translations)
         return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
 
-    def _answers(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
-        """Answers from the seed, from the table, and from the nonlinear program for what these do not solve."""
+    def _by_starts(self, most: int) -> Iterator[tuple[InverseSolution, bool]]:
+        """Answers from the seed and from the table, and whether they come from the seed."""
         found = False
+        self.ends.append([])
         if self.first is not None:
             for answer in self._from(self.first, "seed"):
                 found = True
@@ -124,38 +158,46 @@ class Hunt:
             for answer in self._from(start, "reference"):
                 found = True
                 yield answer, False
-        stalled: list[Posture] = []
         for start in self._starts(4 * most):
             if self.late or self.tries >= most or (not found and self._hopeless()):
                 break
             answers = list(self._from(start, "table"))
             if not answers:
-                stalled.append(start)
+                self.stalled.append(start)
             for answer in answers:
                 found = True
                 yield answer, False
-        if found:
+
+    def _by_programs(self) -> Iterator[InverseSolution]:
+        """Answers of the nonlinear program from the first starts that the fast path did not solve."""
+        if self.options.method != "auto" or not programmable(self.goal):
             return
-        if self.options.method == "auto" and programmable(self.goal):
-            for start in sorted(stalled, key=self.goal.position_error)[:PROGRAM_STARTS]:
-                if self.late:
-                    break
-                for answer in self._finished(self._by_program(start), "table", "nlp"):
-                    found = True
-                    yield answer, False
-        if not found and self.closest is None:
-            # All searches ended in an obstacle. One that starts clear of them stays clear.
-            clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
-            for start in islice(clear, CLEAR_STARTS):
-                if self.late:
-                    break
-                for answer in self._from(start, "table"):
-                    yield answer, False
+        self.ends.append([])
+        for start in self.stalled[:PROGRAM_STARTS]:
+            if self.late:
+                return
+            yield from self._finished(self._by_program(start), "table", "nlp")
+
+    def _by_clear_starts(self) -> Iterator[InverseSolution]:
+        """Answers from starts clear of the obstacles: others may all end in one, these stay clear."""
+        if not self.goal.obstacles:
+            return
+        self.ends.append([])
+        clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
+        for start in islice(clear, CLEAR_STARTS):
+            if self.late:
+                return
+            yield from self._from(start, "table")
 
     @property
     def late(self) -> bool:
         """Whether the time limit is reached."""
-        return time.perf_counter() - self.began >= self.options.time_limit
+        return self.seconds >= self.options.time_limit
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the question was asked."""
+        return time.perf_counter() - self.began
 
     def _at_reference(self) -> Posture | None:
         """The reference itself, brought inside of the limits."""
@@ -240,10 +282,7 @@ class Hunt:
         elif miss < self.least + same:
             self.agreeing += 1
         self.least = min(self.least, miss)
-        # A search may end in an obstacle, and a program without an answer out of order: that is no pose to return.
-        closer = self.closest is None or miss < self._miss(self.closest)
-        if closer and self.goal.allowed(search.posture, SLACK):
-            self.closest = search
+        self.ends[-1].append(search.posture)
 
     def _miss(self, search: Search) -> float:
         return float(np.linalg.norm(self.goal.residual(search.posture))) * self.goal.space.length
@@ -267,7 +306,9 @@ class Hunt:
 
     def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
         goal, equilibrium = self.goal, at.equilibrium
-        straight = None if self.first is None else same_place(self.first.to(at.q), at)
+        origin, begin = ("seed", self.first) if self.first is not None else ("home", known_home(goal.space))
+        way = straight_way(origin, begin, at)
+        straight = None if self.first is None else way is not None
         name, method = how
         return InverseSolution(
             robot=goal.space.robot,
@@ -283,27 +324,51 @@ class Hunt:
             straight_from_seed=straight,
             active=tuple(held_by(goal, at)),
             status=status,
-            statistics=InverseStatistics(
-                method, name, max(self.tries, 1), self.iterations, self.solves, time.perf_counter() - self.began
-            ),
+            statistics=InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, self.seconds),
+            reachable=None if way is None else True,
+            way=way,
         )
 
     def failure(self, on_failure: str) -> InverseSolution:
         """The closest pose, returned or raised with a message that says by how far the target is missed, and why."""
-        goal = self.goal
-        within = f" within {self.options.time_limit:g} s" if self.late else ""
-        if self.closest is None:
-            blocked = " and clear of the obstacles" if goal.obstacles else ""
-            raise SolveError(
-                f"no start was found{within}: no known configuration has a margin of at least {goal.min_margin:g}"
-                f"{blocked}"
-            )
-        at = self.closest.posture
-        closest = self._packed(at, InverseStatus.CLOSEST, ("table", "gauss_newton"))
+        goal, late = self.goal, self.late
+        search = closest_of(goal, self.ends, lambda: self.late)
+        if search is None:
+            raise SolveError(self._without_a_pose(late))
+        self.iterations, self.solves = self.iterations + search.iterations, self.solves + search.solves
+        at = search.posture
+        status = InverseStatus.TIMED_OUT if late else InverseStatus.CLOSEST
+        closest = self._packed(at, status, ("table", "gauss_newton"))
         if on_failure == "closest":
             return closest
         why = ", ".join(closest.active) or "no limit is active, the search ended in a local minimum"
-        raise SolveError(f"no answer was found{within} in {self.tries} starts: {missed_by(goal, at)}: {why}", closest)
+        tried = f"in {self.tries} start{'' if self.tries == 1 else 's'}"
+        if late:
+            tried = f"within {self.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
+        beyond = goal.beyond_reach()
+        far = f"; the target is out of reach, {beyond:.3g} m beyond the longest arm" if beyond > 0 else ""
+        raise SolveError(f"no answer was found {tried}: {missed_by(goal, at)}: {why}{far}", closest)
+
+    def _without_a_pose(self, late: bool) -> str:
+        """Why there is not even a closest pose."""
+        goal = self.goal
+        if late:
+            return (
+                f"no answer was found within {self.options.time_limit:g} s, which ran out before any search had ended: "
+                "whether the target can be reached is not known"
+            )
+        best = max(float(known_starts(goal.space).margin.max()), -np.inf if self.first is None else self.first.margin)
+        if best < goal.floor:
+            return (
+                f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}, "
+                f"the largest is {best:.4g}"
+            )
+        if goal.obstacles:
+            return (
+                f"no start was found: no search of {self.tries} ended clear of the obstacles by {goal.clearance:g} m, "
+                f"with a margin of at least {goal.min_margin:g}"
+            )
+        return f"no answer was found: none of {self.tries} starts could be brought inside of the limits"
 
 
 def _difference(one: InverseSolution, other: InverseSolution) -> float:

@@ -15,21 +15,29 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.least_squares import constrained_least_squares
-from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
 from .joints import Configuration
+from .leaps import leap
 from .order import Order, beyond, breakpoint_order
 from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics
+from .way import joint_way
 
 ON_TARGET = 2e-9
 """Distance (m) and angle (rad) at which a step ends."""
 
 LONGEST_MOVE = 0.02
 """Farther targets, as a share of the robot's length, are approached in so long parts on a straight line."""
+
+SMALLEST_PART = 1 / 16
+"""Share of such a part to which it is divided at most, so that the robot does not leap."""
+
+LAST = "last target"
+"""Where the way to an answer begins."""
 
 PUSH = 0.5
 """Length of the motion towards larger margin, over that of the motion towards the target."""
@@ -61,7 +69,8 @@ class IkSession:
 
     Keeps the last equilibrium and its derivatives: a small step is a few Newton solves. Each step follows the branch of
     the last one, keeps joint limits, order, margin and clearance, and moves within what the target leaves free towards
-    larger margin. Where it stalls, the nonlinear program takes over, from there.
+    larger margin. Where it stalls, the nonlinear program takes over, from there. What the robot does on the straight
+    way of joint values between two answers is checked; where it would leap, targets are put in between.
 
     Args:
         robot, min_margin, limits, weights, obstacles, options: as for `inverse_kinematics`.
@@ -108,24 +117,91 @@ class IkSession:
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
         """The answer for the next target, near the last one.
 
+        Its `.way` leads from the last answer to it without a leap, through joint values between where the straight way
+        would leap; where that cannot be had, `.leaps` says why.
+
         Raises:
             InputError: a target that is not three finite numbers, a direction without length.
             SolveError: the branch does not lead there; the message says by how far the target is missed and what holds
                 the robot. The session stays where it was.
         """
-        began = time.perf_counter()
+        answers = self.lead(position, direction=direction)
+        if len(answers) == 1:
+            return answers[0]
+        last, ways = answers[-1], [each.way for each in answers]
+        known = [way for way in ways if way is not None]
+        whole = None
+        if len(known) == len(ways):
+            table = [np.concatenate([way.rotations, way.translations], axis=1) for way in known]
+            rows = np.concatenate([table[0], *(each[1:] for each in table[1:])])
+            whole = JointWay(LAST, *np.split(rows, 2, axis=1))
+        statistics = _summed([each.statistics for each in answers])
+        leaps = next((each.leaps for each in answers if each.leaps), "")
+        self._solution = replace(
+            last, reachable=None if whole is None else True, way=whole, leaps=leaps, statistics=statistics
+        )
+        return self._solution
+
+    def lead(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
+        """The answer for the next target, and before it answers for targets on the straight line from the last one,
+        as many as it takes that no straight way of joint values between two of them leaps.
+
+        An answer to which it leaps even so has the reason in `.leaps`. Raises as `solve` does.
+        """
         target = vector("position", position, 3, "x, y, z in m")
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
-            return self._first(target, pointing)
+            return [self._first(target, pointing)]
         goal = replace(self._goal, position=target, direction=pointing)
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
-        here, near, solves = self._here, self._near, 0
-        for part in self._parts(goal, here):
-            here, near, count = self._step((part, goal), here, near)
-            solves += count
-        return self._keep(goal, here, near, (solves, began))
+        before = self._here, self._near, self._solution
+        try:
+            return self._led(goal, self._here)
+        except SolveError:
+            self._here, self._near, self._solution = before
+            raise
+
+    def _led(self, goal: Goal, first: Posture) -> list[InverseSolution]:
+        """Answers along the line from a posture to a goal, in parts that are halved where the robot would leap."""
+        answers: list[InverseSolution] = []
+        most = 1 / _parts(goal, first)
+        done, share = 0.0, most
+        while done < 1:
+            share = min(share, 1 - done)
+            end = done + share if done + share < 1 - 1e-9 else 1.0
+            began = time.perf_counter()
+            assert self._here is not None
+            part = goal if end == 1 else _between(goal, first, end)
+            there, near, solves = self._step((part, goal), self._here, self._near)
+            words, safe = leap(goal, self._here, there)
+            if words and share > most * SMALLEST_PART and self._finer(goal, first, (done, share)):
+                share /= 2
+                continue
+            answers.append(self._keep(part, there, near, (words, safe, solves, began)))
+            done, share = end, min(2 * share, most)
+        return answers if len(answers) == 1 else self._merged(goal, first, answers)
+
+    def _merged(self, goal: Goal, first: Posture, answers: list[InverseSolution]) -> list[InverseSolution]:
+        """The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere."""
+        assert self._here is not None
+        words, safe = leap(goal, first, self._here)
+        if words:
+            return answers
+        way = joint_way(LAST, goal.space, [first.q, self._here.q])
+        self._solution = replace(
+            answers[-1], way=way, straight_from_seed=safe, leaps="", statistics=_summed([a.statistics for a in answers])
+        )
+        return [self._solution]
+
+    def _finer(self, goal: Goal, first: Posture, part: tuple[float, float]) -> bool:
+        """Whether the branch leads half of a part farther, too; a leap is better than no answer."""
+        assert self._here is not None
+        try:
+            self._step((_between(goal, first, part[0] + part[1] / 2), goal), self._here, self._near)
+        except SolveError:
+            return False
+        return True
 
     def _allowed(self, seed: Posture) -> Posture:
         """The seed; raises InputError where it is not allowed itself."""
@@ -143,17 +219,6 @@ class IkSession:
         self._here = seed_posture(self._goal.space, answer)
         self._solution = answer
         return answer
-
-    def _parts(self, goal: Goal, here: Posture) -> list[Goal]:
-        """The target, and before it others on the straight line from here where it is far."""
-        way = goal.position - here.tip
-        count = max(1, int(np.ceil(float(np.linalg.norm(way)) / (LONGEST_MOVE * goal.space.length))))
-        turned = goal.direction_error(here) if goal.pointed else 0.0
-        count = max(count, int(np.ceil(turned / (10 * LONGEST_MOVE))))
-        parts = [replace(goal, position=here.tip + way * k / count) for k in range(1, count)]
-        if goal.pointed:
-            parts = [replace(p, direction=_blend(here.direction, goal, k / count)) for k, p in enumerate(parts, 1)]
-        return [*parts, goal]
 
     def _step(
         self, goals: tuple[Goal, Goal], here: Posture, near: _Slopes | None
@@ -179,9 +244,13 @@ class IkSession:
             raise SolveError(_stalled(last, search.posture))
         return other.posture, None, solves + search.solves + other.solves
 
-    def _keep(self, goal: Goal, at: Posture, near: _Slopes | None, cost: tuple[int, float]) -> InverseSolution:
+    def _keep(
+        self, goal: Goal, at: Posture, near: _Slopes | None, how: tuple[str, bool, int, float]
+    ) -> InverseSolution:
+        """The answer at a posture, which the session is at from now on."""
         equilibrium = at.equilibrium
-        solves, began = cost
+        words, safe, solves, began = how
+        assert self._here is not None
         answer = InverseSolution(
             robot=self._robot,
             target_position=goal.position,
@@ -193,13 +262,35 @@ class IkSession:
             direction_error=goal.direction_error(at),
             clearance=goal.least_clearance(at),
             cold_start_agrees=None,
-            straight_from_seed=True,
+            straight_from_seed=safe,
             active=tuple(held_by(goal, at)),
             status=InverseStatus.REACHED,
             statistics=InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
+            reachable=True if safe else None,
+            way=joint_way(LAST, goal.space, [self._here.q, at.q]) if safe else None,
+            leaps=words,
         )
         self._here, self._near, self._solution = at, near, answer
         return answer
+
+
+def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
+    """What answers one after another have cost."""
+    iterations, solves = sum(each.iterations for each in parts), sum(each.solves for each in parts)
+    return replace(parts[-1], iterations=iterations, solves=solves, seconds=sum(each.seconds for each in parts))
+
+
+def _parts(goal: Goal, here: Posture) -> int:
+    """Parts in which a target is approached on a straight line: one, unless it is far."""
+    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (LONGEST_MOVE * goal.space.length)))
+    turned = goal.direction_error(here) if goal.pointed else 0.0
+    return max(1, count, int(np.ceil(turned / (10 * LONGEST_MOVE))))
+
+
+def _between(goal: Goal, first: Posture, share: float) -> Goal:
+    """The target on the way from a posture to a goal, `share` of the way on."""
+    part = replace(goal, position=first.tip + (goal.position - first.tip) * share)
+    return replace(part, direction=_blend(first.direction, goal, share)) if goal.pointed else part
 
 
 def _blend(start: Array, goal: Goal, share: float) -> Array:

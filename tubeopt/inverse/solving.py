@@ -13,9 +13,10 @@ from ..obstacles import Obstacle
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
-from .hunt import Hunt
+from .hunt import Hunt, known_home
 from .joints import Configuration
 from .question import pose_question, seed_posture
+from .way import with_a_way
 
 
 @overload
@@ -32,6 +33,7 @@ def inverse_kinematics(
     obstacles: Sequence[Obstacle] = ...,
     on_failure: str = ...,
     all_solutions: Literal[False] = ...,
+    reachable: bool = ...,
     options: InverseOptions = ...,
 ) -> InverseSolution: ...
 
@@ -50,6 +52,7 @@ def inverse_kinematics(
     obstacles: Sequence[Obstacle] = ...,
     on_failure: str = ...,
     all_solutions: Literal[True],
+    reachable: bool = ...,
     options: InverseOptions = ...,
 ) -> list[InverseSolution]: ...
 
@@ -67,11 +70,13 @@ def inverse_kinematics(
     obstacles: Sequence[Obstacle] = (),
     on_failure: str = "raise",
     all_solutions: bool = False,
+    reachable: bool = False,
     options: InverseOptions = DEFAULT_OPTIONS,
 ) -> InverseSolution | list[InverseSolution]:
     """Joint values that bring the tip to a target, in a stable equilibrium with at least `min_margin`.
 
-    Every step of the search is a solved equilibrium with its margin, so that no answer lies behind a snap.
+    Every step of the search is a solved, stable equilibrium. How the robot gets there from where it is, is another
+    question: `.reachable` tells whether a way without a snap is known from the seed, or else from home; `.way` is it.
 
     Args:
         position: (3,) of the tip, m.
@@ -87,6 +92,8 @@ def inverse_kinematics(
         on_failure: "raise", or "closest" to get the closest pose where the target is out of reach.
         all_solutions: return all distinct answers that are found, best first: nearest to the reference where there is
             one, else the largest margin.
+        reachable: find a way without a snap to every answer that is returned, or say that none was found: straight, by
+            translations that exclude any snap, or by sampling, for up to 10 s.
         options: objective, direction as a cost, clearance, method, and the like.
 
     Raises:
@@ -108,8 +115,13 @@ def inverse_kinematics(
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     search = Hunt(goal, first, reference is not None or seed is not None, options, began)
+    found: list[InverseSolution] = []
     if all_solutions:
         found = search.all()
-        return found if found else [search.failure(on_failure)]
-    answer = search.one()
-    return answer if answer is not None else search.failure(on_failure)
+    elif (answer := search.one()) is not None:
+        found = [answer]
+    found = found or [search.failure(on_failure)]
+    if reachable:
+        begin = first if first is not None else known_home(goal.space)
+        found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
+    return found if all_solutions else found[0]

@@ -183,7 +183,8 @@ def nearest_starts(
         cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
     if reference is not None:
         cost = cost + NEARNESS_WEIGHT * np.linalg.norm((turned - reference) / space.scale, axis=1)
-    return space.clip(turned[np.argsort(cost)])
+    # Rounded, so that round-off does not choose among mirror images.
+    return space.clip(turned[np.argsort(np.round(cost, 9), kind="stable")])
 
 
 def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Array:
@@ -199,7 +200,7 @@ def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Arr
     chosen = list(range(max(first, 1)))
     gap = np.min([np.linalg.norm(features - features[k], axis=1) for k in chosen], axis=0)
     while len(chosen) < min(count, len(pool)):
-        farthest = int(np.argmax(gap))
+        farthest = int(np.argmax(np.round(gap, 9)))
         if gap[farthest] <= 0:
             break
         chosen.append(farthest)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
@@ -14,6 +14,7 @@ from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinema
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..stability.following import follow
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
 from .checked import NotNegative, Positive
 from .obstacle_file import Triple, obstacles_beside, point
@@ -49,12 +50,21 @@ class Postures:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One target of a table: the answer, or why there is none, with the closest pose where it is known."""
+    """One target of a table: the answer, or why there is none, with the closest pose where it is known.
 
+    number: of the target in the table, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`.
+    """
+
+    number: float
     position: Array
     direction: Array | None
     solution: InverseSolution | None
     problem: str
+
+    @property
+    def given(self) -> bool:
+        """Whether the target is one of the table."""
+        return self.number == int(self.number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +73,7 @@ class TargetTable:
 
     robot: Robot
     rows: tuple[Row, ...]
+    followed: bool = False
 
 
 class InverseStudy(Study):
@@ -90,6 +101,7 @@ class InverseStudy(Study):
     all: bool = Field(False, description="all distinct answers, not only the best")
     closest: bool = Field(False, description="where the target is out of reach, the closest pose instead of an error")
     follow: bool = Field(False, description="solve each target of a table from the last, on its branch")
+    reachable: bool = Field(True, description="find a way without a snap to every answer, or say that none was found")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -145,6 +157,7 @@ class InverseStudy(Study):
             "seed": self.start,
             "reference": self._reference(),
             "on_failure": on_failure,
+            "reachable": self.reachable,
         }
         position = point(self.target_mm)
         if self.all:
@@ -153,14 +166,13 @@ class InverseStudy(Study):
         return Postures(self.robot, (inverse_kinematics(self.robot, position, **given, **self._common()),))
 
     def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
+        rows: list[Row] = []
         session = IkSession(self.robot, seed=self.start, **self._common()) if self.follow else None
-        rows = []
         for k, position in enumerate(targets.position):
             direction = None if targets.direction is None else targets.direction[k]
-            solution, problem = None, ""
             try:
                 if session is not None:
-                    solution = session.solve(position, direction=direction)
+                    rows += _led(session, k + 1, position, direction)
                 else:
                     solution = inverse_kinematics(
                         self.robot,
@@ -169,11 +181,49 @@ class InverseStudy(Study):
                         seed=self.start,
                         reference=self._reference(),
                         on_failure=on_failure,
+                        reachable=self.reachable,
                         **self._common(),
                     )
+                    rows.append(Row(k + 1, position, direction, solution, ""))
             except SolveError as error:
-                problem = str(error)
-            rows.append(Row(position, direction, solution, problem))
+                rows.append(Row(k + 1, position, direction, None, str(error)))
             if progress is not None:
                 progress(k + 1, len(targets.position))
-        return TargetTable(self.robot, tuple(rows))
+        return TargetTable(self.robot, tuple(_confirmed(self.robot, rows) if self.follow else rows), self.follow)
+
+
+def _led(session: IkSession, number: int, position: Array, direction: Array | None) -> list[Row]:
+    """Rows of the answers that lead to the next target, those before it numbered by their share of the way."""
+    before = session.solution
+    answers = session.lead(position, direction=direction)
+    rows = [Row(number, position, direction, answers[-1], "")]
+    if len(answers) > 1 and before is not None:
+        first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
+        for answer in reversed(answers[:-1]):
+            share = float(np.linalg.norm(answer.target_position - first)) / max(whole, 1e-300)
+            between = round(number - 1 + min(max(share, 1e-4), 1 - 1e-4), 6)
+            rows.insert(0, Row(between, answer.target_position, answer.target_direction, answer, ""))
+    elif len(answers) > 1:  # from the start, to the first target
+        for k, answer in enumerate(answers[:-1], start=1):
+            between = round(number - 1 + k / len(answers), 6)
+            rows.insert(k - 1, Row(between, answer.target_position, answer.target_direction, answer, ""))
+    return rows
+
+
+def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
+    """Rows of answers, followed once more from the first to the last; where the robot snaps, it is said."""
+    solved = [(k, row.solution) for k, row in enumerate(rows) if row.solution is not None]
+    if len(solved) < 2:
+        return rows
+    answers = [solution for _, solution in solved]
+    path = follow(
+        robot, [a.rotations for a in answers], [a.translations for a in answers], start=answers[0].equilibrium
+    )
+    out = list(rows)
+    for snap in path.snaps:
+        k, solution = solved[snap.index + 1]
+        words = f"the robot snaps {100 * snap.fraction:.3g} % of the way from the last row"
+        leaps = f"{solution.leaps}, {words}" if solution.leaps else words
+        told = replace(solution, leaps=leaps, reachable=None, way=None, straight_from_seed=False)
+        out[k] = replace(rows[k], solution=told)
+    return out

@@ -1,0 +1,251 @@
+"""The closest pose to a target out of reach: a constrained minimum of what is left to it.
+
+Sequential quadratic programming in joint space. Every iterate is a solved, stable equilibrium that keeps joints, order,
+margin and clearance; the model of the Lagrangian starts from Gauss and Newton's and is updated by Powell's damped BFGS,
+since far from the target the curvature of the tip counts, which Gauss and Newton leave out. A step that leaves what is
+allowed is brought back by least motions of the joints. Between changes of the order of breakpoints everything is
+smooth: steps keep the order, and where it holds the minimum up, what lies beyond is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ..robots.assembly import Array, Mask
+from ..solvers.least_squares import constrained_least_squares
+from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
+from .goal import NEAR, Goal
+from .order import apart, beyond, breakpoint_order
+from .posture import Posture
+
+CONVERGED = 1e-8
+"""What a step must promise to bring the tip closer, as a share of the robot's length."""
+
+CLOSER = 1e-7
+"""Share of the robot's length by which what lies beyond a change of order must be closer to be gone to."""
+
+SAME_MISS, ROUND_OFF = 2e-5, 1e-7
+"""Shares of the robot's length: poses that miss by this much more or less agree; by the other, they are as close."""
+
+AGREE = 4
+"""So many further ends that polishing brings as close as the best say that there is no closer one."""
+
+SAME_END = 1e-3
+"""Ends closer than this in every joint, in units of their scales, are one."""
+
+MOST_STEPS, MOST_RETURNS = 60, 12
+"""Steps of a search, and of the way back to what is allowed."""
+
+ROOM = 1e-9
+"""Margin aimed at beyond its bound on the way back."""
+
+SMALLEST = 1e-6
+"""Least curvature of the model, per square of a joint's scale."""
+
+
+def approach(goal: Goal, start: Posture) -> Search | None:
+    """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
+    found near the start."""
+    first = restored(goal, start)
+    if first is None:
+        return None
+    first = restored(goal, apart(goal, first)) or first
+    descent = _Descent(goal)
+    here = descent.minimum(first)
+    for _ in range(MOST_STEPS):
+        there = descent.across(here)
+        if there is None:
+            break
+        here = descent.minimum(there)
+    reached = goal.reached(here, 1e-8, 1e-8)
+    return Search(here, reached, descent.steps, descent.solves)
+
+
+def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], late: Callable[[], bool]) -> Search | None:
+    """The allowed posture that misses the target least: of each group of ends, polished in their order until several
+    agree. More ends at the end of a group never make it worse.
+
+    One that is closer by no more than round-off does not take the place of an earlier one.
+    """
+    best: Search | None = None
+    for ends in groups:
+        least, agreeing = np.inf, 0
+        for end in _distinct(goal, ends):
+            if agreeing >= AGREE or (best is not None and late()):
+                break
+            found = approach(goal, end)
+            if found is None:
+                continue
+            miss = left(goal, found.posture)
+            agreeing = 0 if miss < least - SAME_MISS else agreeing + (miss < least + SAME_MISS)
+            least = min(least, miss)
+            if best is None or miss < left(goal, best.posture) - ROUND_OFF:
+                best = found
+    return best
+
+
+def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
+    """Postures without those that are one with an earlier one."""
+    seen: list[Posture] = []
+    for end in ends:
+        if all(np.abs((end.q - other.q) / goal.space.scale).max() > SAME_END for other in seen):
+            seen.append(end)
+            yield end
+
+
+def left(goal: Goal, at: Posture) -> float:
+    """What is left to the target, as a share of the robot's length: what is made small."""
+    return float(np.linalg.norm(goal.residual(at)))
+
+
+def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | None:
+    """The nearest allowed posture, by least motions of the joints that keep the linearised constraints; None where that
+    leads nowhere."""
+    for _ in range(most):
+        if goal.allowed(at, SLACK):
+            return at
+        chosen = constrained_least_squares(
+            np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *boxed(goal, *_demands(goal, at), FIRST_STEP)
+        )
+        there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
+        if there is None:
+            return None
+        at = there
+    return at if goal.allowed(at, SLACK) else None
+
+
+def _demands(goal: Goal, at: Posture) -> tuple[Array, Array]:
+    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, and all clearances."""
+    rows, bounds = goal.space.inequalities(at.q)
+    slope = at.margin_slope()
+    rows = np.vstack([rows, slope])
+    bounds = np.append(bounds, goal.floor + ROOM - at.margin if slope.any() else -np.inf)
+    for obstacle in goal.obstacles:
+        values, changes = at.clearance_rows(obstacle, goal.gap + NEAR * goal.space.length)
+        rows, bounds = np.vstack([rows, changes]), np.concatenate([bounds, goal.gap - values])
+    return rows, bounds
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """An allowed posture with derivatives in units of the joints' scales: `slope` (m,) of half the square of what is
+    left; rows, bounds (c, m), (c,) of what is to be kept, in joint values."""
+
+    at: Posture
+    value: float
+    slope: Array
+    square: Array
+    rows: Array
+    bounds: Array
+
+
+class _Descent:
+    """Postures with ever less left to the target; counts steps, and the equilibria solved."""
+
+    def __init__(self, goal: Goal) -> None:
+        self.goal, self.steps, self.solves = goal, 0, 0
+
+    def minimum(self, start: Posture) -> Posture:
+        """Where steps that keep the order of breakpoints end."""
+        here, size, side = self._model(start), FIRST_STEP, 1
+        hessian = here.square
+        for _ in range(MOST_STEPS):
+            there, size, force = self._step(here, hessian, size)
+            if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:
+                # Breakpoints may coincide: what holds forwards may not hold backwards.
+                side, size = -1, 0.5 * FIRST_STEP
+                here = self._model(here.at, side)
+                hessian = here.square
+                continue
+            if there is None:
+                break
+            self.steps += 1
+            after = self._model(there)
+            hessian = after.square if side < 0 else _updated(hessian, here, after, force, self.goal.space.scale)
+            here, side = after, 1
+        return here.at
+
+    def _model(self, at: Posture, side: int = 1) -> _Model:
+        goal = self.goal
+        residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
+        rows, bounds = _demands(goal, at)
+        kept, gap = breakpoint_order(goal, at).steps(at.q)
+        rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
+        square = slope.T @ slope
+        square += (SMALLEST + 1e-3 * float(residual @ residual)) * np.eye(len(square))
+        return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds)
+
+    def _step(self, here: _Model, hessian: Array, size: float) -> tuple[Posture | None, float, Array]:
+        """The posture after a step that brings the tip closer, None without one; the size that the next may have; and
+        the forces (c,) of the constraints in the step's quadratic program."""
+        goal, scale = self.goal, self.goal.space.scale
+        root = np.linalg.cholesky(hessian).T
+        right = -np.linalg.solve(root.T, here.slope)
+        least = CONVERGED * max(np.sqrt(2 * here.value), CONVERGED)
+        while size > SHORTEST_STEP:
+            chosen = constrained_least_squares(root / scale, right, *boxed(goal, here.rows, here.bounds, size))
+            if chosen is None:
+                break
+            step = chosen.x / scale
+            promised = -float(here.slope @ step + 0.5 * step @ hessian @ step)
+            if promised <= least:
+                break
+            trial = here.at.to(goal.space.clip(here.at.q + chosen.x))
+            there = None if trial is None else restored(goal, trial, most=4)
+            self.solves += 1
+            gained = -np.inf if there is None else here.value - 0.5 * left(goal, there) ** 2
+            if there is not None and gained >= 0.05 * promised:
+                longest = float(np.abs(step).max())
+                grown = 2 * size if gained >= 0.7 * promised and longest > 0.9 * size else size
+                force = _forces(here, hessian @ step + here.slope, chosen.active, scale)
+                return there, min(grown, 2 * FIRST_STEP), force
+            size = 0.35 * min(size, float(np.abs(step).max()))
+        return None, size, np.zeros(0)
+
+    def across(self, here: Posture) -> Posture | None:
+        """The posture beyond a change of order that holds the minimum up; None where none is closer beyond."""
+        goal = self.goal
+        order = breakpoint_order(goal, here)
+        gap = (order.rows @ here.q[goal.space.robot.n_tubes :] - order.bound)[: order.changeable]
+        now = left(goal, here)
+        for k in np.flatnonzero(gap <= ALMOST * goal.space.length):
+            other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
+            other = None if other is None else restored(goal, other, most=4)
+            if other is None:
+                continue
+            model = self._model(other)
+            there, _, _ = self._step(model, model.square, 0.1 * FIRST_STEP)
+            if there is not None and left(goal, there) < now - CLOSER:
+                return there
+        return None
+
+
+def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
+    """(c,) of every row, 0 where it does not hold: `gradient` of the program in the step as their combination."""
+    force = np.zeros(len(here.rows))
+    held = np.flatnonzero(active[: len(force)])
+    if len(held):
+        force[held] = nnls((here.rows[held] * scale).T, gradient)[0]
+    return force
+
+
+def _updated(hessian: Array, before: _Model, after: _Model, force: Array, scale: Array) -> Array:
+    """Powell's damped BFGS update with the change of the Lagrangian's gradient."""
+    step = (after.at.q - before.at.q) / scale
+    change = after.slope - before.slope
+    if after.rows.shape == before.rows.shape:
+        change = change - force @ ((after.rows - before.rows) * scale)
+    bent = hessian @ step
+    curved, own = float(step @ bent), float(step @ change)
+    if curved <= 1e-16:
+        return hessian
+    if own < 0.2 * curved:
+        share = 0.8 * curved / (curved - own)
+        change = share * change + (1 - share) * bent
+        own = float(step @ change)
+    hessian = hessian - np.outer(bent, bent) / curved + np.outer(change, change) / own
+    return np.asarray(hessian + SMALLEST * np.eye(len(hessian)))
