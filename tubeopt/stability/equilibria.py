@@ -25,7 +25,7 @@ from ..transcription.reduced import (
     residual,
     to_unknowns,
 )
-from .shooting import profiles, to_base
+from .shooting import profiles, relative, relative_joints, relative_slope, to_base
 
 TURN = 2 * np.pi
 
@@ -182,9 +182,9 @@ def _cells(problem: ReducedProblem, rotations: Array, free: Index, size: int, re
     tips = np.tile(rotations, (size**dimension, 1))
     tips[:, free] = 0.0
     tips[:, free[:-1]] = mesh.reshape(-1, dimension)
-    relative = _relative(to_base(problem, tips), free).reshape(*mesh.shape)
+    turned = relative_joints(problem, free, tips).reshape(*mesh.shape)
     # What is left to the wanted relative rotations: continuous along the grid, in turns.
-    gap = (relative - _relative(rotations[None], free)[0]) / TURN
+    gap = (turned - relative(rotations[None], free)[0]) / TURN
     corners = np.stack([_corner(gap, offset) for offset in itertools.product((0, 1), repeat=dimension)])
     low, high = corners.min(0), corners.max(0)
     # A cell is a candidate if in every component some whole number of turns lies in its range, widened by half of
@@ -205,7 +205,7 @@ def _almost(problem: ReducedProblem, rotations: Array, free: Index, size: int, r
     for _ in range(12):
         if not len(tips):
             return tips
-        gap, slope = _gap(problem, rotations, free, tips), _slope(problem, free, tips)
+        gap, slope = _gap(problem, rotations, free, tips), relative_slope(problem, free, tips)
         # Levenberg's steps come to rest where the joints come closest.
         square = slope @ slope.swapaxes(1, 2) + reach**2 * np.eye(len(free) - 1)
         _move(tips, free, -(slope.swapaxes(1, 2) @ np.linalg.solve(square, gap[:, :, None]))[:, :, 0])
@@ -214,7 +214,7 @@ def _almost(problem: ReducedProblem, rotations: Array, free: Index, size: int, r
     tips = tips[np.unique(np.round(tips[:, free] / SIDES[0]), axis=0, return_index=True)[1]]
     if not len(tips):
         return np.asarray(tips)
-    soft = np.linalg.svd(_slope(problem, free, tips))[2][:, -1]
+    soft = np.linalg.svd(relative_slope(problem, free, tips))[2][:, -1]
     sides = np.concatenate([tips] * 2 * len(SIDES))
     sides[:, free[:-1]] += np.concatenate([sign * side * soft for side in SIDES for sign in (-1, 1)])
     return _unwound(problem, rotations, free, sides, np.inf)
@@ -237,10 +237,6 @@ def _corner(gap: Array, offset: tuple[int, ...]) -> Array:
     return out
 
 
-def _relative(angles: Array, free: Index) -> Array:
-    return angles[:, free[:-1]] - angles[:, free[-1:]]
-
-
 def _shoot(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
     """Newton steps on the relative tip angles; then tip angles, unwound, whose joints are as wanted. Drops what does
     not get close."""
@@ -248,21 +244,21 @@ def _shoot(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) 
         if not len(tips):
             return tips
         gap = _gap(problem, rotations, free, tips)
-        slope = _slope(problem, free, tips)
+        slope = relative_slope(problem, free, tips)
         _move(tips, free, np.linalg.solve(slope + 1e-12 * np.eye(len(free) - 1), -gap[:, :, None])[:, :, 0])
     return _unwound(problem, rotations, free, tips, 1e-2)
 
 
 def _gap(problem: ReducedProblem, rotations: Array, free: Index, tips: Array) -> Array:
     """(B, d) how far the relative joint rotations are from where they should be, up to whole turns."""
-    gap = _relative(to_base(problem, tips), free) - _relative(rotations[None], free)
+    gap = relative_joints(problem, free, tips) - relative(rotations[None], free)
     return np.asarray(gap - TURN * np.round(gap / TURN))
 
 
 def _unwound(problem: ReducedProblem, rotations: Array, free: Index, tips: Array, close: float) -> Array:
     """Tip angles whose joints are `close` (rad) to where they should be, without whole turns and without doubles."""
     base = to_base(problem, tips)
-    gap = _relative(base, free) - _relative(rotations[None], free)
+    gap = relative(base, free) - relative(rotations[None], free)
     turns = np.round(gap / TURN)
     kept = np.abs(gap - TURN * turns).max(1) < close
     tips, base, turns = tips[kept], base[kept], turns[kept]
@@ -272,19 +268,6 @@ def _unwound(problem: ReducedProblem, rotations: Array, free: Index, tips: Array
     tips[:, free] += (rotations[free[-1]] - base[:, free[-1]])[:, None]
     keys = np.round(tips[:, free] / 1e-4).astype(np.int64)
     return np.asarray(tips[np.unique(keys, axis=0, return_index=True)[1]])
-
-
-def _slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
-    """(B, d, d) derivatives of the relative joint rotations with respect to the relative tip angles."""
-    dimension, epsilon = len(free) - 1, 1e-5
-    columns = []
-    for k in range(dimension):
-        moved = np.repeat(tips[None], 2, axis=0)
-        moved[0, :, free[k]] += epsilon
-        moved[1, :, free[k]] -= epsilon
-        forward, backward = (_relative(to_base(problem, side), free) for side in moved)
-        columns.append((forward - backward) / (2 * epsilon))
-    return np.stack(columns, axis=2)
 
 
 def _solve(problem: ReducedProblem, rotations: Array, tips: Array) -> list[Solution]:
