@@ -99,8 +99,8 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
 
 
 def edges(sheet: Sheet, allowed: Callable[[Array], Mask], most: int) -> list[Edge]:
-    """Up to `most` folds that end the sheet at joint rotations which `allowed`, (..., d) -> (...), admits all the way to
-    them: the nearest to the relaxed pose first, in different directions."""
+    """Up to `most` folds that end the sheet, in different directions, the nearest to the relaxed pose first; `allowed`,
+    (..., d) -> (...), admits the joint rotations of all the way to them."""
     free = (sheet.determinant > 0) & allowed(sheet.joints)
     if not free[sheet.centre]:
         return []

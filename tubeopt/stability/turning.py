@@ -23,8 +23,8 @@ def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:
 
 
 def room(robot: Robot, coupled: Index, rotations: Array) -> Array:
-    """(...) by how much the rotations (..., n) of the coupled tubes can be turned together inside the joint limits, rad;
-    below 0 where no turn of the whole brings them inside."""
+    """(...) rad by which the coupled tubes at rotations (..., n) can be turned together inside the joint limits; below 0
+    where no turn of the whole brings them inside."""
     low, high = np.array(robot.limits.rotations)[coupled].T
     angles = rotations[..., coupled]
     return np.asarray((high - angles).min(-1) - (low - angles).max(-1))
