@@ -1,6 +1,7 @@
 """The command line `tubeopt`: commands gathered, failures turned into a sentence and an exit code, in one place.
 
-Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 130 interrupted.
+Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 130 interrupted. `certify` ends with 0 if the
+robot cannot snap, 3 if it can, and 4 if neither is known.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ app.command(epilog="Example: tubeopt snap configs/robots/thesis_ctr.yaml --to-de
 app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv")(
     stability.follow
 )
-app.command(epilog="Example: tubeopt certify configs/robots/thesis_ctr.yaml --translations-mm 0,0,0")(stability.certify)
+app.command(epilog="Example: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0")(stability.certify)
 app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
     stability.stability_map
 )

@@ -8,7 +8,9 @@ import typer
 
 from ..errors import SolveError
 from ..fabrication.heating_plan import HeatingPlan
+from ..study.stability_studies import Certification
 from ..study.study_file import load_study
+from .certify_report import EXIT_CODES
 from .heat import missed
 from .options import JsonOption, OutOption, PlotOption
 from .progress import working
@@ -21,7 +23,7 @@ def run(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the study that a file describes."""
+    """Run the study that a file describes. A study of kind certify ends as `tubeopt certify` does."""
     question = load_study(study)
     can_be_saved(out)
     with working("running the study") as progress:
@@ -29,3 +31,5 @@ def run(
     present(report(answer), out=out, as_json=as_json, plot=plot)
     if isinstance(answer, HeatingPlan) and not answer.feasible:
         raise SolveError(missed(answer))
+    if isinstance(answer, Certification):
+        raise typer.Exit(EXIT_CODES[answer.verdict.finding])

@@ -23,7 +23,7 @@ def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:
 
 
 def room(robot: Robot, coupled: Index, rotations: Array) -> Array:
-    """(...) rad by which the coupled tubes at rotations (..., n) can be turned together inside the joint limits; below 0
+    """(...) rad by which coupled tubes at rotations (..., n) can be turned together inside the joint limits; below 0
     where no turn of the whole brings them inside."""
     low, high = np.array(robot.limits.rotations)[coupled].T
     angles = rotations[..., coupled]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -53,6 +53,7 @@ class Verdict:
     start, end: (n,) rotations (rad) of a way on which the robot snaps, and the snap; None where none is known.
     via: (W, n) waypoints of the way between them, none where it is straight. The snap is on its last part.
     ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
+    decided: whether no more than two tubes are coupled, so that the certificate is exact and the nearest snap is known.
     """
 
     robot: Robot
@@ -63,7 +64,8 @@ class Verdict:
     snap: Snap | None = None
     ways: int = 0
     failed: int = 0
-    via: tuple[Array, ...] = field(default=())
+    via: tuple[Array, ...] = ()
+    decided: bool = False
 
     @property
     def finding(self) -> Finding:
@@ -115,12 +117,13 @@ def judge(
         return _eccentric(robot, certificate, worst, progress)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, progress)
-    if found is None:
-        return Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed)
-    first, *via, last = found.way
-    return Verdict(
-        robot, certificate, worst, first, last, found.snap, ways=search.ways, failed=search.failed, via=tuple(via)
+    verdict = Verdict(
+        robot, certificate, worst, ways=search.ways, failed=search.failed, decided=len(search.coupled) == 2
     )
+    if found is None:
+        return verdict
+    first, *via, last = found.way
+    return replace(verdict, start=first, end=last, snap=found.snap, via=tuple(via))
 
 
 def _eccentric(
