@@ -31,6 +31,7 @@ from .commands import (
     workspace,
 )
 from .errors import InputError, SolveError
+from .stability import ASSUMING
 
 BAD_INPUT, NO_SOLUTION = 2, 3
 
@@ -55,7 +56,9 @@ app.command(epilog="Example: tubeopt snap configs/robots/thesis_ctr.yaml --to-de
 app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv")(
     stability.follow
 )
-app.command(epilog="Example: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0")(stability.certify)
+app.command(
+    epilog=f"All is said {ASSUMING}. Example: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
+)(stability.certify)
 app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
     stability.stability_map
 )
@@ -78,7 +81,9 @@ app.command(epilog="Example: tubeopt view configs/robots/thesis_ctr.yaml --traje
     view.view
 )
 app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")(plan.plan)
-app.command(epilog="Example: tubeopt verify results/trajectory.csv --min-margin 0.05")(plan.verify)
+app.command(epilog=f"All is said {ASSUMING}. Example: tubeopt verify results/trajectory.csv --min-margin 0.05")(
+    plan.verify
+)
 app.add_typer(mold.app, name="mold")
 app.add_typer(robot.app, name="robot")
 

@@ -118,6 +118,8 @@ class CertificationReport:
         verdict = self.answer.verdict
         shift = flag(verdict.certificate.translations * MM)
         file = shlex.quote(self.robot_file)
+        if not verdict.followed:
+            return None
         if verdict.via:
             return f"tubeopt follow {file} {WAY_FILE}"
         if verdict.snap is not None:
@@ -155,6 +157,8 @@ class CertificationReport:
                 "Of the box, these are the translations with the least certificate that search found. A certificate is "
                 "a proof for its own translations, not for the box."
             )
+        if not verdict.followed:
+            notes.append("The snap is too shallow to be met by following the robot; it is computed from its fold.")
         if self.answer.robot.assembly(verdict.certificate.translations).eccentric:
             notes.append("What is proved holds for the same tubes on the centreline.")
         return notes

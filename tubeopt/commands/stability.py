@@ -107,7 +107,8 @@ def certify(
 ) -> None:
     """Whether the robot can snap at any rotation: what is proved, and what search finds.
 
-    Assumes no external load, weight or friction. Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known.
+    Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known; with a box, at the translations of its least
+    certificate that was found.
     """
     flags = {
         "kind": "certify",

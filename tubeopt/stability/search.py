@@ -37,10 +37,12 @@ WAYPOINTS = (1, 3, 7)
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A snap, and the way (W, n) of rotations, rad, on whose last part it lies."""
+    """A snap, and the way (W, n) of rotations, rad, on whose last part it lies; `followed` says whether it was met on it,
+    or is known from its fold alone."""
 
     way: Array
     snap: Snap
+    followed: bool = True
 
 
 @dataclass
@@ -227,4 +229,4 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
 
     vanishing = Fold(t, solution(sign * fold.z), fold.direction)
     after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
-    return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0))
+    return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0), followed=False)

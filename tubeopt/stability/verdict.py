@@ -53,6 +53,8 @@ class Verdict:
     start, end: (n,) rotations (rad) of a way on which the robot snaps, and the snap; None where none is known.
     via: (W, n) waypoints of the way between them, none where it is straight. The snap is on its last part.
     ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
+    followed: whether the snap is met where the way is followed, or is known from its fold alone: so shallow a one of two
+    tubes passes for a smooth motion, or loses the equilibria.
     decided: whether no more than two tubes are coupled, so that the certificate is exact and the nearest snap is known.
     """
 
@@ -65,6 +67,7 @@ class Verdict:
     ways: int = 0
     failed: int = 0
     via: tuple[Array, ...] = ()
+    followed: bool = True
     decided: bool = False
 
     @property
@@ -123,7 +126,7 @@ def judge(
     if found is None:
         return verdict
     first, *via, last = found.way
-    return replace(verdict, start=first, end=last, snap=found.snap, via=tuple(via))
+    return replace(verdict, start=first, end=last, snap=found.snap, via=tuple(via), followed=found.followed)
 
 
 def _eccentric(
