@@ -15,9 +15,7 @@ from rich.text import Text
 
 from ..robots.assembly import Array
 from ..stability import ASSUMING, Finding, WorstCertificate
-from ..study.csv_file import to_csv
 from ..study.files import write_text
-from ..study.path_file import joint_columns
 from ..study.stability_studies import Certification
 from .report import report, to_text, two_columns
 from .snap_report import draw_snap
@@ -38,8 +36,6 @@ GRADIENT = {
 
 EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
 """What `tubeopt certify` ends with."""
-
-WAY_FILE = "way.csv"
 
 SIGNS = {"N_mm2": "N mm²", "per_m": "1/m", "mm": "mm"}
 
@@ -76,7 +72,7 @@ class CertificationReport:
             "ways_lost": verdict.failed,
             "rotation_limits_deg": np.degrees(self.answer.robot.limits.rotations).tolist(),
             "within_limits": verdict.within_limits,
-            "way_deg": [] if verdict.snap is None else np.degrees(self._way()).tolist(),
+            "way_deg": [np.degrees(angles).tolist() for angles in self._way()],
             "snap": None if verdict.snap is None else snap_record(verdict.snap),
             "repeat": self.command(),
             "box": None if box is None else _box_record(box),
@@ -99,29 +95,23 @@ class CertificationReport:
             return f"not proved (certificate {proved}), and search found no snap ({least})"
         beyond = "" if verdict.decided else "search found that "
         where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
-        start, *via, end = (degrees(angles, ".6g") for angles in self._way())
+        start, end = (degrees(angles, ".6g") for angles in self._way())
         return (
-            f"{verdict.finding}{where}: from rotations {start}{''.join(f' by {angles}' for angles in via)} towards "
-            f"{end}, at {degrees(verdict.snap.rotations)} (least margin found {found}; certificate {proved})"
+            f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
+            f"(least margin found {found}; certificate {proved})"
         )
 
     def _way(self) -> list[Array]:
         """Rotations from the relaxed pose to beyond the snap, none without one."""
-        verdict = self.answer.verdict
-        return [angles for angles in (verdict.start, *verdict.via, verdict.end) if angles is not None]
+        return [angles for angles in (self.answer.verdict.start, self.answer.verdict.end) if angles is not None]
 
     def command(self) -> str | None:
-        """The command that repeats the snap, or, without one, shows the unstable equilibrium; None without either.
-
-        A way with waypoints between start and end is followed from the file that is saved beside the answer.
-        """
+        """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
         verdict = self.answer.verdict
         shift = flag(verdict.certificate.translations * MM)
         file = shlex.quote(self.robot_file)
         if not verdict.followed:
             return None
-        if verdict.via:
-            return f"tubeopt follow {file} {WAY_FILE}"
         if verdict.snap is not None:
             start, end = (flag(np.degrees(angles)) for angles in self._way())
             return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
@@ -215,16 +205,10 @@ class CertificationReport:
         return table
 
     def save(self, directory: Path) -> list[Path]:
-        """Write certificate.json, and way.csv where the way to the snap has waypoints."""
+        """Write certificate.json."""
         path = directory / "certificate.json"
         write_text(path, to_text(self.record()))
-        if not self.answer.verdict.via:
-            return [path]
-        turns, shifts = joint_columns(self.answer.robot.n_tubes)
-        translations = (self.answer.verdict.certificate.translations * MM).tolist()
-        way = directory / WAY_FILE
-        write_text(way, to_csv([*turns, *shifts], ([*np.degrees(angles), *translations] for angles in self._way())))
-        return [path, way]
+        return [path]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write snap.png where a snap was found."""

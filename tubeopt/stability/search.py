@@ -18,10 +18,10 @@ from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..solvers.newton import NewtonResult
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin
 from .folds import Fold
-from .following import Event, Snap, follow, to_snap
+from .following import Event, Snap, to_snap
 from .landing import land
 from .pair import PairFold, pair_fold
-from .sheet import OVERSHOOT, TURN, edges, stable_sheet
+from .sheet import TURN, folds, stable_sheet
 from .snapping import find_snap
 from .turning import clipped, inside, placed, relaxed_rotations
 
@@ -29,16 +29,18 @@ RANDOM_WAYS_LOG2 = 5
 """Base-2 logarithm of the number of random directions in which a snap is looked for in the end."""
 
 FOLDS = 12
-"""Folds that end the sheet of stable equilibria to which ways are tried."""
+"""Folds at which the sheet of stable equilibria ends to which ways are tried."""
 
-WAYPOINTS = (1, 3, 7)
-"""Waypoints of ways to a fold that the straight way misses."""
+OVERSHOOT = 0.3
+"""How far (rad) a way goes on beyond a fold."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A snap, and the way (W, n) of rotations, rad, on whose last part it lies; `followed` says whether it was met on it,
-    or is known from its fold alone."""
+    """A snap, and the straight way (2, n) of rotations, rad, on which it lies.
+
+    followed: whether it was met there, or is known from its fold alone.
+    """
 
     way: Array
     snap: Snap
@@ -64,21 +66,18 @@ class Search:
         self.problem = reduced_problem(self.robot, tuple(self.translations.tolist()), DEFAULT_DISCRETISATION)
         self.coupled = np.unique(self.problem.tube)
 
-    def follow(self, way: Array) -> Found | None:
-        """The first snap on a way (W, n), which is turned into the joint limits as a whole where it fits."""
+    def follow(self, start: Array, end: Array) -> Found | None:
+        """The first snap on a straight way, which is turned into the joint limits as a whole where it fits."""
         if self.progress is not None:
             self.progress(self.ways, max(self.ways + 1, 2 ** (RANDOM_WAYS_LOG2 + 1)))
         self.ways += 1
-        way = placed(self.robot, self.coupled, way)
+        way = placed(self.robot, self.coupled, np.stack([start, end]))
         try:
-            if len(way) == 2:
-                snap = find_snap(self.robot, (way[0], self.translations), (way[1], self.translations))
-                return None if snap is None else Found(way, snap)
-            snaps = follow(self.robot, way, np.tile(self.translations, (len(way), 1))).snaps
-            return Found(way[: snaps[0].index + 2], snaps[0]) if snaps else None
+            snap = find_snap(self.robot, (way[0], self.translations), (way[1], self.translations))
         except SolveError:
             self.failed += 1
             return None
+        return None if snap is None else Found(way, snap)
 
 
 def search_snap(
@@ -91,9 +90,8 @@ def search_snap(
 
     Two coupled tubes are decided: the snap is found if there is one, however far away. For more, a robot is turned
     inside its joint limits along full turns of every tube; across the folds at which the sheet of stable equilibria
-    around its relaxed pose ends (see `stability.sheet`), straight, or along the sheet where the straight way leads
-    around the fold; and along other full turns and random directions as far as the limits allow. Then it is turned
-    beyond the limits, unless no unstable equilibrium is known.
+    around its relaxed pose ends (see `stability.sheet`); and along other full turns and random directions as far as
+    the limits allow. Then it is turned beyond the limits, unless no unstable equilibrium is known.
 
     Args:
         translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
@@ -115,31 +113,23 @@ def search_snap(
 def _within(search: Search, start: Array, unstable: Array) -> Found | None:
     """A snap inside the joint limits."""
 
-    def limited(end: Array) -> Array:
-        return np.stack([start, clipped(search.robot, search.coupled, start, end)])
+    def allowed(joints: Array) -> Mask:
+        return inside(search.robot, search.coupled, _absolute(search, start, joints))
 
-    for end in _turns(search, start):
-        if (found := search.follow(limited(end))) is not None:
-            return found
-    if len(unstable):
-
-        def allowed(joints: Array) -> Mask:
-            return inside(search.robot, search.coupled, _absolute(search, start, joints))
-
-        for way in _to_folds(search, start, unstable, allowed):
-            if (found := search.follow(np.array([*way[:-1], *limited(way[-1])[1:]]))) is not None:
-                return found
-    for end in _others(search, start):
-        if (found := search.follow(limited(end))) is not None:
+    across = _across_folds(search, start, unstable, allowed)
+    for end in itertools.chain(_turns(search, start), across, _others(search, start)):
+        if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
             return found
     return None
 
 
 def _beyond(search: Search, start: Array, unstable: Array) -> Found | None:
     """A snap wherever it is."""
-    ways = _to_folds(search, start, unstable, lambda joints: np.ones(joints.shape[:-1], dtype=bool))
-    turns = (np.stack([start, end]) for end in _turns(search, start))
-    return next((found for way in itertools.chain(ways, turns) if (found := search.follow(way)) is not None), None)
+    across = _across_folds(search, start, unstable, lambda joints: np.ones(joints.shape[:-1], dtype=bool))
+    for end in itertools.chain(across, _turns(search, start)):
+        if (found := search.follow(start, end)) is not None:
+            return found
+    return None
 
 
 def _absolute(search: Search, start: Array, joints: NDArray[np.float64]) -> Array:
@@ -149,17 +139,12 @@ def _absolute(search: Search, start: Array, joints: NDArray[np.float64]) -> Arra
     return out
 
 
-def _to_folds(search: Search, start: Array, unstable: Array, allowed: Callable[[Array], Mask]) -> Iterator[Array]:
-    """Ways (W, n) across folds at which the sheet ends: all of them straight, then all with ever more waypoints."""
-    sheet = stable_sheet(search.problem, search.coupled, start, unstable)
-    found = edges(sheet, allowed, FOLDS)
-    for edge in found:
-        reach = np.abs(edge.fold).max()
-        yield np.stack([start, _absolute(search, start, edge.fold * (1 + OVERSHOOT / reach))])
-    for count in WAYPOINTS:
-        for edge in found:
-            places = np.linspace(0, len(edge.way) - 1, count + 1).round().astype(int)
-            yield _absolute(search, start, np.array([*edge.way[places], edge.beyond]))
+def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callable[[Array], Mask]) -> Iterator[Array]:
+    """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
+    if len(unstable):
+        sheet = stable_sheet(search.problem, search.coupled, start, unstable)
+        for fold in folds(sheet, allowed, FOLDS):
+            yield _absolute(search, start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
 
 
 def _turns(search: Search, start: Array) -> Iterator[Array]:
@@ -189,7 +174,7 @@ def _pair(search: Search) -> Found | None:
     if fold is None:
         return None
     way = _pair_way(search, poses, fold)
-    found = search.follow(way)
+    found = search.follow(*way)
     turned = None if found is None else np.ptp(found.snap.rotations[search.coupled] - found.way[0][search.coupled])
     return found if turned is not None and abs(turned - fold.turn) < 1e-6 else _exact(search, way, fold)
 

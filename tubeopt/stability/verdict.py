@@ -50,11 +50,10 @@ class Verdict:
 
     certificate: the lower bound of the margin over all rotations: proved.
     worst: the least margin that search found, None where it ended on a fold (margin 0).
-    start, end: (n,) rotations (rad) of a way on which the robot snaps, and the snap; None where none is known.
-    via: (W, n) waypoints of the way between them, none where it is straight. The snap is on its last part.
+    start, end: (n,) rotations (rad) of a straight way on which the robot snaps, and the snap; None where none is known.
     ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
-    followed: whether the snap is met where the way is followed, or is known from its fold alone: so shallow a one of two
-    tubes passes for a smooth motion, or loses the equilibria.
+    followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
+    is known from its fold alone.
     decided: whether no more than two tubes are coupled, so that the certificate is exact and the nearest snap is known.
     """
 
@@ -66,7 +65,6 @@ class Verdict:
     snap: Snap | None = None
     ways: int = 0
     failed: int = 0
-    via: tuple[Array, ...] = ()
     followed: bool = True
     decided: bool = False
 
@@ -83,7 +81,7 @@ class Verdict:
         if self.snap is None or self.start is None:
             return None
         low, high = np.array(self.robot.limits.rotations).T
-        joints = np.array([self.start, *self.via, self.snap.rotations])
+        joints = np.array([self.start, self.snap.rotations])
         return bool(((joints >= low - 1e-9) & (joints <= high + 1e-9)).all())
 
 
@@ -125,8 +123,8 @@ def judge(
     )
     if found is None:
         return verdict
-    first, *via, last = found.way
-    return replace(verdict, start=first, end=last, snap=found.snap, via=tuple(via), followed=found.followed)
+    start, end = found.way
+    return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
 
 
 def _eccentric(
