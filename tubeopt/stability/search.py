@@ -90,8 +90,8 @@ def search_snap(
 
     Two coupled tubes are decided: the snap is found if there is one, however far away. For more, a robot is turned
     inside its joint limits along full turns of every tube; across the folds at which the sheet of stable equilibria
-    around its relaxed pose ends (see `stability.sheet`); and along other full turns and random directions as far as
-    the limits allow. Then it is turned beyond the limits, unless no unstable equilibrium is known.
+    around its relaxed pose ends (see `stability.sheet`); and along other full turns and random directions, up to 720
+    deg where the limits allow it. Then it is turned beyond the limits, unless no unstable equilibrium is known.
 
     Args:
         translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
@@ -170,7 +170,11 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
 def _pair(search: Search) -> Found | None:
     """The snap of two coupled tubes."""
     poses = relaxed_rotations(search.robot, search.coupled)
-    fold = pair_fold(search.problem, search.coupled, poses[0])
+    try:
+        fold = pair_fold(search.problem, search.coupled, poses[0])
+    except SolveError:
+        search.failed += 1
+        return None
     if fold is None:
         return None
     way = _pair_way(search, poses, fold)
