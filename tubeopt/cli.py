@@ -57,7 +57,7 @@ app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml confi
     stability.follow
 )
 app.command(
-    epilog=f"All is said {ASSUMING}. Example: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
+    epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
 )(stability.certify)
 app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
     stability.stability_map
@@ -81,7 +81,7 @@ app.command(epilog="Example: tubeopt view configs/robots/thesis_ctr.yaml --traje
     view.view
 )
 app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")(plan.plan)
-app.command(epilog=f"All is said {ASSUMING}. Example: tubeopt verify results/trajectory.csv --min-margin 0.05")(
+app.command(epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt verify results/trajectory.csv --min-margin 0.05")(
     plan.verify
 )
 app.add_typer(mold.app, name="mold")
