@@ -23,9 +23,9 @@ class Run(Protocol):
     def __call__(self, *arguments: str) -> Outcome: ...
 
 
-def answer(outcome: Outcome) -> dict[str, Any]:
-    """The one JSON object that a command printed."""
-    assert (outcome.code, outcome.err) == (0, "")
+def answer(outcome: Outcome, code: int = 0) -> dict[str, Any]:
+    """The one JSON object that a command printed that ended with `code`."""
+    assert (outcome.code, outcome.err) == (code, "")
     data = json.loads(outcome.out)
     assert isinstance(data, dict)
     return data

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tubeopt import ConcentricRobot, SolveError, find_snap, load_robot, plotting, snap_free_certificate
+from tubeopt import ConcentricRobot, JointLimits, SolveError, find_snap, load_robot, plotting, snap_free_certificate
+from tubeopt.stability import ASSUMING
 from tubeopt.study import stability_studies
 from tubeopt.study.study_file import load_study
 
@@ -22,6 +23,7 @@ COMMANDS = ["equilibria", "snap", "follow", "certify", "stability-map"]
 TWO = str(ROOT / "configs" / "robots" / "two_tube.yaml")
 ETR = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 SNAP_DEG = 214.222427
+DEG = np.pi / 180
 PNG = b"\x89PNG"
 
 
@@ -205,7 +207,9 @@ def test_certify_a_robot_that_cannot_snap(run: Run, tmp_path: Path) -> None:
     robot = scaled(concentric(TWO), 0.25, tmp_path / "robot.yaml")
     data = answer(run("certify", robot, "--json", "--out", str(tmp_path / "out")))
     # For two tubes the certificate is exact, so that search finds what is proved.
-    assert data["answer"] == "cannot snap at any rotation (margin 0.25 proved; 0.25 found)"
+    assert data["answer"] == f"cannot snap at any rotation (margin 0.25 proved; 0.25 found), {ASSUMING}"
+    assert data["exit_code"] == 0
+    assert data["within_limits"] is None
     assert data["finding"] == "SNAP_FREE"
     assert data["certificate"] == pytest.approx(0.25, abs=1e-9)
     assert data["margin_found"] == pytest.approx(0.25, abs=1e-6)
@@ -215,15 +219,21 @@ def test_certify_a_robot_that_cannot_snap(run: Run, tmp_path: Path) -> None:
     assert data["snap"] is None
     assert data["repeat"].startswith("tubeopt equilibria ")
     saved(tmp_path / "out", "certificate.json")
-    assert "can snap" not in run("certify", robot).out
+    text = one_line(run("certify", robot).out)
+    assert "can snap" not in text
+    assert "assuming no external load, weight or friction" in text
 
 
 def test_certify_a_robot_that_snaps_with_the_command_to_repeat_it(run: Run, tmp_path: Path) -> None:
-    data = answer(run("certify", THESIS, "--json", "--out", str(tmp_path)))
+    data = answer(run("certify", THESIS, "--json", "--out", str(tmp_path)), 3)
     assert data["answer"] == (
         "can snap: from rotations 0, 0, 0 deg towards 360, 0, 0 deg, at 214.222427, 0, 0 deg (least margin found "
-        "-0.956; certificate -0.996)"
+        f"-0.956; certificate -0.996), {ASSUMING}"
     )
+    assert data["exit_code"] == 3
+    assert data["within_limits"] is True
+    assert data["rotation_limits_deg"] == [pytest.approx([-360, 360])] * 3
+    assert data["way_deg"] == [pytest.approx([0, 0, 0]), pytest.approx([360, 0, 0])]
     assert data["margin_found"] == pytest.approx(-0.95567, abs=1e-5)
     assert data["limiting_tubes"] == [1, 2]
     assert data["limiting_section_mm"] == pytest.approx([0, 100])
@@ -244,11 +254,56 @@ def test_the_command_that_repeats_a_snap_is_printed_in_one_line(run: Run) -> Non
 
 def test_certify_when_nothing_is_proved_and_nothing_found(run: Run, tmp_path: Path) -> None:
     robot = scaled(concentric(THESIS), -0.01, tmp_path / "robot.yaml")
-    data = answer(run("certify", robot, "--json"))
+    data = answer(run("certify", robot, "--json"), 4)
     assert data["finding"] == "OPEN"
-    assert data["answer"] == ("not proved (certificate -0.01), and search found no snap (least margin found 0.0104)")
+    assert data["exit_code"] == 4
+    assert data["answer"] == (
+        f"not proved (certificate -0.01), and search found no snap (least margin found 0.0104), {ASSUMING}"
+    )
     assert data["snap"] is None
     assert data["ways_tried"] > 30
+
+
+def turned(limit: float, path: Path) -> str:
+    """Save the two tubes that snap 203.904 deg apart with so much room (deg) for each to either side."""
+    robot = concentric(TWO)
+    ranges = ((-limit * DEG, limit * DEG),) * 2
+    replace(robot, joint_limits=JointLimits(ranges, robot.limits.translations)).save(path)
+    return str(path)
+
+
+def test_a_snap_that_only_both_tubes_together_reach_is_inside_the_limits(run: Run, tmp_path: Path) -> None:
+    data = answer(run("certify", turned(102, tmp_path / "robot.yaml"), "--json"), 3)
+    assert data["within_limits"] is True
+    assert "limits" not in data["answer"]
+    inner, outer = data["snap"]["rotations_deg"]
+    assert inner - outer == pytest.approx(203.90356628, abs=1e-6)
+    assert max(abs(inner), abs(outer)) <= 102
+    assert np.abs(data["way_deg"]).max() <= 102 + 1e-9
+    again = answer(run(*shlex.split(data["repeat"])[1:], "--json"))
+    assert again["snap"]["rotations_deg"] == pytest.approx([inner, outer], abs=1e-6)
+
+
+def test_a_snap_beyond_the_limits_is_not_said_to_be_inside(run: Run, tmp_path: Path) -> None:
+    robot = turned(101.9, tmp_path / "robot.yaml")
+    data = answer(run("certify", robot, "--json"), 3)
+    assert data["finding"] == "CAN_SNAP"
+    assert data["within_limits"] is False
+    assert data["answer"].startswith("can snap, but only beyond its joint limits: from rotations 0, 0 deg towards")
+    text = one_line(run("certify", robot).out)
+    assert "-101.9 to 101.9, -101.9 to 101.9 deg; the snap is beyond" in text
+
+
+def test_the_help_and_a_study_say_how_certify_ends(run: Run, tmp_path: Path) -> None:
+    text = one_line(run("certify", "--help").out)
+    assert f"All is said {ASSUMING}." in text
+    assert "Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known" in text
+    study = tmp_path / "study.yaml"
+    for certificate, code in ((0.1, 0), (-0.01, 4), (-0.9, 3)):
+        robot = scaled(concentric(THESIS), certificate, tmp_path / "robot.yaml")
+        study.write_text("kind: certify\nrobot: robot.yaml\n", encoding="utf-8")
+        assert answer(run("run", str(study), "--json"), code)["exit_code"] == code
+        assert run("certify", robot).code == code
 
 
 def test_the_gradient_is_per_unit_of_its_column(run: Run) -> None:
@@ -352,7 +407,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         study = tmp_path / f"{kind}.yaml"
         study.write_text(f"kind: {kind}\nrobot: {THESIS}\n{keys}\n", encoding="utf-8")
         load_study(study)
-        assert answer(run("run", str(study), "--json"))["robot"] == "thesis CTR"
+        assert answer(run("run", str(study), "--json"), 3 if kind == "certify" else 0)["robot"] == "thesis CTR"
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The command line `tubeopt`: commands gathered, failures turned into a sentence and an exit code, in one place.
 
-Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a motion was
-found but not proved in time, 130 interrupted.
+Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a motion was found but not proved in time, 130
+interrupted. `certify` ends with 0 if the robot cannot snap, 3 if it can, and 4 if neither is known.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from .commands import (
     workspace,
 )
 from .errors import InputError, NotProvedError, SolveError
+from .stability import ASSUMING
 
 BAD_INPUT, NO_SOLUTION, NOT_PROVED = 2, 3, 4
 
@@ -55,7 +56,9 @@ app.command(epilog="Example: tubeopt snap configs/robots/thesis_ctr.yaml --to-de
 app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv")(
     stability.follow
 )
-app.command(epilog="Example: tubeopt certify configs/robots/thesis_ctr.yaml --translations-mm 0,0,0")(stability.certify)
+app.command(
+    epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
+)(stability.certify)
 app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
     stability.stability_map
 )
@@ -78,7 +81,9 @@ app.command(epilog="Example: tubeopt view configs/robots/thesis_ctr.yaml --traje
     view.view
 )
 app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")(plan.plan)
-app.command(epilog="Example: tubeopt verify results/trajectory.csv --min-margin 0.05")(plan.verify)
+app.command(epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt verify results/trajectory.csv --min-margin 0.05")(
+    plan.verify
+)
 app.add_typer(mold.app, name="mold")
 app.add_typer(robot.app, name="robot")
 

@@ -13,6 +13,7 @@ from tubeopt import InputError, PlanOptions, SolveError, load_robot, plan_trajec
 from tubeopt.corridors import Corridor, MeshObstacle
 from tubeopt.obstacles import Box
 from tubeopt.plotting.trajectory import animate_trajectory
+from tubeopt.stability import ASSUMING
 from tubeopt.study.trajectory_file import load_trajectory
 
 from ..command_line import ROOT, THESIS, Run, answer, refused
@@ -33,6 +34,7 @@ def test_a_plan_is_saved_drawn_and_verified(run: Run, tmp_path: Path) -> None:
     assert joints.rotations[-1, 0] == 1.5 * np.pi
     again = answer(run("verify", str(table), "--json", "--study", str(STUDY)))
     assert again["proved"]
+    assert again["assumed"] == ASSUMING
     assert abs(again["least_margin"] - data["proof"]["least_margin"]) < 1e-6
 
 
@@ -42,6 +44,7 @@ def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> Non
     outcome = run("verify", str(path), "--robot", THESIS)
     assert outcome.code == 3
     assert "the robot snaps" in outcome.err
+    assert f"naive.csv does not hold, {ASSUMING}" in " ".join(outcome.out.split())
     assert "names no robot" in refused(run("verify", str(path)))[0]
     path.write_text("rotation_1_deg,rotation_2_deg,rotation_4_deg\n0,0,0\n")
     told = refused(run("verify", str(path), "--robot", THESIS))

@@ -114,6 +114,25 @@ def shoot(tubes: Bundle, tips: Array, *, step: float = 0.02) -> Array:
     return np.asarray(theta - tubes.lever * twist)
 
 
+def first_fold(tubes: Bundle, start: float) -> float | None:
+    """Turn (rad) of the first of two tubes from rotations (start, 0), at which they curve to one side, to the first
+    fold; None without one."""
+    low, high = 0.0, np.pi
+    # The largest turn so far, on ever finer grids around it: a fold is the first place where the turn goes back.
+    while True:
+        tips = np.zeros((401, 2))
+        tips[:, 0] = start + np.linspace(low, high, len(tips))
+        joints = shoot(tubes, tips)
+        turn = joints[:, 0] - joints[:, 1] - start
+        back = np.flatnonzero(np.diff(turn) < 0)
+        if not len(back):
+            return None
+        k = int(back[0])
+        if high - low < 1e-5:
+            return float(turn[k])
+        low, high = (tips[j, 0] - start for j in (max(k - 1, 0), k + 1))
+
+
 def all_tips(tubes: Bundle, rotations: Array, *, size: int) -> Array:
     """Tip angles (E, n) of every equilibrium that a grid of `size` points per turn of each relative tip angle shows.
 

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from tests.examples import CRL, DEG, THESIS, TWO_TUBE, nested
-from tubeopt import ConcentricRobot, Finding, find_snap, judge, worst_certificate, worst_margin
+from tests.stability.reference import TURN, bundle, closed_form, first_fold
+from tests.stability.robots import random_robot, random_translations, unit_pair
+from tubeopt import ConcentricRobot, Finding, JointLimits, find_snap, judge, worst_certificate, worst_margin
 from tubeopt.robots.assembly import Array
+from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import snap_free_certificate
+from tubeopt.stability.sheet import folds, stable_sheet
 
 
 def bent(robot: ConcentricRobot, curvatures: tuple[float, ...]) -> ConcentricRobot:
@@ -19,9 +23,9 @@ def bent(robot: ConcentricRobot, curvatures: tuple[float, ...]) -> ConcentricRob
     )
 
 
-def scaled(robot: ConcentricRobot, certificate: float) -> ConcentricRobot:
+def scaled(robot: ConcentricRobot, certificate: float, shift: Array | None = None) -> ConcentricRobot:
     """The robot with all curvatures scaled so that its certificate is this: 1 - mu goes with their square."""
-    factor = np.sqrt((1 - certificate) / (1 - snap_free_certificate(robot)))
+    factor = np.sqrt((1 - certificate) / (1 - snap_free_certificate(robot, shift)))
     return bent(robot, tuple(factor * tube.curvature for tube in robot.tubes))
 
 
@@ -62,13 +66,126 @@ def test_neither_proved_nor_found() -> None:
     assert verdict.ways > 30
 
 
+def pairs() -> list[tuple[ConcentricRobot, Array]]:
+    """Two tubes of all kinds, with translations: unequal lengths and Poisson's ratios, tubes that curve to either side,
+    one that does not, an inner one that ends inside the outer, long transmissions, certificates next to 0."""
+    out: list[tuple[ConcentricRobot, Array]] = []
+    for seed in range(16):
+        random = np.random.default_rng([9, seed])
+        robot = random_robot(random, 2, bend=random.uniform(0.8, 3.0))
+        shift = random_translations(random, robot) if seed % 2 else robot.home_translations
+        if seed % 4 == 0:
+            robot = lengthened(robot, 0.4 * seed / 4)
+        if seed % 8 == 3:
+            shift[0] = shift[1] + robot.tubes[1].length - robot.tubes[0].length - 0.01
+        if seed % 8 == 5:
+            robot = bent(robot, (0.0, robot.tubes[1].curvature))
+        elif seed % 4 == 1 and snap_free_certificate(robot, shift) < 1:
+            robot = scaled(robot, (1e-6, -1e-6)[seed // 8], shift)
+        out.append((robot, shift))
+    return out
+
+
+def lengthened(robot: ConcentricRobot, extra: float) -> ConcentricRobot:
+    """The robot with transmissions that are longer by this, m."""
+    return ConcentricRobot(tuple(replace(tube, straight_length=tube.straight_length + extra) for tube in robot.tubes))
+
+
+def test_two_tubes_are_decided() -> None:
+    found = {Finding.CAN_SNAP: 0, Finding.SNAP_FREE: 0}
+    for robot, shift in pairs():
+        verdict = judge(robot, shift)
+        found[verdict.finding] += 1
+        relaxed = np.pi if robot.tubes[0].curvature * robot.tubes[1].curvature < 0 else 0.0
+        turn = first_fold(bundle(robot, shift), relaxed)
+        assert (verdict.finding is Finding.CAN_SNAP) == (turn is not None)
+        if turn is None:
+            continue
+        assert verdict.snap is not None
+        assert verdict.start is not None
+        assert np.ptp(verdict.snap.rotations - verdict.start) == pytest.approx(turn, abs=1e-7)
+        assert abs(verdict.snap.before.margin) < 1e-8
+        assert verdict.snap.after.stable
+        assert verdict.snap.energy_released >= 0
+        if verdict.followed:
+            again = find_snap(robot, (verdict.start, shift), (verdict.end, shift))
+            assert again is not None
+            assert again.fraction == verdict.snap.fraction
+    assert min(found.values()) >= 4
+
+
+@pytest.mark.parametrize(("lever", "within"), [(4.5, True), (8.0, False)])
+def test_two_tubes_snap_after_more_than_a_turn(lever: float, within: bool) -> None:
+    """Long transmissions: differences of rotations up to 720 deg are inside the limits of +-360 deg for each tube."""
+    robot = unit_pair(1.44, lever)
+    fold = float(closed_form(1.44, 1.0, lever, np.linspace(0.0, np.pi, 100001)).max())
+    assert fold > TURN
+    assert (fold < 2 * TURN) == within
+    verdict = judge(robot)
+    assert verdict.snap is not None
+    assert verdict.within_limits is within
+    assert np.ptp(verdict.snap.rotations) == pytest.approx(fold, abs=1e-8)
+    assert (np.abs(verdict.snap.rotations).max() <= TURN) == within
+    wide = replace(robot, joint_limits=JointLimits(((0.0, 0.0), (-4 * TURN, 4 * TURN)), robot.limits.translations))
+    again = judge(wide)
+    assert again.snap is not None
+    assert again.within_limits
+    assert np.abs(again.snap.rotations) == pytest.approx([0.0, fold], abs=1e-8)
+
+
+def test_three_tubes_that_only_snap_where_all_are_turned() -> None:
+    """Turns of one tube meet no snap; the fold at which the stable equilibria end shows where to turn."""
+    robot = ConcentricRobot(
+        tuple(
+            replace(tube, straight_length=tube.straight_length + extra)
+            for tube, extra in zip(THESIS.tubes, (3.0, 2.0, 1.0), strict=True)
+        )
+    )
+    for end in ([TURN, 0, 0], [0, TURN, 0]):
+        assert find_snap(robot, ([0, 0, 0], None), (end, None)) is None
+    verdict = judge(robot)
+    assert verdict.finding is Finding.CAN_SNAP
+    assert verdict.within_limits
+    assert verdict.snap is not None
+    low, high = np.array(robot.limits.rotations).T
+    assert (verdict.snap.rotations >= low).all()
+    assert (verdict.snap.rotations <= high).all()
+    again = find_snap(robot, (verdict.start, None), (verdict.end, None))
+    assert again is not None
+    assert again.fraction == verdict.snap.fraction
+
+
+def test_narrow_limits() -> None:
+    for limit, within in ((2.0, True), (1.0, False)):
+        narrow = JointLimits(((-limit, limit),) * 3, THESIS.limits.translations)
+        verdict = judge(replace(THESIS, joint_limits=narrow))
+        assert verdict.finding is Finding.CAN_SNAP
+        assert verdict.within_limits is within
+        assert verdict.snap is not None
+        assert (np.abs(verdict.snap.rotations).max() <= limit) == within
+
+
+def test_the_sheet_ends_at_folds() -> None:
+    problem = reduced_problem(CRL, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
+    sheet = stable_sheet(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
+    found = folds(sheet, lambda joints: np.abs(joints).max(-1) < TURN, 4)
+    assert len(found) == 4
+    assert (np.diff(np.abs(found).max(1)) >= 0).all()
+    for fold in found:
+        snap = find_snap(CRL, (np.zeros(3), None), ([*1.2 * fold, 0.0], None))
+        assert snap is not None
+        assert snap.rotations[:2] == pytest.approx(fold, abs=0.2)
+
+
 def test_tubes_that_curve_to_the_other_side_start_relaxed() -> None:
     mirrored = bent(THESIS, tuple(-tube.curvature if i == 0 else tube.curvature for i, tube in enumerate(THESIS.tubes)))
     verdict = judge(mirrored)
     assert verdict.start is not None
     assert verdict.snap is not None
     np.testing.assert_allclose(verdict.start / DEG, [180, 0, 0], atol=1e-12)
-    assert verdict.snap.rotations[0] / DEG == pytest.approx(180 + 214.222427, abs=1e-5)
+    # To the other side the inner tube would be turned beyond its 360 deg.
+    assert verdict.snap.rotations[0] / DEG == pytest.approx(180 - 214.222427, abs=1e-5)
+    assert verdict.within_limits
 
 
 def test_every_robot_with_an_unstable_shape_snaps_on_some_way() -> None:

@@ -13,7 +13,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..stability import Finding, WorstCertificate
+from ..robots.assembly import Array
+from ..stability import ASSUMING, Finding, WorstCertificate
 from ..study.files import write_text
 from ..study.stability_studies import Certification
 from .report import report, to_text, two_columns
@@ -33,6 +34,9 @@ GRADIENT = {
 }
 """Parameters of the certificate: their name, unit, and what turns a derivative per SI unit into one per this unit."""
 
+EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
+"""What `tubeopt certify` ends with."""
+
 SIGNS = {"N_mm2": "N mm²", "per_m": "1/m", "mm": "mm"}
 
 
@@ -51,7 +55,9 @@ class CertificationReport:
             "robot": self.answer.robot.name,
             "translations_mm": (certificate.translations * MM).tolist(),
             "finding": verdict.finding.name,
+            "exit_code": EXIT_CODES[verdict.finding],
             "answer": self.sentence(),
+            "assumed": ASSUMING,
             "certificate": certificate.margin,
             "margin_found": None if worst is None else worst.margin,
             "found_at_deg": None if worst is None else np.degrees(worst.equilibrium.rotations).tolist(),
@@ -63,33 +69,51 @@ class CertificationReport:
                 for key, (_, unit, factor) in GRADIENT.items()
             },
             "ways_tried": verdict.ways,
+            "ways_lost": verdict.failed,
+            "rotation_limits_deg": np.degrees(self.answer.robot.limits.rotations).tolist(),
+            "within_limits": verdict.within_limits,
+            "way_deg": [np.degrees(angles).tolist() for angles in self._way()],
             "snap": None if verdict.snap is None else snap_record(verdict.snap),
             "repeat": self.command(),
             "box": None if box is None else _box_record(box),
         }
 
     def sentence(self) -> str:
-        """The verdict, with what is proved and what is found."""
+        """The verdict, with what is proved and what is found, where the snap is, and what is assumed."""
+        return f"{self._finding()}, {ASSUMING}"
+
+    def _finding(self) -> str:
         verdict = self.answer.verdict
         proved = f"{verdict.certificate.margin:.3g}"
         found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
         if verdict.finding is Finding.SNAP_FREE:
             return f"{verdict.finding} (margin {proved} proved; {found} found)"
-        if verdict.snap is None or verdict.start is None or verdict.end is None:
-            return f"not proved (certificate {proved}), and search found no snap (least margin found {found})"
+        if verdict.snap is None:
+            least = f"least margin found {found}"
+            if verdict.worst is not None and verdict.worst.margin < 0:
+                least += ", an unstable equilibrium, so that some way leads to a snap"
+            return f"not proved (certificate {proved}), and search found no snap ({least})"
+        beyond = "" if verdict.decided else "search found that "
+        where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
+        start, end = (degrees(angles, ".6g") for angles in self._way())
         return (
-            f"{verdict.finding}: from rotations {degrees(verdict.start, '.6g')} towards "
-            f"{degrees(verdict.end, '.6g')}, at {degrees(verdict.snap.rotations)} "
+            f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
             f"(least margin found {found}; certificate {proved})"
         )
 
+    def _way(self) -> list[Array]:
+        """Rotations from the relaxed pose to beyond the snap, none without one."""
+        return [angles for angles in (self.answer.verdict.start, self.answer.verdict.end) if angles is not None]
+
     def command(self) -> str | None:
-        """The command that repeats the snap, or, without one, shows the unstable equilibrium; None without either."""
+        """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
         verdict = self.answer.verdict
         shift = flag(verdict.certificate.translations * MM)
         file = shlex.quote(self.robot_file)
-        if verdict.snap is not None and verdict.start is not None and verdict.end is not None:
-            start, end = (flag(np.degrees(angles)) for angles in (verdict.start, verdict.end))
+        if not verdict.followed:
+            return None
+        if verdict.snap is not None:
+            start, end = (flag(np.degrees(angles)) for angles in self._way())
             return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
         if verdict.worst is None:
             return None
@@ -123,6 +147,8 @@ class CertificationReport:
                 "Of the box, these are the translations with the least certificate that search found. A certificate is "
                 "a proof for its own translations, not for the box."
             )
+        if not verdict.followed:
+            notes.append("The snap is too shallow to be met by following the robot; it is computed from its fold.")
         if self.answer.robot.assembly(verdict.certificate.translations).eccentric:
             notes.append("What is proved holds for the same tubes on the centreline.")
         return notes
@@ -148,14 +174,23 @@ class CertificationReport:
         if verdict.snap is not None:
             jump, energy = verdict.snap.tip_jump * MM, verdict.snap.energy_released * MILLI
             rows.append(("the snap", f"the tip jumps {jump:.3f} mm and {energy:.4f} mJ are released"))
+            rows.append(("rotations allowed", self._limits()))
         elif verdict.ways:
-            rows.append(("the search for a snap", f"{verdict.ways} straight ways from home, none with a snap"))
+            lost = f", its equilibria were lost on {verdict.failed} of them" if verdict.failed else ""
+            rows.append(("the search for a snap", f"{verdict.ways} ways from the relaxed pose, none with a snap{lost}"))
         if box is not None:
             rows += [
                 ("box", f"{millimetres(box.lower, '.6g')} to {millimetres(box.upper, '.6g')}"),
                 ("searched by", f"{BOX_METHOD}, {box.evaluations} evaluations"),
             ]
         return rows
+
+    def _limits(self) -> str:
+        """The limits of the rotations, and whether the snap is inside."""
+        inside = "the snap is inside" if self.answer.verdict.within_limits else "the snap is beyond"
+        ranges = (f"{low:.6g} to {high:.6g}" for low, high in np.degrees(self.answer.robot.limits.rotations))
+        implied = "" if self.answer.robot.joint_limits is not None else " where the file gives no limits"
+        return f"{', '.join(ranges)} deg{implied}; {inside}"
 
     def _gradient(self) -> Table | Text:
         certificate = self.answer.verdict.certificate

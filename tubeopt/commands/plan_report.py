@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..planning import Proof, Trajectory
+from ..stability import ASSUMING
 from ..study.csv_file import to_csv
 from ..study.files import atomic_write, write_text
 from ..study.plan_study import Checked
@@ -38,6 +39,7 @@ def proof_record(proof: Proof) -> dict[str, Any]:
     p = proof
     return {
         "proved": p.holds,
+        "assumed": ASSUMING,
         "faults": list(p.faults),
         "followed_percent": 100 * p.followed,
         "snap_at_percent": None if p.snap is None else 100 * p.snap,
@@ -185,7 +187,7 @@ class CheckedReport:
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
         table: Table = two_columns("", proof_rows(a.proof))
-        return Group(Text(f"{a.file} {verdict}"), *notes, table)
+        return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, table)
 
     def save(self, directory: Path) -> list[Path]:
         """Write verify.json."""

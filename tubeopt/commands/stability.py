@@ -11,7 +11,7 @@ from ..study.base import Study
 from ..study.checked import check
 from ..study.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
 from ..study.units import parse_number
-from .certify_report import CertificationReport
+from .certify_report import EXIT_CODES, CertificationReport
 from .map_report import RobotMapReport
 from .options import JsonOption, OutOption, RobotArgument, RotationsOption, TranslationsOption, numbers
 from .progress import working
@@ -105,7 +105,11 @@ def certify(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Whether the robot can snap at any rotation: what is proved, and what search finds."""
+    """Whether the robot can snap at any rotation: what is proved, and what search finds.
+
+    Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known; with a box, at the translations of its least
+    certificate that was found.
+    """
     flags = {
         "kind": "certify",
         "robot": robot,
@@ -116,6 +120,7 @@ def certify(
     }
     answer = _ask(CertifyStudy, flags, "looking for snaps", out)
     present(CertificationReport(answer, robot), out=out, as_json=as_json)
+    raise typer.Exit(EXIT_CODES[answer.verdict.finding])
 
 
 def stability_map(

@@ -10,7 +10,9 @@ from ..errors import NotProvedError, SolveError
 from ..fabrication.heating_plan import HeatingPlan
 from ..planning import Trajectory
 from ..study.inverse_study import Postures, TargetTable
+from ..study.stability_studies import Certification
 from ..study.study_file import load_study
+from .certify_report import EXIT_CODES
 from .heat import missed
 from .inverse import refuse_misses
 from .options import JsonOption, OutOption, PlotOption
@@ -37,3 +39,5 @@ def run(
         raise NotProvedError(unproved(answer))
     if isinstance(answer, Postures | TargetTable):
         refuse_misses(answer)
+    if isinstance(answer, Certification):
+        raise typer.Exit(EXIT_CODES[answer.verdict.finding])

@@ -6,10 +6,11 @@ from .equilibria import find_equilibria
 from .following import Path, Snap, follow
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
-from .verdict import Finding, Verdict, judge
+from .verdict import ASSUMING, Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
+    "ASSUMING",
     "Branch",
     "Certificate",
     "EnergyMap",

@@ -14,6 +14,9 @@ from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, reduced_problem
 from ..transcription.reduced import ReducedProblem, on_centreline
 
+ROUNDING = 1e-9
+"""A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -38,8 +41,8 @@ class Certificate:
 
     @property
     def snap_free(self) -> bool:
-        """Whether snapping is excluded at every rotation."""
-        return self.margin > 0
+        """Whether snapping is excluded at every rotation: the margin is above 0 beyond round-off."""
+        return self.margin > ROUNDING
 
 
 def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..robots.assembly import Array, Mask
 from ..transcription.buffered import section_function
-from ..transcription.reduced import ReducedProblem
+from ..transcription.reduced import Index, ReducedProblem
 
 CHUNKS = (512, 64, 8)
 """Tip angles integrated at once: the largest that is at most half padding."""
@@ -85,6 +85,29 @@ def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = Fal
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
     """Joint rotations (B, n) of tip angles (B, n)."""
     return shoot(whole(problem), tips).rotations
+
+
+def relative(angles: Array, free: Index) -> Array:
+    """(B, d) angles (B, n) of the tubes `free` but the last, relative to that."""
+    return angles[:, free[:-1]] - angles[:, free[-1:]]
+
+
+def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> Array:
+    """(B, d) joint rotations of tip angles (B, n), relative to that of the last of the tubes `free`."""
+    return relative(to_base(problem, tips), free)
+
+
+def relative_slope(problem: ReducedProblem, free: Index, tips: Array) -> Array:
+    """(B, d, d) derivatives of the relative joint rotations with respect to the relative tip angles."""
+    epsilon = 1e-5
+    columns = []
+    for tube in free[:-1]:
+        moved = np.repeat(tips[None], 2, axis=0)
+        moved[0, :, tube] += epsilon
+        moved[1, :, tube] -= epsilon
+        forward, backward = (relative_joints(problem, free, side) for side in moved)
+        columns.append((forward - backward) / (2 * epsilon))
+    return np.stack(columns, axis=2)
 
 
 def profiles(problem: ReducedProblem, tips: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -17,17 +17,24 @@ from ..robots.assembly import Array
 from ..robots.robot import Robot
 from .certificate import Certificate, certify
 from .following import Snap
+from .search import search_snap
 from .snapping import find_snap
 from .worst import WorstMargin, worst_margin
+
+ASSUMING = "assuming no external load, weight or friction"
+"""What every statement about snapping leaves out, in a clause."""
 
 TURN = 2 * np.pi
 
 RANDOM_WAYS_LOG2 = 5
-"""Base-2 logarithm of the number of random directions in which a snap is looked for in the end."""
+"""Base-2 logarithm of the number of random directions in which an eccentric robot is turned in the end."""
 
 
 class Finding(Enum):
-    """What is known about snapping; every value reads as a sentence."""
+    """What is known about snapping; every value reads as a sentence, and holds under what `ASSUMING` says.
+
+    CAN_SNAP says that there is a snap; whether it is inside the joint limits says `Verdict.within_limits`.
+    """
 
     SNAP_FREE = "cannot snap at any rotation"
     CAN_SNAP = "can snap"
@@ -44,7 +51,10 @@ class Verdict:
     certificate: the lower bound of the margin over all rotations: proved.
     worst: the least margin that search found, None where it ended on a fold (margin 0).
     start, end: (n,) rotations (rad) of a straight way on which the robot snaps, and the snap; None where none is known.
-    ways: how many ways were tried.
+    ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
+    followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
+    is known from its fold alone.
+    decided: whether no more than two tubes are coupled, so that the certificate is exact and the nearest snap is known.
     """
 
     robot: Robot
@@ -54,6 +64,9 @@ class Verdict:
     end: Array | None = None
     snap: Snap | None = None
     ways: int = 0
+    failed: int = 0
+    followed: bool = True
+    decided: bool = False
 
     @property
     def finding(self) -> Finding:
@@ -61,6 +74,15 @@ class Verdict:
         if self.certificate.snap_free:
             return Finding.SNAP_FREE
         return Finding.OPEN if self.snap is None else Finding.CAN_SNAP
+
+    @property
+    def within_limits(self) -> bool | None:
+        """Whether the robot comes to the snap inside the limits of its rotations; None where no snap is known."""
+        if self.snap is None or self.start is None:
+            return None
+        low, high = np.array(self.robot.limits.rotations).T
+        joints = np.array([self.start, self.snap.rotations])
+        return bool(((joints >= low - 1e-9) & (joints <= high + 1e-9)).all())
 
 
 def judge(
@@ -71,17 +93,19 @@ def judge(
 ) -> Verdict:
     """Prove that a robot cannot snap at given translations, or find a snap.
 
-    Where the certificate is not above 0, the robot is turned along straight ways from its relaxed home, all tubes
-    curving to one side: through the rotations with the least margin, full turns of every group of tubes against the
-    others, and random directions, until it snaps.
+    Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
+    until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
+    `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
+    below 0, and their snap is found wherever it is. Robots with tubes off the centreline are turned along straight
+    ways of a turn.
 
     Args:
         translations: (n,) m; default home.
-        progress: called with the steps done and their largest number.
+        progress: called with the steps done and their likely number.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
-        SolveError: no snap was found, and on some way no equilibrium.
+        SolveError: tubes off the centreline, for which no snap was found, and on some way no equilibrium.
     """
     certificate = certify(robot, translations)
     try:
@@ -90,7 +114,28 @@ def judge(
         worst = None
     if certificate.snap_free:
         return Verdict(robot, certificate, worst)
-    start = _relaxed(robot)
+    if robot.assembly(certificate.translations).eccentric:
+        return _eccentric(robot, certificate, worst, progress)
+    unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
+    found, search = search_snap(robot, certificate.translations, unstable, progress)
+    verdict = Verdict(
+        robot, certificate, worst, ways=search.ways, failed=search.failed, decided=len(search.coupled) == 2
+    )
+    if found is None:
+        return verdict
+    start, end = found.way
+    return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
+
+
+def _eccentric(
+    robot: Robot,
+    certificate: Certificate,
+    worst: WorstMargin | None,
+    progress: Callable[[int, int], object] | None,
+) -> Verdict:
+    """The verdict on tubes off the centreline without a positive certificate: straight ways through the rotations with
+    the least margin, full turns of every group of tubes against the others, and random directions."""
+    start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
     ways = list(_ways(robot, start, None if worst is None else worst.equilibrium))
     failure: SolveError | None = None
     for k, end in enumerate(ways):
@@ -106,11 +151,6 @@ def judge(
     if failure is not None:
         raise failure
     return Verdict(robot, certificate, worst, ways=len(ways))
-
-
-def _relaxed(robot: Robot) -> Array:
-    """(n,) rotations at which all tubes curve to one side."""
-    return np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
 
 
 def _ways(robot: Robot, start: Array, worst: Equilibrium | None) -> Iterator[Array]:

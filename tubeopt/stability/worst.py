@@ -33,11 +33,13 @@ class WorstMargin:
     """The least margin that was found over all rotations at given translations: what a certificate may not exceed.
 
     margin: as found.  equilibrium: where, with the joint values to repeat it.  searches: local searches done.
+    unstable: (B, n) tip angles, rad, of the unstable equilibria at which local searches ended.
     """
 
     margin: float
     equilibrium: Equilibrium
     searches: int
+    unstable: Array
 
 
 def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMargin:
@@ -59,7 +61,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     problem = on_centreline(reduced_problem(robot, shift, DEFAULT_DISCRETISATION))
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
-    searches = 0
+    searches, unstable = 0, []
     if len(free) > 1:
         unit = qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
         samples = np.zeros((len(unit), robot.n_tubes))
@@ -74,9 +76,11 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
                 options={"xatol": 1e-6, "fatol": 1e-10},
             )
             searches += 1
+            if result.fun < 0:
+                unstable.append(_tips(problem, free, result.x))
             if result.fun < best:
                 best = float(result.fun)
-                tips[free[:-1]] = result.x
+                tips = _tips(problem, free, result.x)
     rotations = to_base(problem, tips[None])[0]
     theta = profiles(problem, tips[None])[0]
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
@@ -84,7 +88,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
         raise SolveError("the worst equilibrium found is a fold (margin 0), which Newton cannot solve again")
     solution = Solution(problem, rotations, result, margin(problem, result.state))
     equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
-    return WorstMargin(solution.margin, equilibrium, searches)
+    return WorstMargin(solution.margin, equilibrium, searches, np.array(unstable).reshape(-1, robot.n_tubes))
 
 
 def _margin(problem: ReducedProblem, theta: Array) -> float:
@@ -95,9 +99,14 @@ def _margin(problem: ReducedProblem, theta: Array) -> float:
 
 
 def _margin_at(problem: ReducedProblem, free: Index, relative: Array) -> float:
-    tips = np.zeros((1, problem.assembly.n_tubes))
-    tips[0, free[:-1]] = relative
-    return _margin(problem, profiles(problem, tips)[0])
+    return _margin(problem, profiles(problem, _tips(problem, free, relative)[None])[0])
+
+
+def _tips(problem: ReducedProblem, free: Index, relative: Array) -> Array:
+    """(n,) tip angles of relative ones (d,)."""
+    tips = np.zeros(problem.assembly.n_tubes)
+    tips[free[:-1]] = relative
+    return tips
 
 
 @dataclass(frozen=True, eq=False)

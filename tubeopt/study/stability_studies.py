@@ -177,7 +177,7 @@ class CertifyStudy(Study):
         return self.box or self.lower_mm is not None or self.upper_mm is not None
 
     def run(self, progress: Progress | None = None) -> Certification:
-        """The verdict; raises SolveError where the search for a snap finds neither a snap nor an equilibrium."""
+        """The verdict; raises SolveError where `judge` does."""
         if progress is not None:
             progress(0, 0)
         if not self.over_box:

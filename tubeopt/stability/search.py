@@ -1,0 +1,221 @@
+"""A way on which a concentric robot snaps: inside its joint limits if search finds one there, else beyond them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from ..continuation import JointPath, Point
+from ..errors import SolveError
+from ..robots.assembly import Array, Mask
+from ..robots.robot import Robot
+from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem
+from ..solvers.newton import NewtonResult
+from ..transcription.reduced import Index, ReducedProblem, evaluate, margin
+from .folds import Fold
+from .following import Event, Snap, to_snap
+from .landing import land
+from .pair import PairFold, pair_fold
+from .sheet import TURN, folds, stable_sheet
+from .snapping import find_snap
+from .turning import clipped, inside, placed, relaxed_rotations
+
+RANDOM_WAYS_LOG2 = 5
+"""Base-2 logarithm of the number of random directions in which a snap is looked for in the end."""
+
+FOLDS = 12
+"""Folds at which the sheet of stable equilibria ends to which ways are tried."""
+
+OVERSHOOT = 0.3
+"""How far (rad) a way goes on beyond a fold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A snap, and the straight way (2, n) of rotations, rad, on which it lies.
+
+    followed: whether it was met there, or is known from its fold alone.
+    """
+
+    way: Array
+    snap: Snap
+    followed: bool = True
+
+
+@dataclass
+class Search:
+    """A search for a snap: the robot at translations (n,) m, its coupled tubes, and what was tried.
+
+    ways: on which the robot was followed.  failed: those of them on which its equilibria were lost.
+    """
+
+    robot: Robot
+    translations: Array
+    progress: Callable[[int, int], object] | None
+    ways: int = 0
+    failed: int = 0
+    problem: ReducedProblem = field(init=False)
+    coupled: Index = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.problem = reduced_problem(self.robot, tuple(self.translations.tolist()), DEFAULT_DISCRETISATION)
+        self.coupled = np.unique(self.problem.tube)
+
+    def follow(self, start: Array, end: Array) -> Found | None:
+        """The first snap on a straight way, which is turned into the joint limits as a whole where it fits."""
+        if self.progress is not None:
+            self.progress(self.ways, max(self.ways + 1, 2 ** (RANDOM_WAYS_LOG2 + 1)))
+        self.ways += 1
+        way = placed(self.robot, self.coupled, np.stack([start, end]))
+        try:
+            snap = find_snap(self.robot, (way[0], self.translations), (way[1], self.translations))
+        except SolveError:
+            self.failed += 1
+            return None
+        return None if snap is None else Found(way, snap)
+
+
+def search_snap(
+    robot: Robot,
+    translations: Array,
+    unstable: Array,
+    progress: Callable[[int, int], object] | None = None,
+) -> tuple[Found | None, Search]:
+    """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
+
+    Two coupled tubes are decided: the snap is found if there is one, however far away. For more, a robot is turned
+    inside its joint limits along full turns of every tube; across the folds at which the sheet of stable equilibria
+    around its relaxed pose ends (see `stability.sheet`); and along other full turns and random directions, up to 720
+    deg where the limits allow it. Then it is turned beyond the limits, unless no unstable equilibrium is known.
+
+    Args:
+        translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
+        progress: called with the ways tried and their likely number.
+    """
+    search = Search(robot, translations, progress)
+    if len(search.coupled) < 2:
+        return None, search
+    if len(search.coupled) == 2:
+        return _pair(search), search
+    start, *_ = relaxed_rotations(robot, search.coupled)
+    if inside(robot, search.coupled, start):
+        found = _within(search, start, unstable)
+        if found is not None:
+            return found, search
+    return (_beyond(search, start, unstable) if len(unstable) else None), search
+
+
+def _within(search: Search, start: Array, unstable: Array) -> Found | None:
+    """A snap inside the joint limits."""
+
+    def allowed(joints: Array) -> Mask:
+        return inside(search.robot, search.coupled, _absolute(search, start, joints))
+
+    across = _across_folds(search, start, unstable, allowed)
+    for end in itertools.chain(_turns(search, start), across, _others(search, start)):
+        if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
+            return found
+    return None
+
+
+def _beyond(search: Search, start: Array, unstable: Array) -> Found | None:
+    """A snap wherever it is."""
+    across = _across_folds(search, start, unstable, lambda joints: np.ones(joints.shape[:-1], dtype=bool))
+    for end in itertools.chain(across, _turns(search, start)):
+        if (found := search.follow(start, end)) is not None:
+            return found
+    return None
+
+
+def _absolute(search: Search, start: Array, joints: NDArray[np.float64]) -> Array:
+    """(..., n) rotations that lie by `joints` (..., d) from the relaxed pose."""
+    out = np.zeros((*joints.shape[:-1], len(start))) + start
+    out[..., search.coupled[:-1]] += joints
+    return out
+
+
+def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callable[[Array], Mask]) -> Iterator[Array]:
+    """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
+    if len(unstable):
+        sheet = stable_sheet(search.problem, search.coupled, start, unstable)
+        for fold in folds(sheet, allowed, FOLDS):
+            yield _absolute(search, start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
+
+
+def _turns(search: Search, start: Array) -> Iterator[Array]:
+    """(n,) rotations a turn from `start` of each coupled tube but the outermost, to a side on which it may turn."""
+    low, high = np.array(search.robot.limits.rotations).T
+    for tube in search.coupled[:-1]:
+        turn = TURN * (np.arange(len(start)) == tube)
+        fits = [end for end in (start + turn, start - turn) if ((end >= low) & (end <= high)).all()]
+        yield fits[0] if fits else start + turn
+
+
+def _others(search: Search, start: Array) -> Iterator[Array]:
+    """(n,) rotations further turns of groups of tubes, and random ones, from `start`."""
+    group = search.coupled[:-1]
+    for signs in itertools.product((0, 1, -1), repeat=len(group)):
+        if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
+            yield _absolute(search, start, 2 * TURN * np.array(signs))
+    for unit in 2 * qmc.Sobol(len(group), rng=0).random_base2(RANDOM_WAYS_LOG2) - 1:
+        if np.abs(unit).max() > 1e-3:
+            yield _absolute(search, start, np.radians(np.round(720 * unit / np.abs(unit).max(), 1)))
+
+
+def _pair(search: Search) -> Found | None:
+    """The snap of two coupled tubes."""
+    poses = relaxed_rotations(search.robot, search.coupled)
+    try:
+        fold = pair_fold(search.problem, search.coupled, poses[0])
+    except SolveError:
+        search.failed += 1
+        return None
+    if fold is None:
+        return None
+    way = _pair_way(search, poses, fold)
+    found = search.follow(*way)
+    turned = None if found is None else np.ptp(found.snap.rotations[search.coupled] - found.way[0][search.coupled])
+    return found if turned is not None and abs(turned - fold.turn) < 1e-6 else _exact(search, way, fold)
+
+
+def _pair_way(search: Search, poses: list[Array], fold: PairFold) -> Array:
+    """(2, n) straight way across the fold: inside the joint limits if from any pose to any side the fold is."""
+    low, high = np.array(search.robot.limits.rotations).T
+    one = (np.arange(len(low)) == search.coupled[0]).astype(float)
+    # A full turn reads best; where that is not enough, to the next multiple of 10 deg.
+    length = TURN if fold.turn < TURN else np.radians(10 * (1 + np.ceil(np.degrees(fold.turn) / 10)))
+    ways = [(pose, sign) for pose in poses for sign in (1, -1)]
+
+    def fitness(way: tuple[Array, int]) -> tuple[bool, bool]:
+        pose, sign = way
+        both = bool(inside(search.robot, search.coupled, np.stack([pose, pose + sign * fold.turn * one])).all())
+        end = pose + sign * length * one
+        return both, both and bool(((end >= low) & (end <= high)).all())
+
+    pose, sign = max(ways, key=fitness)
+    end = pose + sign * length * one
+    return np.stack([pose, clipped(search.robot, search.coupled, pose, end) if fitness((pose, sign))[0] else end])
+
+
+def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
+    """The snap built from the fold itself, which may be too shallow to be met on the way."""
+    first = int(search.coupled[0])
+    way = placed(search.robot, search.coupled, way)
+    ends = [np.concatenate([rotations, search.translations]) for rotations in way]
+    path = JointPath(search.robot, ends[0], ends[1])
+    relative = way[:, first] - way[:, int(search.coupled[1])]
+    sign, t = np.sign(relative[1] - relative[0]), fold.turn / abs(relative[1] - relative[0])
+    rotations = path.at(t)[0]
+
+    def solution(z: Array) -> Solution:
+        state = evaluate(search.problem, rotations, z)
+        return Solution(search.problem, rotations, NewtonResult(state, True, 0, 0.0), margin(search.problem, state))
+
+    vanishing = Fold(t, solution(sign * fold.z), fold.direction)
+    after = land(vanishing.solution, fold.direction) if fold.beyond is None else solution(sign * fold.beyond)
+    return None if after is None else Found(way, to_snap(path, Event(vanishing, Point(t, after)), 0), followed=False)
