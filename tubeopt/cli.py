@@ -1,7 +1,7 @@
 """The command line `tubeopt`: commands gathered, failures turned into a sentence and an exit code, in one place.
 
-Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a motion was found but not proved in time, 130
-interrupted. `certify` ends with 0 if the robot cannot snap, 3 if it can, and 4 if neither is known.
+Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a motion was found but not proved in time,
+130 interrupted. `certify` ends with 0 if the robot cannot snap, 3 if it can, and 4 if neither is known.
 """
 
 from __future__ import annotations
