@@ -6,7 +6,8 @@ At a fixed arc length s, a change of the joint values changes theta by
 
 where [M]_k is what the moment gains on the stretch that a moving breakpoint s_k uncovers. The pose follows from
 d phi = int R du ds,  dp = int R du x (p(L) - p) ds  with the same jumps at the breakpoints, and the margin, a Rayleigh
-quotient, from the change of the second variation at its eigenvector.
+quotient, from the change of the second variation at its eigenvector (see `offset_derivatives` for tubes off the
+centreline, which have none).
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from numpy.typing import NDArray
 
 from .equilibrium import Equilibrium
 from .errors import InputError
+from .offset_derivatives import margin_slope
 from .robots.assembly import ROUND_OFF, Array, Assembly, merge, where
 from .solution import Solution, discretisation_of, polish
 from .transcription import arm as arms
 from .transcription.buffered import section_function
 from .transcription.piece import ENDS
-from .transcription.reduced import second_variation
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class _Jump:
         return values[0] - values[1]
 
     def variation_change(self, y: Array) -> float:
-        """Gain of y' V'' y, with the tubes on the centreline, as the margin is defined."""
+        """Gain of y' V'' y of concentric tubes."""
         function = section_function("variation", 1, len(self.theta), False)
         values = [
             float(function(self.theta, *section, y)[0][0, 0]) if section[0].any() else 0.0
@@ -282,7 +283,11 @@ def _margin(linear: _Linearised, response: arms.Profile) -> Array:
     if not problem.size or solution.margin >= 1 - 1e-9:
         # No elastic coupling (or none that softens): the margin stays at its greatest value, 1.
         return out
-    values, vectors = np.linalg.eigh(second_variation(problem, state))
+    if assembly.eccentric:
+        s = problem.arc_length
+        theta = linear.theta(s, arms.interpolate(problem, response, s))
+        return margin_slope(solution, theta, linear.jumps, linear.carriages, linear.side)
+    values, vectors = np.linalg.eigh(state.hessian)
     if len(values) > 1 and values[1] - values[0] < 1e-9:
         return np.full(len(out), np.nan)
     count = len(problem.weight)

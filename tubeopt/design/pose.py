@@ -23,7 +23,7 @@ from ..robots.assembly import Array, Assembly
 from ..stability.certificate import pair_couplings
 from ..transcription import arm as arms
 from ..transcription.piece import ENDS, STEPS
-from ..transcription.reduced import ReducedProblem, second_variation
+from ..transcription.reduced import ReducedProblem
 from ..transcription.steps import shape_steps
 from .solved import Basis, Solved, mesh_basis
 
@@ -259,7 +259,7 @@ class Pose:
         problem, state = self.problem, self.solved.state
         if not problem.size or self.margin >= FLAT:
             return np.zeros(self.basis.local.shape[1])
-        vector = eigh(second_variation(problem, state))[1][:, 0]
+        vector = eigh(state.hessian)[1][:, 0]
         y = np.zeros_like(problem.moment)
         y.ravel()[problem.flat] = problem.factor @ vector
         wave, m, total = np.exp(1j * state.theta), problem.moment, problem.stiffness.sum(1)

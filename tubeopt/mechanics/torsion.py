@@ -111,7 +111,8 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     `curvature`: u.  `stiffness_slope`, with a further argument y (n,): d(dM/dtheta y)/dtheta (n, n).
      `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
     eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
-    with respect to theta.
+    with respect to theta.  `mode`, of eccentric tubes, with further arguments y, b, c, e (n,): b' dM/dtheta y +
+    c' dg/dtheta y + e' g, its gradient with respect to theta.
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
@@ -132,4 +133,8 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.gradient(form, theta)]),
     }
+    if eccentric:
+        weights = [ca.SX.sym(name, n) for name in "bce"]
+        mode = sum(ca.dot(w, v) for w, v in zip(weights, (stiff @ y, stretched @ y, here.stretch), strict=True))
+        table["mode"] = ([*inputs, y, *weights], [mode, ca.gradient(mode, theta)])
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

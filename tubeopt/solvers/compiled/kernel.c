@@ -91,12 +91,11 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
 #if ECCENTRIC
     out->residual = largest(w->stretch.residual, w->all.size);
     out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
-    /* The margin is that of the same rotations on the centreline. */
-    State *centred = &w->centred;
-    to_unknowns(&w->fine, alpha, state->theta, centred->z);
-    memset(centred->extra, 0, sizeof centred->extra);
-    evaluate(&w->fine, alpha, centred);
-    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, centred, &w->trial, &w->spare, w->matrix);
+    double y[MOST_UNKNOWNS];
+    out->margin = -1;
+    w->spare = w->arm;
+    if (softest_on_centreline(method, &w->all, &w->coarse, alpha, &w->trial, &w->spare, w->matrix, y))
+        out->margin = stretched_margin(&w->all, state, &w->stretch, w->matrix, y);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
