@@ -73,7 +73,7 @@ def judge(
 
     Where the certificate is not above 0, the robot is turned along straight ways from its relaxed home, all tubes
     curving to one side: through the rotations with the least margin, full turns of every group of tubes against the
-    others, and random directions, until it snaps.
+    others, and random directions, until it snaps. For tubes off the centreline see `eccentric_verdict`.
 
     Args:
         translations: (n,) m; default home.
@@ -88,6 +88,10 @@ def judge(
         worst = worst_margin(robot, translations)
     except SolveError:
         worst = None
+    if robot.assembly(certificate.translations).eccentric:
+        from .eccentric_verdict import judge_eccentric  # which is a Verdict of this module
+
+        return judge_eccentric(robot, certificate, worst, progress)
     if certificate.snap_free:
         return Verdict(robot, certificate, worst)
     start = _relaxed(robot)

@@ -15,8 +15,9 @@ from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, on_centreline, to_unknowns
+from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate
+from .eccentric_worst import least_margin
 from .shooting import profiles, to_base
 
 SAMPLES_LOG2 = 9
@@ -45,7 +46,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
-    are improved by Nelder and Mead's method. Tubes off the centreline are taken on it, as for the certificate.
+    are improved by Nelder and Mead's method. For tubes off the centreline see `eccentric_worst.least_margin`.
 
     Args:
         translations: (n,) m; default home.
@@ -56,7 +57,10 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     """
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
-    problem = on_centreline(reduced_problem(robot, shift, DEFAULT_DISCRETISATION))
+    if robot.assembly(np.array(shift)).eccentric:
+        worst, searches = least_margin(robot, shift)
+        return WorstMargin(worst.margin, worst, searches)
+    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
     searches = 0

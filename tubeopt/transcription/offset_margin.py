@@ -99,11 +99,17 @@ def make_blocks(assembly: Assembly, green: Array, section: NDArray[np.intp], int
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Of one block: 1 - P w g' and the bracket times M', both (k p, k p), by tube, then by point."""
+    """Of one block: 1 - P w g' (k p, k p), by tube, then by point; the bracket (k, p, p) of each tube; M' (p, k, k)."""
 
     block: Block
     left: Array
-    right: Array
+    whole: Array
+    slope: Array
+
+    def matrix(self) -> Array:
+        """K (k p, k p)."""
+        right = self.whole[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
+        return np.asarray(np.linalg.solve(self.left, -right.reshape(self.left.shape)))
 
 
 def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
@@ -122,11 +128,10 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
         k, p = len(t), len(o)
         whole = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
         own = np.ix_(o, t, t)
-        right = whole[:, :, None, :] * turned[own].transpose(2, 1, 0)[:, None]
         relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
         left = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
         left.ravel()[:: k * p + 1] += 1.0
-        yield _Linearised(block, left, right.reshape(k * p, k * p))
+        yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
 
 
 def _real(values: NDArray[np.complexfloating[tuple[int, ...]]] | Array) -> Array:
@@ -136,8 +141,21 @@ def _real(values: NDArray[np.complexfloating[tuple[int, ...]]] | Array) -> Array
 
 def softenings(problem: ReducedProblem, theta: Array) -> Array:
     """Real eigenvalues of K at theta (N, n), of all blocks: each the share of torsional stiffness that is a fold."""
-    parts = [np.linalg.eigvals(np.linalg.solve(one.left, -one.right)) for one in _linearise(problem, theta)]
+    parts = [np.linalg.eigvals(_of_moments(one)) for one in _linearise(problem, theta)]
     return _real(np.concatenate(parts)) if parts else np.zeros(0)
+
+
+def _of_moments(one: _Linearised) -> Array:
+    """K, for moments in place of y, without those of the last tube: at one place all moments add up to 0."""
+    size = len(one.left) - len(one.block.points)
+    last = len(one.block.tubes) - 1
+    whole, slope = one.whole, one.slope
+    columns = np.zeros((*whole.shape[:2], last, whole.shape[2]))
+    for i in range(last):
+        columns[i, :, i] = whole[i]
+        columns[last, :, i] = -whole[last]
+    moved = np.linalg.solve(one.left, columns.reshape(len(one.left), size)).reshape(*whole.shape[:2], size)
+    return -np.asarray(np.einsum("bij,jbm->ibm", slope[:, :last], moved).reshape(size, size))
 
 
 def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
@@ -145,7 +163,7 @@ def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
     best: tuple[float, _Linearised, Array, Array] | None = None
     following = 0.0
     for one in _linearise(problem, theta):
-        matrix = np.linalg.solve(one.left, -one.right)
+        matrix = one.matrix()
         values, vectors = np.linalg.eig(matrix)
         real = _real(values)
         order = np.argsort(-real)

@@ -29,9 +29,6 @@ typedef struct {
     Stretch stretch;
 #endif
     State state, trial;
-#if ECCENTRIC
-    State centred;
-#endif
     Profile arm, spare;
     double matrix[MOST_UNKNOWNS * STRIDE];
 } Workspace;
@@ -91,11 +88,9 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
 #if ECCENTRIC
     out->residual = largest(w->stretch.residual, w->all.size);
     out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
-    double y[MOST_UNKNOWNS];
     out->margin = -1;
-    w->spare = w->arm;
-    if (softest_on_centreline(method, &w->all, &w->coarse, alpha, &w->trial, &w->spare, w->matrix, y))
-        out->margin = stretched_margin(&w->all, state, &w->stretch, w->matrix, y);
+    if (stable_on_centreline(method, &w->all, &w->coarse, alpha, &w->arm, &w->trial, w->matrix))
+        out->margin = stretched_margin(&w->all, state, &w->stretch, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;

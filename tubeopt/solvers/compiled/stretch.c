@@ -112,25 +112,16 @@ static int newton_stretched(const Unknowns *q, const double *alpha, State *state
     return DECLINED;
 }
 
-/* Whether the same rotations have a margin above -FAR_BELOW on the centreline, by the coarse points; then y is the softest
-   direction there, of the unknowns `all`: where to start. */
-static int softest_on_centreline(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
-                                 State *rough, Profile *arm, double *h, double *y) {
-    double z[MOST_UNKNOWNS], theta[MOST_POINTS][N];
+/* Whether the same rotations have a margin above -FAR_BELOW on the centreline, by the coarse points. */
+static int stable_on_centreline(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
+                                const Profile *arm, State *rough, double *h) {
+    double theta[MOST_POINTS][N];
     interpolate(all, arm, coarse, method->twice_back, theta);
     to_unknowns(coarse, alpha, theta, rough->z);
     evaluate(coarse, alpha, rough);
     second_variation(coarse, rough, h);
     for (int r = 0; r < coarse->size; r++) h[(size_t)r * STRIDE + r] += FAR_BELOW;
-    if (!cholesky(h, coarse->size, STRIDE)) return 0;
-    memset(y, 0, all->size * sizeof(double));
-    if (softest(coarse, rough, h, z)) {
-        memset(rough->extra, 0, sizeof rough->extra);
-        carry_over(method, coarse, rough, all, arm, z);
-        times_factor(all, z, y);
-    }
-    if (!(dot(y, y, all->size) > 1e-30)) anywhere(y, all->size);
-    return 1;
+    return cholesky(h, coarse->size, STRIDE);
 }
 
 /* z <- (1 - K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual: K is what
@@ -153,16 +144,17 @@ static void stiffness_left(const Unknowns *q, const Stretch *e, const double *ja
    is left to the general solver. 1 / margin is the largest eigenvalue of (1 - K)^-1, by Arnoldi's method; it cannot see
    an eigenvalue that passed infinity, a margin below 0: that the tubes on the centreline are stable by -FAR_BELOW and the
    sign of the determinant exclude it. */
-static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h, double *z) {
+static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
-    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 3;
+    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 8;
     if (!n) return 1;
     stretched_jacobian(q, state, e, h);
     if (!lu(h, n, STRIDE, e->pivots)) return -1;
     for (int k = 0; k < n; k++) sign *= (h[(size_t)k * STRIDE + k] < 0) != (e->pivots[k] != k) ? -1 : 1;
     if (sign < 0) return -1;
-    double norm = sqrt(dot(z, z, n));
-    for (int k = 0; k < n; k++) basis[0][k] = z[k] / norm;
+    anywhere(basis[0], n);
+    double norm = sqrt(dot(basis[0], basis[0], n));
+    for (int k = 0; k < n; k++) basis[0][k] /= norm;
     memset(small, 0, sizeof small);
     for (int m = 0; m < steps; m++) {
         double *restrict next = basis[m + 1];
@@ -180,7 +172,7 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
         } while (beside * beside < 1e-2 * whole && beside > 1e-13);
         int last = m + 1 == steps || beside < 1e-13;
         if (last || m == check) {
-            check += 1 + m / 3;
+            check += 4;
             value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > 0)) return -1;
             double residual = beside * fabs(y[m]);
