@@ -2,6 +2,7 @@
 
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
+from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
@@ -12,6 +13,7 @@ from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margi
 __all__ = [
     "Branch",
     "Certificate",
+    "EccentricVerdict",
     "EnergyMap",
     "Finding",
     "Path",

@@ -50,8 +50,11 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise. For tubes off the centreline, in segments of three
-    equal ones, it is a proof for their own equations (see `eccentric_certificate`); for others there is none, -inf.
+    conservative, since three tubes cannot oppose each other pairwise.
+
+    For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of them
+    may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they cannot snap
+    either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
     Args:
         translations: (n,) m; default home.
