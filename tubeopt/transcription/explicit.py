@@ -23,7 +23,7 @@ from ..mechanics.shape import _exponential
 from ..mechanics.torsion import cross_section
 from ..robots.assembly import Array
 from ..robots.robot import Robot
-from .inverse_program import _determinant, _nystrom
+from .inverse_program import MOST_STRETCHED, _determinant, _nystrom, coupling, stretched_stage, stretched_step
 
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
@@ -124,8 +124,16 @@ class _March:
                 near, w_near = self._runge_kutta(far, w_far, stiffness, moment, h)
                 rates = first.stretch * w_far, cross_section(near, stiffness, moment, *self.place).stretch * w_near
             middle = (far + near) / 2 + h / 8 * (rates[1] - rates[0])
-            stages = [self._stiffness(theta, stiffness, moment) for theta in (near, middle, far)]
-            self.y, self.slope = _nystrom(self.y, self.slope, stages, h)
+            if self.place[0] is None or far.numel() > MOST_STRETCHED:
+                stages = [coupling(theta, stiffness, moment, self.softened) for theta in (near, middle, far)]
+                self.y, self.slope = _nystrom(self.y, self.slope, stages, h)
+            else:
+                gains = [self._gain(theta, stiffness, moment) for theta in (near, far)]
+                twists = w_near, (w_near + w_far) / 2 + h / 8 * (gains[0] - gains[1]), w_far
+                section = (stiffness, moment, *self.place)
+                states = zip((near, middle, far), twists, strict=True)
+                fields = [stretched_stage(theta, w, section, self.softened) for theta, w in states]
+                self.y, self.slope = stretched_step(self.y, self.slope, fields, h)
             u = [cross_section(theta, stiffness, moment, *self.place).curvature for theta in (near, middle, far)]
             self.steps.append((h, u))
             self.theta, self.twist = near, w_near
@@ -154,13 +162,6 @@ class _March:
         turned = sum(c * a for c, (a, _) in zip(weights, k, strict=True))
         gained = sum(c * b for c, (_, b) in zip(weights, k, strict=True))
         return theta - h * turned, w - h * gained
-
-    def _stiffness(self, theta: Any, stiffness: Any, moment: Any) -> Any:
-        """V'' / kt of softened tubes (n, n), on the centreline."""
-        cos, sin = moment * ca.cos(theta), moment * ca.sin(theta)
-        pull = ca.sum1(cos), ca.sum1(sin)
-        own = ca.diag(cos * pull[0] + sin * pull[1])
-        return ca.diag(1 / self.softened) @ (own - cos @ cos.T - sin @ sin.T) / ca.sum1(stiffness)
 
     def shape(self) -> tuple[Any, Any, Any]:
         """Positions and tangents (3, p), arc lengths (p,), plate to tip: Magnus steps of order 4 on SE(3)."""

@@ -9,7 +9,9 @@ fraction mu, the fields
 
 keep det Y > 0 along the arm and det(Y(0) - |beta| Y'(0)) > 0 if and only if the margin is above mu. The determinants
 are smooth in all unknowns; the smallest eigenvalue is not where two of them cross, and is capped at 1 where nothing
-couples.
+couples. For tubes off the centreline the fields are those of `offset_margin`, with the twist V in place of Y'; the last
+determinant is 0 where their margin is mu. Of more than MOST_STRETCHED tubes they are taken on the centreline, which changes
+the margin by hundredths at most: they only guide a search, whose answers are told by the margin itself.
 """
 
 from __future__ import annotations
@@ -24,11 +26,14 @@ import numpy as np
 
 from ..errors import InputError
 from ..mechanics.shape import GAUSS_POINTS, magnus_step
-from ..mechanics.torsion import cross_section
+from ..mechanics.torsion import cross_section, section_functions
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
 from .block import Block, BlockInput, Structure, add_equilibrium
 from .nlp import Builder, Nlp
+
+MOST_STRETCHED = 3
+"""Tubes off the centreline up to which the fields are their own; the expressions grow with the fourth power."""
 
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
@@ -262,6 +267,7 @@ class _Arm:
 
     def __init__(self, structure: Structure, given: BlockInput, block: Block) -> None:
         self.structure, self.given, self.block = structure, given, block
+        self.stretched = structure.eccentric and structure.n_tubes <= MOST_STRETCHED
 
     def rotation(self, piece: int, x: Array) -> Any:
         """theta (n, len(x)) at fractions x of a piece, by the polynomial of the collocation."""
@@ -281,6 +287,15 @@ class _Arm:
         if self.structure.eccentric:
             theta += h * ca.horzcat(*extra) @ t.lagrange(x, integrals=1).T
         return theta
+
+    def twist(self, piece: int, x: Array) -> Any:
+        """Twist w (n, len(x)) at fractions x of a piece with collocation points."""
+        degree, t = self.structure.degree, self.structure.tableau
+        first = sum(self.structure.collocated[:piece]) * degree
+        points = [self.block.rotation[:, k] for k in range(first, first + degree)]
+        gain = ca.horzcat(*(self.section(piece, theta).moment / self.given.torsional_stiffness for theta in points))
+        start = ca.repmat(self.block.start_twist[:, piece], 1, len(x))
+        return start + self.given.length[piece] * gain @ t.lagrange(x, integrals=1).T
 
     def section(self, piece: int, theta: Any) -> Any:
         g = self.given
@@ -314,10 +329,10 @@ class _Arm:
         for piece in reversed(range(self.structure.n_pieces)):
             if self.structure.collocated[piece]:
                 h = self.given.length[piece] / JACOBI_STEPS
-                theta = self.rotation(piece, x)
-                stiffness = [self._stiffness(piece, theta[:, k], softened) for k in range(len(x))]
+                stages = self._stages(piece, x, softened)
+                step = stretched_step if self.stretched else _nystrom
                 for k in reversed(range(0, 2 * JACOBI_STEPS, 2)):
-                    y, slope = _nystrom(y, slope, stiffness[k : k + 3], h)
+                    y, slope = step(y, slope, stages[k : k + 3], h)
             else:
                 y = y - self.given.length[piece] * slope
             if piece:
@@ -325,14 +340,50 @@ class _Arm:
         out.append(_determinant(y - ca.diag(self.given.transmission) @ slope))
         return ca.vertcat(*out)
 
-    def _stiffness(self, piece: int, theta: Any, softened: Any) -> Any:
-        """V'' / kt (n, n) at a cross-section, the tubes on the centreline."""
-        stiffness, moment = self.given.stiffness[:, piece], self.given.moment[:, piece]
-        cos, sin = moment * ca.cos(theta), moment * ca.sin(theta)
-        pull = ca.sum1(cos), ca.sum1(sin)
-        coupled = cos @ cos.T + sin @ sin.T
-        own = ca.diag(cos * pull[0] + sin * pull[1])
-        return ca.diag(1 / softened) @ (own - coupled) / ca.sum1(stiffness)
+    def _stages(self, piece: int, x: Array, softened: Any) -> list[Any]:
+        """Coefficients of the fields at fractions x of a piece."""
+        g, theta = self.given, self.rotation(piece, x)
+        stiffness, moment = g.stiffness[:, piece], g.moment[:, piece]
+        if not self.stretched:
+            return [coupling(theta[:, k], stiffness, moment, softened) for k in range(len(x))]
+        place, twist = (g.offset, g.offset_angle), self.twist(piece, x)
+        return [stretched_stage(theta[:, k], twist[:, k], (stiffness, moment, *place), softened) for k in range(len(x))]
+
+
+def coupling(theta: Any, stiffness: Any, moment: Any, softened: Any) -> Any:
+    """V'' / kt (n, n) at a cross-section of concentric tubes."""
+    cos, sin = moment * ca.cos(theta), moment * ca.sin(theta)
+    pull = ca.sum1(cos), ca.sum1(sin)
+    own = ca.diag(cos * pull[0] + sin * pull[1])
+    return ca.diag(1 / softened) @ (own - cos @ cos.T - sin @ sin.T) / ca.sum1(stiffness)
+
+
+Stage = tuple[Any, Any, Any]
+
+
+def stretched_stage(theta: Any, twist: Any, section: tuple[Any, ...], softened: Any) -> Stage:
+    """w g' (n, n), g (n, n) and M' / kt (n, n) of y' = w (g' y) + g v, v' = M' y / kt at a cross-section of tubes off the
+    centreline, given by stiffness, moment, offset and angle."""
+    _, turned, _, stretch, stretched = section_functions(theta.shape[0], True)["balance"](theta, *section)
+    return ca.diag(twist) @ stretched, ca.diag(stretch), ca.diag(1 / softened) @ turned
+
+
+def stretched_step(y: Any, v: Any, stages: list[Stage], h: Any) -> tuple[Any, Any]:
+    """One step of Runge and Kutta's method for fields of tubes off the centreline, from the far end of a length h to its
+    near end; stages (near, middle, far)."""
+    near, middle, far = stages
+
+    def rates(stage: Stage, a: Any, b: Any) -> tuple[Any, Any]:
+        return stage[0] @ a + stage[1] @ b, stage[2] @ a
+
+    k1 = rates(far, y, v)
+    k2 = rates(middle, y - h / 2 * k1[0], v - h / 2 * k1[1])
+    k3 = rates(middle, y - h / 2 * k2[0], v - h / 2 * k2[1])
+    k4 = rates(near, y - h * k3[0], v - h * k3[1])
+    return (
+        y - h / 6 * (k1[0] + 2 * (k2[0] + k3[0]) + k4[0]),
+        v - h / 6 * (k1[1] + 2 * (k2[1] + k3[1]) + k4[1]),
+    )
 
 
 def _cubic(start: Any, end: Any, ahead: Any, behind: Any) -> list[Any]:
