@@ -8,7 +8,7 @@ dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..robots.assembly import ROUND_OFF, Array, Assembly, where
 from ..robots.breakpoints import DIMENSIONS
 from ..transcription.buffered import section_function
+from ..transcription.reduced import ReducedProblem
 from .linear import (
     Arm,
     Chain,
@@ -34,6 +35,7 @@ from .linear import (
     slopes_at,
 )
 from .margin import AtSolution, Variation, quotient_change
+from .offset import offset_change
 from .piece import ENDS
 
 PARAMETERS = ("rotations", "translations", *DIMENSIONS)
@@ -67,6 +69,7 @@ class Derivatives:
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
         margin: of the equilibrium.
+        problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
 
     Raises:
         InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
@@ -81,6 +84,7 @@ class Derivatives:
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
         margin: float = 1.0,
+        problem: Callable[[], ReducedProblem] | None = None,
     ) -> None:
         if side not in (1, -1):
             raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
@@ -88,7 +92,7 @@ class Derivatives:
             if name not in PARAMETERS:
                 raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
         self.arm, self.assembly, self.carriages = arm, assembly, carriages
-        self.wrt, self.side, self.value = tuple(wrt), side, margin
+        self.wrt, self.side, self.value, self._problem = tuple(wrt), side, margin, problem
         self._blocks = [len(carriages) if name == "translations" else arm.n_tubes for name in self.wrt]
 
     # --- what changes -------------------------------------------------------------------------------------------------
@@ -177,11 +181,11 @@ class Derivatives:
         changed = np.flatnonzero((gained[0] != lost[0]).any(1) | (gained[1] != lost[1]).any(1))
         kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
         sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
-        index = np.abs(self._cuts - at[changed]).argmin(axis=1) if len(changed) else changed
+        index = np.abs(self.cuts - at[changed]).argmin(axis=1) if len(changed) else changed
         return Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
 
     @cached_property
-    def _cuts(self) -> Array:
+    def cuts(self) -> Array:
         """(P + 1,) arc lengths between the pieces, plate and tip included."""
         return np.append(self.arm.start, self.assembly.total_length)
 
@@ -241,8 +245,8 @@ class Derivatives:
     def tip_rotations(self) -> Array:
         """(n, Q) of theta at each tube's own end."""
         n = self.arm.n_tubes
-        ends = np.clip(self.assembly.end, 0.0, self._cuts[-1])
-        index = np.argmin(np.abs(self._cuts - ends[:, None]), axis=1)
+        ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
+        index = np.argmin(np.abs(self.cuts - ends[:, None]), axis=1)
         return self.per_tube(self.response.end[index, np.arange(n)])
 
     # --- shape --------------------------------------------------------------------------------------------------------
@@ -351,10 +355,8 @@ class Derivatives:
         """(Q,) of the elastic energy, J."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
         t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
-        columns = self.columns
-        rate = at.rate_slope @ columns - (at.rate / kt)[..., None] * self.data[:, None, 2 * n :]
+        columns, dw = self.columns, self.twist_change
         w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        dw = self.response.state[:-1, None, n:] + h[..., None] * along(t.adjoint, rate)
         density = at.bending_slope[..., None, :] @ columns + (kt * at.stretch * w)[..., None, :] @ dw
         density += (at.stretch * w**2 / 2)[..., None, :] @ self.data[:, None, 2 * n :]
         if arm.place:
@@ -369,6 +371,14 @@ class Derivatives:
         return self.per_tube(out)
 
     @cached_property
+    def twist_change(self) -> Array:
+        """(P, K, n, Q) change of w at the points, by carriages."""
+        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
+        rate = at.rate_slope @ self.columns - (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
+        gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
+        return np.asarray(self.response.state[:-1, None, n:] + gained)
+
+    @cached_property
     def columns(self) -> Array:
         """(P, K, 3n, Q) change of theta, kb and m at the points."""
         n, inner = self.arm.n_tubes, self.response.inner
@@ -380,7 +390,11 @@ class Derivatives:
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
         if not self.arm.n_pieces:
             return self.per_tube(np.zeros(self.size))
-        return self.quotient(self.value, AtSolution())
+        if not self.arm.place:
+            return self.quotient(self.value, AtSolution())
+        if self.value >= FLAT or self._problem is None:
+            return self.per_tube(np.zeros(self.size))
+        return self.per_tube(offset_change(self, self._problem()))
 
     def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
         """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""

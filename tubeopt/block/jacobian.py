@@ -11,7 +11,7 @@ from ..equilibrium import Equilibrium
 from ..errors import SolveError
 from ..robots.assembly import Array
 from .derivatives import Derivatives
-from .state import arm_of_equilibrium
+from .state import arm_of_equilibrium, problem_of
 
 SOLVED = 1e-6
 """Largest error (rad) of the rotations at the plate of an equilibrium that is differentiated."""
@@ -59,6 +59,7 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
         wrt=wrt,
         side=side,
         margin=equilibrium.margin,
+        problem=lambda: problem_of(equilibrium),
     )
 
 

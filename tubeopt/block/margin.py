@@ -32,7 +32,7 @@ class Variation(Protocol):
 
 
 class AtSolution:
-    """That of the margin: of the tubes on the centreline, at the solved rotations."""
+    """That of the margin of concentric tubes, at the solved rotations."""
 
     def matrix(self, theta: Array, kb: Array, m: Array) -> Array:
         """(N, n, n)."""

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..equilibrium import Equilibrium
 from ..robots.assembly import Array, Assembly
-from ..solution import Solution, discretisation_of, polish
+from ..solution import Solution, discretisation_of, polish, reduced_problem
 from ..transcription import arm as arms
 from ..transcription.buffered import section_function
+from ..transcription.reduced import ReducedProblem
 from ..transcription.tableau import tableau
 from .linear import Arm
 from .piece import ENDS
@@ -36,6 +37,11 @@ def arm_of(solution: Solution) -> Arm:
         position=shape.position,
         frame=shape.frame,
     )
+
+
+def problem_of(equilibrium: Equilibrium) -> ReducedProblem:
+    """The reduced problem of an equilibrium, on its own mesh."""
+    return reduced_problem(equilibrium.robot, tuple(equilibrium.translations.tolist()), discretisation_of(equilibrium))
 
 
 HERMITE = 2 * len(ENDS) - 2

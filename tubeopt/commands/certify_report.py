@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..robots.assembly import Array
-from ..stability import ASSUMING, Finding, WorstCertificate
+from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..study.files import write_text
 from ..study.stability_studies import Certification
 from .report import report, to_text, two_columns
@@ -58,14 +58,15 @@ class CertificationReport:
             "exit_code": EXIT_CODES[verdict.finding],
             "answer": self.sentence(),
             "assumed": ASSUMING,
-            "certificate": certificate.margin,
+            "certificate": _number(certificate.margin),
+            "untwisted_margin": verdict.untwisted if isinstance(verdict, EccentricVerdict) else None,
             "margin_found": None if worst is None else worst.margin,
             "found_at_deg": None if worst is None else np.degrees(worst.equilibrium.rotations).tolist(),
             "limiting_tubes": None if certificate.pair is None else [i + 1 for i in certificate.pair],
             "limiting_section_mm": None if certificate.section is None else [s * MM for s in certificate.section],
             "shares": [{"tubes": list(pair), "share": share} for pair, share in self._shares()],
             "gradient": {
-                f"{key}_{unit}": (certificate.gradient[key] * factor).tolist()
+                f"{key}_{unit}": [_number(value * factor) for value in certificate.gradient[key].tolist()]
                 for key, (_, unit, factor) in GRADIENT.items()
             },
             "ways_tried": verdict.ways,
@@ -84,10 +85,14 @@ class CertificationReport:
 
     def _finding(self) -> str:
         verdict = self.answer.verdict
-        proved = f"{verdict.certificate.margin:.3g}"
+        proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
         found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
+        if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricVerdict):
+            return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
         if verdict.finding is Finding.SNAP_FREE:
             return f"{verdict.finding} (margin {proved} proved; {found} found)"
+        if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
+            return f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
         if verdict.snap is None:
             least = f"least margin found {found}"
             if verdict.worst is not None and verdict.worst.margin < 0:
@@ -149,8 +154,8 @@ class CertificationReport:
             )
         if not verdict.followed:
             notes.append("The snap is too shallow to be met by following the robot; it is computed from its fold.")
-        if self.answer.robot.assembly(verdict.certificate.translations).eccentric:
-            notes.append("What is proved holds for the same tubes on the centreline.")
+        if isinstance(verdict, EccentricVerdict):
+            notes += _eccentric_notes(verdict)
         return notes
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -158,7 +163,7 @@ class CertificationReport:
         certificate, worst, box = verdict.certificate, verdict.worst, self.answer.box
         rows = [
             ("translations", millimetres(certificate.translations, ".6g")),
-            ("certificate", f"{certificate.margin:.6f}, a lower bound of the margin at all rotations"),
+            ("certificate", _certificate(verdict)),
         ]
         if worst is None:
             rows.append(("least margin found", "0, a fold"))
@@ -169,6 +174,9 @@ class CertificationReport:
             i, j = certificate.pair
             start, end = (f"{s * MM:.6g}" for s in certificate.section)
             rows.append(("limited by", f"tubes {i + 1} and {j + 1}, on the section from {start} to {end} mm"))
+        elif certificate.section is not None:
+            start, end = (f"{s * MM:.6g}" for s in certificate.section)
+            rows.append(("limited by", f"the section from {start} to {end} mm"))
         shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in self._shares()]
         rows.append(("takes from the margin", ", ".join(shares) or "nothing: no two tubes are coupled"))
         if verdict.snap is not None:
@@ -195,13 +203,18 @@ class CertificationReport:
     def _gradient(self) -> Table | Text:
         certificate = self.answer.verdict.certificate
         if not np.isfinite(certificate.gradient["curvature"]).all():
+            if not np.isfinite(certificate.margin):
+                return Text("")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
         table = Table(title="change of the certificate", title_justify="left", box=None, padding=(0, 2, 0, 0))
         table.add_column("per unit of", style="bold", no_wrap=True)
         for i in range(self.answer.robot.n_tubes):
             table.add_column(f"tube {i + 1}", justify="right")
         for key, (name, unit, factor) in GRADIENT.items():
-            table.add_row(f"{name} ({SIGNS[unit]})", *(f"{value * factor:.4g}" for value in certificate.gradient[key]))
+            values = certificate.gradient[key] * factor
+            table.add_row(
+                f"{name} ({SIGNS[unit]})", *(f"{value:.4g}" if np.isfinite(value) else "-" for value in values)
+            )
         return table
 
     def save(self, directory: Path) -> list[Path]:
@@ -214,6 +227,38 @@ class CertificationReport:
         """Write snap.png where a snap was found."""
         snap = self.answer.verdict.snap
         return [] if snap is None else [draw_snap(directory / "snap.png", snap)]
+
+
+def _number(value: float) -> float | None:
+    """A number for JSON, which knows neither infinity nor NaN."""
+    return value if np.isfinite(value) else None
+
+
+def _certificate(verdict: Verdict) -> str:
+    """The certificate, and what it is a bound of."""
+    margin = verdict.certificate.margin
+    if not np.isfinite(margin):
+        return "none"
+    if isinstance(verdict, EccentricVerdict):
+        return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still holding"
+    return f"{margin:.6f}, a lower bound of the margin at all rotations"
+
+
+def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
+    """What is known in closed form, or why nothing is proved."""
+    if verdict.untwisted is None:
+        return [
+            "Nothing is proved of tubes off the centreline but for segments of three equal ones at 0, 120 and -120 deg "
+            "whose distance from the centreline is at most a quarter of the radius of precurvature."
+        ]
+    if verdict.finding is Finding.CAN_SNAP and verdict.untwisted < 0:
+        return [f"That it can snap is certain: an untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form."]
+    if verdict.finding is Finding.OPEN:
+        return [
+            f"The softest untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form: only below 0 would "
+            "a snap be certain."
+        ]
+    return []
 
 
 def _box_record(box: WorstCertificate) -> dict[str, Any]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..block.derivatives import Derivatives
-from ..block.state import arm_of_equilibrium
+from ..block.state import arm_of_equilibrium, problem_of
 from ..continuation import LARGEST_SHIFT, LARGEST_TURN
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError
@@ -67,7 +67,7 @@ class Posture:
     def _derivatives(self, side: int) -> Derivatives:
         assembly = self.space.robot.assembly(self.equilibrium.translations)
         arm = arm_of_equilibrium(self.equilibrium, assembly)
-        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin)
+        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=partial(problem_of, self.equilibrium))
 
     @cached_property
     def jacobian(self) -> tuple[Array, Array, Array]:

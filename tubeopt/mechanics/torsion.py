@@ -117,7 +117,8 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
     eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
     with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives (n, 3 n), (n, 3 n), (2, 3 n),
-    (1, 3 n) with respect to theta, kb and m.
+    (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes, with further arguments y, b, c, e (n,):
+    b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta, kb and m (3 n).
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
@@ -139,4 +140,8 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
         "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }
+    if eccentric:
+        weights = [ca.SX.sym(name, n) for name in "bce"]
+        mode = sum(ca.dot(w, v) for w, v in zip(weights, (stiff @ y, stretched @ y, here.stretch), strict=True))
+        table["mode"] = ([*inputs, y, *weights], [mode, ca.densify(ca.gradient(mode, given))])
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}

@@ -2,6 +2,7 @@
 
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
+from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
@@ -13,6 +14,7 @@ __all__ = [
     "ASSUMING",
     "Branch",
     "Certificate",
+    "EccentricVerdict",
     "EnergyMap",
     "Finding",
     "Path",

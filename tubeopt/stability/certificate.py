@@ -12,7 +12,8 @@ from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
 from ..robots.assembly import ROUND_OFF, Array, Assembly
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, reduced_problem
-from ..transcription.reduced import ReducedProblem, on_centreline
+from ..transcription.reduced import ReducedProblem
+from .eccentric_certificate import proof, proof_gradient
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -23,11 +24,13 @@ class Certificate:
     """Proved stability of a robot at given translations, for all rotations.
 
     Attributes:
-        margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each.
+        margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
+            nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
         gradient: of the margin with respect to `mechanics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
             the eigenvalue is double, so that the margin has no derivative.
-        pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling.
+        pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
+            for tubes off the centreline, of which three take it together.
         section: (start, end) of the section where it takes most, m.
         share: (n, n) part of 1 - margin that each pair takes; sums to 1 above the diagonal.
     """
@@ -50,8 +53,11 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise. For tubes off the centreline it is the
-    certificate of the same tubes on it.
+    conservative, since three tubes cannot oppose each other pairwise.
+
+    For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of them
+    may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they cannot snap
+    either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
     Args:
         translations: (n,) m; default home.
@@ -59,14 +65,17 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
     """
-    return worst_case(_problem(robot, translations))[0]
+    shift = _shift(robot, translations)
+    assembly = robot.assembly(shift)
+    return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
 
 
-def _problem(robot: Robot, translations: ArrayLike | None) -> ReducedProblem:
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, robot.n_tubes)
-    problem = reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
-    return on_centreline(problem)
+def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
+    return vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
+
+
+def _problem(robot: Robot, shift: Array) -> ReducedProblem:
+    return reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
 
 
 def pair_couplings(problem: ReducedProblem) -> Array:
@@ -99,11 +108,11 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     Raises:
         InputError: as `snap_free_certificate`.
     """
-    problem = _problem(robot, translations)
+    n, shift = robot.n_tubes, _shift(robot, translations)
+    if robot.assembly(shift).eccentric:
+        return _of_segments(robot, shift)
+    problem = _problem(robot, shift)
     margin, y, following = worst_case(problem)
-    n = robot.n_tubes
-    home = robot.home_translations if translations is None else translations
-    shift = vector("translations", home, n)
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
@@ -118,6 +127,18 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     double = following - margin < 1e-9
     gradient = _gradient(robot, problem, margin) if not double else {name: np.full(n, np.nan) for name in PARAMETERS}
     return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
+
+
+def _of_segments(robot: Robot, shift: Array) -> Certificate:
+    """The certificate of tubes off the centreline: its three tubes take alike from the margin."""
+    assembly = robot.assembly(shift)
+    margin, segment = proof(assembly)
+    gradient = proof_gradient(assembly, robot.moving_together)
+    share = np.zeros((robot.n_tubes, robot.n_tubes))
+    if segment is not None:
+        mine = list(segment.tubes)
+        share[np.ix_(mine, mine)] = (1 - np.eye(3)) / 3
+    return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, share)
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:

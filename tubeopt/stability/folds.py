@@ -13,7 +13,7 @@ from ..solution import Solution
 from ..solvers.newton import NewtonResult
 from ..transcription.buffered import section_function
 from ..transcription.mesh import make_mesh
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, second_variation
+from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, softest
 
 FOLD_ITERATIONS = 25
 
@@ -36,7 +36,7 @@ def polish_fold(path: JointPath, near: Point) -> Fold | None:
     known = near.solution.problem
     pieces = np.bincount(known.mesh.section, minlength=known.assembly.n_sections)
     z, t = near.solution.result.state.z, near.t
-    v = np.linalg.eigh(second_variation(known, near.solution.result.state))[1][:, 0]
+    v = softest(known, near.solution.result.state)
     size = len(z)
     for _ in range(FOLD_ITERATIONS):
         problem = _problem_like(path, t, pieces)

@@ -15,7 +15,7 @@ from ..kinematics import forward_kinematics
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solution import Solution, polish, to_equilibrium
-from ..transcription.reduced import second_variation
+from ..transcription.reduced import softest
 from .folds import Fold, polish_fold
 from .landing import distance, land
 
@@ -179,9 +179,7 @@ def lose(path: JointPath, here: Point, goal: float) -> Event | Point:
 
 
 def _softest(solution: Solution) -> Array:
-    """Direction (U,) in z of the smallest eigenvalue of the second variation."""
-    vectors: Array = np.linalg.eigh(second_variation(solution.problem, solution.result.state))[1]
-    return vectors[:, 0]
+    return softest(solution.problem, solution.result.state)
 
 
 def to_snap(path: JointPath, event: Event, index: int) -> Snap:

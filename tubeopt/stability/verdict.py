@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
-from ..equilibrium import Equilibrium
 from ..errors import SolveError
 from ..robots.assembly import Array
 from ..robots.robot import Robot
 from .certificate import Certificate, certify
 from .following import Snap
 from .search import search_snap
-from .snapping import find_snap
 from .worst import WorstMargin, worst_margin
 
 ASSUMING = "assuming no external load, weight or friction"
 """What every statement about snapping leaves out, in a clause."""
-
-TURN = 2 * np.pi
-
-RANDOM_WAYS_LOG2 = 5
-"""Base-2 logarithm of the number of random directions in which an eccentric robot is turned in the end."""
 
 
 class Finding(Enum):
@@ -96,8 +87,7 @@ def judge(
     Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
     until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
     `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
-    below 0, and their snap is found wherever it is. Robots with tubes off the centreline are turned along straight
-    ways of a turn.
+    below 0, and their snap is found wherever it is. For tubes off the centreline see `eccentric_verdict`.
 
     Args:
         translations: (n,) m; default home.
@@ -105,17 +95,18 @@ def judge(
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
-        SolveError: tubes off the centreline, for which no snap was found, and on some way no equilibrium.
     """
     certificate = certify(robot, translations)
     try:
         worst = worst_margin(robot, translations)
     except SolveError:
         worst = None
+    if robot.assembly(certificate.translations).eccentric:
+        from .eccentric_verdict import judge_eccentric  # which is a Verdict of this module
+
+        return judge_eccentric(robot, certificate, worst, progress)
     if certificate.snap_free:
         return Verdict(robot, certificate, worst)
-    if robot.assembly(certificate.translations).eccentric:
-        return _eccentric(robot, certificate, worst, progress)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, progress)
     verdict = Verdict(
@@ -125,53 +116,3 @@ def judge(
         return verdict
     start, end = found.way
     return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
-
-
-def _eccentric(
-    robot: Robot,
-    certificate: Certificate,
-    worst: WorstMargin | None,
-    progress: Callable[[int, int], object] | None,
-) -> Verdict:
-    """The verdict on tubes off the centreline without a positive certificate: straight ways through the rotations with
-    the least margin, full turns of every group of tubes against the others, and random directions."""
-    start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
-    ways = list(_ways(robot, start, None if worst is None else worst.equilibrium))
-    failure: SolveError | None = None
-    for k, end in enumerate(ways):
-        if progress is not None:
-            progress(k, len(ways))
-        try:
-            snap = find_snap(robot, (start, certificate.translations), (end, certificate.translations))
-        except SolveError as error:
-            failure = error
-            continue
-        if snap is not None:
-            return Verdict(robot, certificate, worst, start, end, snap, k + 1)
-    if failure is not None:
-        raise failure
-    return Verdict(robot, certificate, worst, ways=len(ways))
-
-
-def _ways(robot: Robot, start: Array, worst: Equilibrium | None) -> Iterator[Array]:
-    """(n,) rotations to turn to, the likeliest to snap on the way first; the outermost tube stays."""
-    n = robot.n_tubes
-    for i in range(n - 1):
-        yield start + TURN * np.eye(n)[i]
-    if worst is not None:
-        # Its own mirror image, where tubes oppose each other, is half of the way.
-        relative = worst.rotations - worst.rotations[-1] + start[-1] - start
-        relative -= TURN * np.round((worst.tip_rotations - worst.tip_rotations[-1] + start[-1] - start) / TURN)
-        yield start + 2 * _rounded(relative, 4)
-    for signs in itertools.product((0, 1, -1), repeat=n - 1):
-        if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
-            yield start + TURN * np.array([*signs, 0])
-    if n > 2:
-        unit = 2 * qmc.Sobol(n - 1, rng=0).random_base2(RANDOM_WAYS_LOG2) - 1
-        for direction in unit[np.abs(unit).max(1) > 1e-3]:
-            yield start + _rounded(TURN * np.append(direction / np.abs(direction).max(), 0.0), 1)
-
-
-def _rounded(angles: Array, digits: int) -> Array:
-    """Angles (rad) that have few digits in deg, so that they can be told and typed."""
-    return np.radians(np.round(np.degrees(angles), digits))

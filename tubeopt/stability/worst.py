@@ -11,18 +11,22 @@ from scipy.stats import qmc
 
 from ..equilibrium import Equilibrium
 from ..errors import InputError, SolveError, vector
-from ..robots.assembly import Array, Mask
+from ..robots.assembly import Array
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, on_centreline, to_unknowns
+from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from .certificate import Certificate, certify, snap_free_certificate
+from .eccentric_worst import least_margin
 from .shooting import profiles, to_base
 
 SAMPLES_LOG2 = 9
 """Base-2 logarithm of the number of tip angles at which the search for the worst margin begins."""
 
 LOCAL_SEARCHES = 6
+
+NOTHING_PROVED = -1e3
+"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the least."""
 
 EVALUATIONS = 1500
 """Evaluations of the certificate by the global search over translations."""
@@ -47,7 +51,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
-    are improved by Nelder and Mead's method. Tubes off the centreline are taken on it, as for the certificate.
+    are improved by Nelder and Mead's method. For tubes off the centreline see `eccentric_worst.least_margin`.
 
     Args:
         translations: (n,) m; default home.
@@ -58,7 +62,10 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     """
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
-    problem = on_centreline(reduced_problem(robot, shift, DEFAULT_DISCRETISATION))
+    if robot.assembly(np.array(shift)).eccentric:
+        worst, searches = least_margin(robot, shift)
+        return WorstMargin(worst.margin, worst, searches)
+    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
     searches, unstable = 0, []
@@ -140,31 +147,50 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
         i = int(np.argmax(low > high))
         raise InputError(f"lower translation of tube {i + 1} is {low[i]:g} m; it must be at most upper, {high[i]:g} m")
     robot.assembly(high)
-    moving = high - low > 1e-12
+    carriages = _moving(robot, low, high)
     count = 0
 
     def value(part: Array) -> float:
         nonlocal count
         count += 1
-        return snap_free_certificate(robot, _fill(low, moving, part))
+        try:
+            return max(snap_free_certificate(robot, _fill(low, carriages, part)), NOTHING_PROVED)
+        except InputError:  # translations at which curved parts of segments would overlap
+            return 1.0
 
-    if not moving.any():
+    if not carriages:
         return WorstCertificate(certify(robot, low), low, high, 1)
-    bounds = Bounds(low[moving], high[moving])
+    first = [group[0] for group in carriages]
+    bounds = Bounds(low[first], high[first])
     found = direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
     best, least = found.x, float(found.fun)
-    corners = np.array(np.meshgrid(*[(0.0, 1.0)] * int(moving.sum()))).reshape(int(moving.sum()), -1).T
-    span = high[moving] - low[moving]
-    for start in [best, *(low[moving] + span * corner for corner in corners)]:
+    corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
+    span = high[first] - low[first]
+    for start in [best, *(low[first] + span * corner for corner in corners)]:
         local = minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
         if local.fun < least:
             best, least = local.x, float(local.fun)
     kink = minimize(value, best, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9})
     best = kink.x if kink.fun < least else best
-    return WorstCertificate(certify(robot, _fill(low, moving, best)), low, high, count)
+    return WorstCertificate(certify(robot, _fill(low, carriages, best)), low, high, count)
 
 
-def _fill(base: Array, moving: Mask, part: Array) -> Array:
+def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
+    """Carriages whose translation is not the same at both ends of a box.
+
+    Raises:
+        InputError: tubes of one carriage have different bounds.
+    """
+    for name, bound in (("lower", low), ("upper", high)):
+        for group in robot.moving_together:
+            if np.ptp(bound[list(group)]) > 1e-12:
+                tubes = ", ".join(str(i + 1) for i in group)
+                raise InputError(f"{name} differs between tubes {tubes}, which move together; it must be the same for them")
+    return [group for group in robot.moving_together if high[group[0]] - low[group[0]] > 1e-12]
+
+
+def _fill(base: Array, carriages: list[tuple[int, ...]], part: Array) -> Array:
     out = base.copy()
-    out[moving] = part
+    for group, translation in zip(carriages, part, strict=True):
+        out[list(group)] = translation
     return out

@@ -23,6 +23,7 @@ from scipy.linalg.lapack import dsyevr, dtrtrs
 from ..robots.assembly import Array, Assembly, without_offsets
 from .buffered import section_function
 from .mesh import Mesh
+from .offset_margin import Block, make_blocks, softenings
 
 Index = NDArray[np.intp]
 
@@ -42,6 +43,7 @@ class ReducedProblem:
         entries, places: of the second variation (N, n, n) and of the (U, U) matrix where it goes, both flat.
         entry_weight: weight of each entry.
         stretch: (P, W, inverse of L) for tubes off the centreline.
+        blocks: tubes off the centreline that are curved together, for their margin.
     """
 
     assembly: Assembly
@@ -61,6 +63,7 @@ class ReducedProblem:
     places: Index
     entry_weight: Array
     stretch: tuple[Array, Array, Array] | None
+    blocks: tuple[Block, ...] = ()
 
     @property
     def size(self) -> int:
@@ -105,6 +108,12 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
             chosen = np.ix_(point[mine], point[mine])
             compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
             factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+    stretch: tuple[Array, Array, Array] | None = None
+    blocks: tuple[Block, ...] = ()
+    if assembly.eccentric:
+        up_to, beyond = _integrals(mesh, elements)
+        stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
+        blocks = tuple(make_blocks(assembly, green, section, (up_to, beyond, weight)))
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
@@ -123,12 +132,9 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
         entries=(at * n + column) * n + row,
         places=index[at, row] * len(point) + index[at, column],
         entry_weight=weight[at],
-        stretch=(*_integrals(mesh, elements), _inverse(factor)) if assembly.eccentric else None,
+        stretch=stretch,
+        blocks=blocks,
     )
-
-
-def _inverse(factor: Array) -> Array:
-    return np.asarray(np.linalg.inv(factor), dtype=float)
 
 
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
@@ -239,29 +245,33 @@ def residual(problem: ReducedProblem, state: Evaluation) -> float:
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1.
-
-    For tubes off the centreline the second variation is taken with d = 0 at the solved rotations: the difference is
-    below the error of the model itself.
-    """
+    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; for tubes off the
+    centreline, what takes its place (see `offset_margin`)."""
     if not problem.size:
         return 1.0
-    values = dsyevr(second_variation(problem, state), compute_v=0, range="I", il=1, iu=1)[0]
+    if problem.assembly.eccentric:
+        return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
+    values = dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
     return min(1.0, float(values[0]))
 
 
 def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
-    """Number of negative eigenvalues of the second variation."""
-    return int((np.linalg.eigvalsh(second_variation(problem, state)) < 0).sum()) if problem.size else 0
+    """Number of negative eigenvalues of the second variation, or of what takes its place."""
+    if not problem.size:
+        return 0
+    if problem.assembly.eccentric:
+        return int((softenings(problem, state.theta) > 1).sum())
+    return int((np.linalg.eigvalsh(state.hessian) < 0).sum())
 
 
-def second_variation(problem: ReducedProblem, state: Evaluation) -> Array:
-    """(U, U) second variation in z coordinates, in which its torsional part is the identity."""
-    assembly = problem.assembly
-    if not assembly.eccentric:
-        return state.hessian
-    balance = section_function("balance", len(problem.weight), assembly.n_tubes, False)
-    return _hessian(problem, balance(state.theta, problem.stiffness, problem.moment)[1])
+def softest(problem: ReducedProblem, state: Evaluation) -> Array:
+    """Direction (U,) in z in which an equilibrium is softest, without stiffness at a fold."""
+    if not problem.assembly.eccentric:
+        vectors: Array = np.linalg.eigh(state.hessian)[1]
+        return vectors[:, 0]
+    values, columns = np.linalg.eig(state.hessian)
+    direction = columns[:, int(np.argmin(values.real))].real
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:

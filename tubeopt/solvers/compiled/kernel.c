@@ -29,9 +29,6 @@ typedef struct {
     Stretch stretch;
 #endif
     State state, trial;
-#if ECCENTRIC
-    State centred;
-#endif
     Profile arm, spare;
     double matrix[MOST_UNKNOWNS * STRIDE];
 } Workspace;
@@ -91,12 +88,9 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
 #if ECCENTRIC
     out->residual = largest(w->stretch.residual, w->all.size);
     out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
-    /* The margin is that of the same rotations on the centreline. */
-    State *centred = &w->centred;
-    to_unknowns(&w->fine, alpha, state->theta, centred->z);
-    memset(centred->extra, 0, sizeof centred->extra);
-    evaluate(&w->fine, alpha, centred);
-    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, centred, &w->trial, &w->spare, w->matrix);
+    out->margin = -1;
+    if (stable_on_centreline(method, &w->all, &w->coarse, alpha, &w->arm, &w->trial, w->matrix))
+        out->margin = stretched_margin(&w->all, state, &w->stretch, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;

@@ -200,3 +200,56 @@ static double least_eigenvalue(const double *r, int n, int stride, double small,
         for (int k = 0; k < n; k++) vector[k] += y[j] * basis[j][k];
     return 1 / value;
 }
+
+/* det(x - H) of an upper Hessenberg matrix and its first two derivatives, each over the product of what stands below the
+   diagonal, by Hyman's method; `y` is left with what solves all rows but the first, its last entry 1. */
+static void hyman(const double *h, int m, int stride, double x, double *y, double *out) {
+    double once[LANCZOS], twice[LANCZOS];
+    for (int k = 0; k < m; k++) y[k] = once[k] = twice[k] = 0;
+    y[m - 1] = 1;
+    for (int i = m - 1; i >= 0; i--) {
+        const double *row = h + (size_t)i * stride;
+        double value = x * y[i], first = y[i] + x * once[i], second = 2 * once[i] + x * twice[i];
+        for (int j = i; j < m; j++) {
+            value -= row[j] * y[j];
+            first -= row[j] * once[j];
+            second -= row[j] * twice[j];
+        }
+        if (i) {
+            y[i - 1] = value / row[i - 1];
+            once[i - 1] = first / row[i - 1];
+            twice[i - 1] = second / row[i - 1];
+        } else {
+            out[0] = value;
+            out[1] = first;
+            out[2] = second;
+        }
+    }
+}
+
+/* Largest eigenvalue of an upper Hessenberg matrix all of whose eigenvalues are real, with its eigenvector y of unit
+   length: Laguerre's method from above, which comes down without passing it. -1 where it does not settle. */
+static double largest_of_hessenberg(const double *h, int m, int stride, double *y) {
+    double x = 0, last = INFINITY, p[3];
+    for (int i = 0; i < m; i++) {
+        double row = 0;
+        for (int j = i ? i - 1 : 0; j < m; j++) row += fabs(h[(size_t)i * stride + j]);
+        x = fmax(x, row);
+    }
+    for (int step = 0; step < 80; step++) {
+        hyman(h, m, stride, x, y, p);
+        double first = p[1] / p[0], second = first * first - p[2] / p[0];
+        double spread = (m - 1) * (m * second - first * first), down = m / (first + sqrt(fmax(spread, 0)));
+        if (!isfinite(down)) down = p[0] == 0 ? 0 : NAN;
+        if (isnan(down)) return -1;
+        x -= down;
+        /* Where eigenvalues gather, rounding ends the descent. */
+        if (fabs(down) < 1e-14 * fabs(x) || (fabs(down) < 1e-6 * fabs(x) && fabs(down) > last / 4)) {
+            double norm = sqrt(dot(y, y, m));
+            for (int k = 0; k < m; k++) y[k] /= norm;
+            return x;
+        }
+        last = fabs(down);
+    }
+    return -1;
+}

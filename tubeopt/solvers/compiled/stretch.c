@@ -112,6 +112,78 @@ static int newton_stretched(const Unknowns *q, const double *alpha, State *state
     return DECLINED;
 }
 
+/* Whether the same rotations have a margin above -FAR_BELOW on the centreline, by the coarse points. */
+static int stable_on_centreline(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
+                                const Profile *arm, State *rough, double *h) {
+    double theta[MOST_POINTS][N];
+    interpolate(all, arm, coarse, method->twice_back, theta);
+    to_unknowns(coarse, alpha, theta, rough->z);
+    evaluate(coarse, alpha, rough);
+    second_variation(coarse, rough, h);
+    for (int r = 0; r < coarse->size; r++) h[(size_t)r * STRIDE + r] += FAR_BELOW;
+    return cholesky(h, coarse->size, STRIDE);
+}
+
+/* z <- (1 - K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual: K is what
+   transcription/offset_margin.py tells the margin by. */
+static void stiffness_left(const Unknowns *q, const Stretch *e, const double *jacobian, double *z) {
+    double gain[MOST_POINTS][N] = {{0}};
+    for (int y = 0; y < q->points; y++)
+        for (int i = 0; i < N; i++)
+            for (int j = 0; j < N; j++)
+                if (q->place[y][j] >= 0) gain[y][i] += e->stretch_slope[y][j * N + i] * z[q->first[j] + q->place[y][j]];
+    for (int y = 0; y < q->points; y++)
+        for (int i = 0; i < N; i++) gain[y][i] *= e->twist[y][i];
+    for (int i = 0; i < N; i++)
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++)
+            for (int y = 0; y < q->points; y++) z[a] -= e->up_to[q->point[a]][y] * gain[y][i];
+    lu_solve(jacobian, q->size, STRIDE, e->pivots, z);
+}
+
+/* The margin of tubes off the centreline at a solved state, at most 1; -1 where it is not sure to be positive, which
+   is left to the general solver. 1 / margin is the largest eigenvalue of (1 - K)^-1, by Arnoldi's method; it cannot see
+   an eigenvalue that passed infinity, a margin below 0: that the tubes on the centreline are stable by -FAR_BELOW and the
+   sign of the determinant exclude it. */
+static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h) {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
+    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 8;
+    if (!n) return 1;
+    stretched_jacobian(q, state, e, h);
+    if (!lu(h, n, STRIDE, e->pivots)) return -1;
+    for (int k = 0; k < n; k++) sign *= (h[(size_t)k * STRIDE + k] < 0) != (e->pivots[k] != k) ? -1 : 1;
+    if (sign < 0) return -1;
+    anywhere(basis[0], n);
+    double norm = sqrt(dot(basis[0], basis[0], n));
+    for (int k = 0; k < n; k++) basis[0][k] /= norm;
+    memset(small, 0, sizeof small);
+    for (int m = 0; m < steps; m++) {
+        double *restrict next = basis[m + 1];
+        memcpy(next, basis[m], n * sizeof(double));
+        stiffness_left(q, e, h, next);
+        double beside, whole;
+        do { /* Twice is enough: again only where most of the vector went away. */
+            whole = dot(next, next, n);
+            for (int j = 0; j <= m; j++) {
+                double along = dot(next, basis[j], n);
+                small[j * LANCZOS + m] += along;
+                for (int k = 0; k < n; k++) next[k] -= along * basis[j][k];
+            }
+            beside = sqrt(dot(next, next, n));
+        } while (beside * beside < 1e-2 * whole && beside > 1e-13);
+        int last = m + 1 == steps || beside < 1e-13;
+        if (last || m == check) {
+            check += 4;
+            value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
+            if (!(value > 0)) return -1;
+            double residual = beside * fabs(y[m]);
+            if (last || residual < STRETCHED_ERROR * value) break;
+        }
+        small[(m + 1) * LANCZOS + m] = beside;
+        for (int k = 0; k < n; k++) next[k] /= beside;
+    }
+    return fmin(1, 1 / value);
+}
+
 /* Torsional energy in front of the plate and of the transmissions, J. */
 static double stretched_torsion(const Unknowns *q, const State *state, const Stretch *e, const Profile *arm) {
     double sum = 0;

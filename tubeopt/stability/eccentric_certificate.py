@@ -1,0 +1,237 @@
+"""Whether segments of three equal tubes off the centreline can snap: a proof that not, and a closed form beyond which so.
+
+Each segment is one problem of three tubes (see `eccentric_bound`): inner segments do not act on it but by the stiffness of
+their straight tubes, and in front of its own curved part an outer segment only changes how long its tubes are. The robot
+cannot snap if no segment can.
+
+*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. The three lam_i differ
+by what the outer segments stretch them, at most D = sum delta omega L over these, and sum up to three times their mean lam:
+then tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam), is enough.
+
+*Closed form.* Two tubes turned to c and the third to c + pi neither twist nor turn one another: an equilibrium at every
+length, whose linearisation has constant coefficients. Where one of these is unstable, with segments further out and in
+curving to one side, the joint rotations have more than one equilibrium, and the robot snaps on some way.
+
+Both are told as a number that is positive where the robot is stable: the share of torsional stiffness that all tubes could
+lose before the proof fails, or the untwisted shape is a fold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..mechanics.certificate import PARAMETERS
+from ..robots.assembly import ROUND_OFF, Array, Assembly, merge, where
+from ..robots.eccentric import PLACES
+from ..transcription.buffered import section_function
+from .eccentric_bound import DELTAS, longest
+
+SHORT = 2e-9
+"""Sections shorter than this (m) are tolerances of lengths: their effect is far below the room of the table."""
+
+ALIKE = 1e-9
+"""Relative difference up to which numbers of tubes count as equal."""
+
+STEP = 1e-4
+"""Relative step of the differences for derivatives: some intervals of the table are wider."""
+
+DIRECTIONS = np.arange(12) * np.pi / 6
+"""Directions c of the untwisted shapes that are looked at: the softest lie at 30 deg and every 60 deg from there."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Three equal tubes on one section, in the units of `eccentric_bound`.
+
+    tubes: of the assembly, in the order of PLACES.   section: (start, end), m.
+    rate: omega, 1/m.   delta: d m / K.   length: omega L.   transmission: omega times the mean length from where the
+    tubes are held to the section.   outer: (delta, omega L) of the segments further out, with omega of this one.
+    """
+
+    tubes: tuple[int, int, int]
+    section: tuple[float, float]
+    rate: float
+    delta: float
+    length: float
+    transmission: float
+    outer: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def spread(self) -> float:
+        """Bound D of the difference of the three transmissions."""
+        return sum(delta * length for delta, length in self.outer)
+
+
+def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
+    """The segments of a robot, base to tip; None where it is not made of three equal tubes each, or curves too tightly
+    for the table: then nothing is proved."""
+    found: list[Segment] = []
+    used: set[int] = set()
+    for k in np.flatnonzero(assembly.curved.any(1) & (assembly.length > SHORT)):
+        segment = _segment(assembly, int(k))
+        if segment is None or used & set(segment.tubes):
+            return None
+        used |= set(segment.tubes)
+        outer = tuple((other.delta, other.length / other.rate * segment.rate) for other in found)
+        found.append(replace(segment, outer=outer))
+    return tuple(found)
+
+
+def _segment(assembly: Assembly, k: int) -> Segment | None:
+    """What is curved on section k, where that is three equal tubes around others, if any, that are alike at each place."""
+    tubes = np.flatnonzero(assembly.curved[k])
+    if len(tubes) != 3:
+        return None
+    same = ("bending_stiffness", "torsional_stiffness", "curvature", "offset", "transmission")
+    table = np.array([getattr(assembly, name)[tubes] for name in same])
+    if (np.ptp(table, axis=1) > ALIKE * np.abs(table).max(1) + np.array([0, 0, 0, 0, ROUND_OFF])).any():
+        return None
+    kb, kt, curvature, offset, transmission = table[:, 0]
+    turn = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)
+    place = np.round(turn).astype(int) % 3
+    there = assembly.present[k]
+    off = np.abs(turn - np.round(turn)) > ALIKE
+    if offset <= 0 or (there & (off | (np.abs(assembly.offset - offset) > ALIKE * offset))).any():
+        return None
+    total = np.bincount(place, weights=assembly.bending_stiffness * there, minlength=3)
+    if len(set(place[tubes].tolist())) != 3 or np.ptp(total) > ALIKE * total.max():
+        return None
+    moment, whole = kb * abs(curvature), float(total.max())
+    rate, delta = float(moment / np.sqrt(whole * kt)), float(offset * moment / total.min())
+    if delta > DELTAS[-1]:
+        return None
+    first, second, third = (int(tubes[place[tubes] == p][0]) for p in range(3))
+    start, length = float(assembly.start[k]), float(assembly.length[k])
+    return Segment(
+        tubes=(first, second, third),
+        section=(start, start + length),
+        rate=rate,
+        delta=delta,
+        length=rate * length,
+        transmission=rate * (float(transmission) + start),
+    )
+
+
+def proved_margin(segment: Segment) -> float:
+    """Share of torsional stiffness that the tubes may lose with the proof still holding; above 0 it holds as they are."""
+
+    def excess(soft: float) -> float:
+        x, lam, spread = (soft * part for part in (segment.length, segment.transmission, segment.spread))
+        room = 1 / (segment.delta * x) - lam
+        if room <= 0:
+            return 1.0
+        reach = lam + spread / 2 + spread**2 / 2 / room
+        return x - longest(segment.delta, np.pi / 2 if reach <= 0 else np.arctan(1 / reach))
+
+    highest = np.pi / 2 / segment.length
+    if excess(highest) <= 0:
+        return 1 - 1 / highest**2
+    return 1 - 1 / float(brentq(excess, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)) ** 2
+
+
+@dataclass(frozen=True)
+class Untwisted:
+    """The softest untwisted shape of a segment: the margin of that equilibrium, its direction c, and that of the segments
+    further out, rad; of tubes that bend backwards, turned by pi."""
+
+    segment: Segment
+    margin: float
+    direction: float
+    outer_direction: float
+
+
+def softest_untwisted(segment: Segment) -> Untwisted:
+    """The softest of the shapes with one tube against two, by their exact linearisation."""
+    count = len(DIRECTIONS)
+    opposed = DIRECTIONS[:, None] + np.array([0.0, 0.0, np.pi])
+    slope, g = _cross_section(opposed, segment.delta)
+    root = np.sqrt(g)
+    # With y = sqrt(g) z the field is z'' = -A z, of a symmetric A.
+    values, vectors = np.linalg.eigh(-root[:, :, None] * (slope + slope.swapaxes(1, 2)) / 2 * root[:, None, :])
+    stretch = np.zeros((count, 3))
+    for delta, length in segment.outer:
+        stretch += length * (_cross_section(np.repeat(DIRECTIONS[:, None], 3, axis=1), delta)[1] - 1)
+    if not segment.outer:
+        stretch = stretch[:1]
+    lever = np.sqrt(np.maximum(segment.transmission + stretch[:, None, :], 0.0)) / root
+
+    def excess(soft: float) -> Array:
+        """(outer, c) largest eigenvalue of what must be less than 1."""
+        wave = soft * segment.length * np.sqrt(np.abs(values))
+        bent = np.where(values > 0, np.tan(np.minimum(wave, np.pi / 2 - 1e-12)), -np.tanh(wave))
+        field = vectors @ (vectors * (np.sqrt(np.abs(values)) * bent)[:, None, :]).swapaxes(1, 2)
+        form = soft * lever[..., :, None] * field * lever[..., None, :]
+        clamped = (wave * (values > 0)).max(1) / (np.pi / 2)
+        return np.maximum(np.linalg.eigvalsh(form)[..., -1], np.where(clamped >= 1, 1e9, clamped))
+
+    highest = np.pi / 2 / (segment.length * np.sqrt(values.max())) * (1 + 1e-12)
+    soft = brentq(lambda s: float(excess(s).max()) - 1, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)
+    o, c = np.unravel_index(int(np.argmax(excess(soft * (1 - 1e-9)))), (len(lever), count))
+    return Untwisted(segment, 1 - 1 / float(soft) ** 2, float(DIRECTIONS[c]), float(DIRECTIONS[o]))
+
+
+def _cross_section(theta: Array, delta: float) -> tuple[Array, Array]:
+    """M' (N, 3, 3) and g (N, 3) at rotations (N, 3), in the units of `eccentric_bound`."""
+    balance = section_function("balance", len(theta), 3, True)
+    _, turned, _, g, _ = balance(theta, 1.0, 1.0, delta, np.array(PLACES))
+    return turned.reshape(-1, 3, 3).swapaxes(1, 2).copy(), g.copy()
+
+
+def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> Assembly:
+    """An assembly with one parameter of `mechanics.certificate.PARAMETERS` of some tubes changed."""
+    if name in ("bending_stiffness", "torsional_stiffness", "curvature"):
+        values = getattr(assembly, name).copy()
+        values[tubes] += change
+        return replace(assembly, **{name: values})
+    lengthened = np.zeros(assembly.n_tubes)
+    lengthened[tubes] = change
+    # The transition stays where the straight part grows at a fixed translation, and moves with the translation.
+    straight, moved, curved = (lengthened * (name == part) for part in ("straight_length", "translation", "curved_length"))
+    transition, end = assembly.transition + moved, assembly.end + moved + curved
+    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
+    present, bent = where(transition, end, assembly.curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
+    return replace(
+        assembly,
+        transmission=assembly.transmission + straight - moved,
+        transition=transition,
+        end=end,
+        start=cuts[:-1],
+        length=np.diff(cuts),
+        present=present,
+        curved=bent,
+    )
+
+
+def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -> dict[str, Array]:
+    """Change of `proof` with each of PARAMETERS, (n,), by differences: tubes that move together change together and share
+    the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the other."""
+    here = proof(assembly)[0]
+    out = {name: np.full(assembly.n_tubes, np.nan) for name in PARAMETERS}
+    for name in PARAMETERS:
+        for group in carriages:
+            tubes = list(group)
+            size = float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
+            h = STEP * max(size, 1e-300)
+            sides = [proof(_changed(assembly, name, tubes, side * h))[0] for side in (-1.0, 1.0)]
+            known = [(side, value) for side, value in zip((-1.0, 1.0), sides, strict=True) if np.isfinite(value)]
+            if len(known) == 2:
+                out[name][tubes] = (sides[1] - sides[0]) / (2 * h) / len(tubes)
+            elif known and np.isfinite(here):
+                out[name][tubes] = (known[0][1] - here) / (known[0][0] * h) / len(tubes)
+    return out
+
+
+def proof(assembly: Assembly) -> tuple[float, Segment | None]:
+    """The least `proved_margin` of all segments, at most 1, and of which; -inf where nothing can be proved, 1 where
+    nothing is curved."""
+    segments = segments_of(assembly)
+    if segments is None:
+        return -np.inf, None
+    values = [(proved_margin(segment), k) for k, segment in enumerate(segments)]
+    if not values:
+        return 1.0, None
+    least, k = min(values)
+    return min(1.0, least), segments[k]
