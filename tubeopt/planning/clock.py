@@ -10,7 +10,7 @@ class Clock:
 
     def __init__(self, limit: float, within: Clock | None = None) -> None:
         self.began, self.limit = time.perf_counter(), limit
-        self._since = (self.began, time.process_time()) if within is None else within._since
+        self._since: tuple[float, float] = (self.began, time.process_time()) if within is None else within._since
 
     @property
     def seconds(self) -> float:
