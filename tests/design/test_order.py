@@ -105,5 +105,5 @@ def test_the_worst_order_is_told() -> None:
     gap, words = worst_order(tubes, [Place("at home", (0.0, 0.0), (0.0, 0.0)), ahead])
     assert gap == pytest.approx(-0.01)
     assert words == "the carriage of tube 1 stands 10 mm before that of tube 2 here"
-    gap, words = worst_order(tubes, [Place("there", (-0.09, -0.07), (-0.09, -0.07))])
+    gap, words = worst_order(tubes, [Place("there", (-0.09, -0.065), (-0.09, -0.065))])
     assert (gap, words) == (pytest.approx(-0.01), "tube 1 ends 10 mm behind the plate there")

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeopt import HeatingSpec, MoldSpec, Rig, Tube
-from tubeopt.fabrication import Springback
+from tubeopt import HeatingPlan, HeatingSpec, MoldSpec, Rig, Tube
+from tubeopt.fabrication import Springback, tube_fabrication
 from tubeopt.fabrication.heating_ideal import joined
 from tubeopt.fabrication.mold import plan_mold
 from tubeopt.fabrication.mold_holes import open_area
-from tubeopt.fabrication.mold_spec import PlateSpec, VentSpec
+from tubeopt.fabrication.mold_spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.fabrication.thermal import FINE, thermal_model
 from tubeopt.fabrication.thermal_simulation import integrate
 from tubeopt.fabrication.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
 
-from .heating_reference import TUBE, thesis_rig, with_mold
+from .heating_reference import TUBE, thesis_plan, thesis_rig, with_mold
 
 SHORT = HeatingSpec(hold_time=5)
 
@@ -63,11 +63,17 @@ def test_the_mold_takes_what_the_heating_knows() -> None:
     assert heat.clamps == pytest.approx(273.15 + float(np.interp(plan.hold_end, plan.time, plan.clamp_temperature)))
 
 
-def test_a_plate_too_small_for_the_leads_is_told() -> None:
+def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cold ends reach into the bend, and longer leads leave the plate."""
-    rig = with_mold(thesis_rig(), lead=6e-3)
-    plate = PlateSpec(size=(0.108, 0.05), bolt_diameter=3e-3, dowel_diameter=2e-3)
-    made = plan_tube(TUBE, rig, MoldSpec(plate=plate), SHORT)
+
+    def cold(tube: Tube, rig: Rig, spec: HeatingSpec) -> HeatingPlan:
+        plan = thesis_plan()
+        return replace(plan, tube=tube, rig=rig, spec=spec, temperature=plan.temperature - 30.0, feasible=False)
+
+    monkeypatch.setattr(tube_fabrication, "plan_heating", cold)
+    rig = with_mold(thesis_rig(), lead=3e-3)
+    plate = PlateSpec(size=(0.1, 0.05), bolt_diameter=3e-3, dowel_diameter=2e-3)
+    made = plan_tube(TUBE, rig, MoldSpec(plate=plate, clamps=ClampSpec(least_lead=2e-3)), SHORT)
     assert not made.heating.feasible
     assert not made.agreed
     assert "mm from clamp to bend, the mold has" in made.disagreement
