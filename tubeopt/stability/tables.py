@@ -26,13 +26,14 @@ RELATIVE, COMMON = 32, 6
 MOST_POINTS = 250_000
 """Points beyond which a table is not refined."""
 
-TAIL = 1e-2
-"""Sum of the Fourier amplitudes (rad) beyond two thirds of those that a table has; what it lacks is far less."""
+TAIL = 0.05
+"""Sum of the Fourier amplitudes (rad) beyond two thirds of those that a table has. They decay geometrically: what the
+table lacks is about its power 3/2."""
 
 DOUBT = 2e-3
 """What a table may be off, in turns of a joint."""
 
-STEPS = 3
+STEPS = 2
 """Steps of the integration per piece for a table: errors near 1e-4 rad."""
 
 
@@ -98,11 +99,11 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
     """Tip angles (B, k) in the middle of every cell of a grid that may lead to the wanted joints (k,).
 
     Args:
-        transmission: (k,) m.  size: points per turn of the relative angles.
+        transmission: (k,) m.  size: least points per turn of the relative angles.
     """
     k, dimension = len(wanted), len(table.size)
     values = table.turned - transmission * table.twist
-    sizes = tuple(size if axis < k - 1 else 2 * n for axis, n in enumerate(table.size))
+    sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
         values = resample(values, n, axis=axis)
     angles = np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in sizes], indexing="ij"), axis=-1)
