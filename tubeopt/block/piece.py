@@ -1,7 +1,7 @@
 """One piece of an arm as CasADi expressions: the collocated torsion, the pose that it adds, its energy.
 
-On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix A,
-weights b, and A~ the adjoint of A (itself for Gauss points),
+On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix
+A, weights b, and A~ the adjoint of A (itself for Gauss points),
 
     theta_k = theta + h sum_j A_kj g_j w_j,      w_k = w + h sum_j A~_kj M_j / kt,
 
