@@ -110,7 +110,7 @@ class EquilibriumBlock(Outputs):
         self._label = f"{self.name}: " if self.name else ""
         self._words: dict[str, list[str]] = {}
         self._checked: list[tuple[Any, ...]] = []
-        self._margins: list[tuple[Any, Any]] = []
+        self._margins: list[tuple[tuple[Any, Any], Any]] = []
         self._certificates: list[Any] = []
         self._answers: list[tuple[Any, ...]] = []
         self._add_unknowns()
@@ -208,7 +208,7 @@ class EquilibriumBlock(Outputs):
         that is maximised; below 1.
 
         By Jacobi's condition on softened tubes, whose determinants are smooth where an eigenvalue is not; for eccentric
-        robots on their own equations. Accurate to about 1e-8; `equilibrium` gives the margin itself, and says so where
+        robots on their own equations. Collocated as the torsion is; `equilibrium` gives the margin itself, and says so where
         the condition holds on another branch of it.
 
         Raises:
@@ -330,8 +330,9 @@ class EquilibriumBlock(Outputs):
     def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:
         """Start all that the block has added to the program at these numbers."""
         self._set_guess(begin, shape)
-        for (flat, _), floor in zip(self._margins, floors, strict=True):
-            self.program.set_guess(flat, fields_of(self._begin, min(floor, 0.9)))
+        for (columns, _), floor in zip(self._margins, floors, strict=True):
+            for column, value in zip(columns, fields_of(self._begin, min(floor, 0.9)), strict=True):
+                self.program.set_guess(column, value)
         for flat, equations, seeds in self._answers:
             self.program.set_guess(flat, answers_of(self, equations, seeds))
 

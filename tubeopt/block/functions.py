@@ -79,12 +79,23 @@ def bend_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def fields_function(grid: Grid) -> ca.Function:
-    """(Jacobi fields (2n, n) at the end, margin, arguments of a piece) -> Jacobi fields at its beginning."""
+    """(Jacobi fields (2n, n) at the end, (n, K n) at the points, margin, arguments of a piece) -> fields (2n, n) at its
+    beginning, defect (n, K n)."""
     torsion = torsion_of(symbols(grid))
     n = grid.n_tubes
-    fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
-    before = softened_fields(torsion, fields, margin)
-    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [before], OPTIONS)
+    fields, inner, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("inside", n, grid.degree * n), ca.SX.sym("margin")
+    out = softened_fields(torsion, fields, inner, margin)
+    return ca.Function("fields", [fields, inner, margin, *torsion.piece.arguments], list(out), OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def field_matrix_function(grid: Grid) -> ca.Function:
+    """(margin, arguments of a piece) -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    torsion = torsion_of(symbols(grid))
+    inner, margin = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("margin")
+    defect = softened_fields(torsion, ca.SX.zeros(2 * grid.n_tubes, 1), inner, margin)[1]
+    matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
+    return ca.Function("field_matrix", [margin, *torsion.piece.arguments], [matrix], OPTIONS)
 
 
 @lru_cache(maxsize=16)

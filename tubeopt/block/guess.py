@@ -60,12 +60,20 @@ def poses_of(model: Model) -> tuple[Array, Array]:
     return np.array([q for q, _ in out]).reshape(-1, 4).T, np.array([p for _, p in out]).reshape(-1, 3).T
 
 
-def fields_of(model: Model, margin: float) -> Array:
-    """(2 n n (P - 1),) Jacobi fields of tubes softened by `margin` where the pieces but the first begin, by columns."""
-    n, step = model.theta.shape[0], functions.fields_function(model.grid)
+def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
+    """Jacobi fields of tubes softened by `margin`: (2 n n (P - 1),) where the pieces but the first begin, and
+    (n n K P,) at the points, by columns."""
+    n, degree = model.theta.shape[0], model.grid.degree
+    step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
-    out = []
-    for k in reversed(range(1, model.n_pieces)):
-        fields = np.array(step(fields, margin, *model.piece(k)))
+    out, points = [], []
+    for k in reversed(range(model.n_pieces)):
+        piece = model.piece(k)
+        forced = np.array(step(fields, np.zeros((n, degree * n)), margin, *piece)[1])
+        columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
+        own = -np.linalg.solve(np.array(matrix(margin, *piece)), columns)
+        inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
+        fields = np.array(step(fields, inner, margin, *piece)[0])
         out.append(fields.ravel(order="F"))
-    return np.concatenate([*reversed(out), np.zeros(0)])
+        points.append(inner.ravel(order="F"))
+    return np.concatenate([*reversed(out[:-1]), np.zeros(0)]), np.concatenate([*reversed(points)])

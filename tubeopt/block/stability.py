@@ -30,29 +30,43 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
     det(y - |beta| v) >= 0 at the plate."""
     floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
     pieces, reach = model.n_pieces, block._reach
+    degree = model.grid.degree
     own = np.concatenate([np.ones((n, n)), np.full((n, n), 1 / reach)]).ravel(order="F")
     scale = np.tile(own, pieces - 1)
     count = f" {len(block._margins) + 1}" if block._margins else ""
-    flat = block.program.variable(f"{block._label}Jacobi fields{count}", 2 * n * n * (pieces - 1), scale=scale)
+    label = f"{block._label}Jacobi fields"
+    flat = block.program.variable(f"{label}{count}", 2 * n * n * (pieces - 1), scale=scale)
+    inside = block.program.variable(f"{label} inside{count}", n * n * degree * pieces)
     tip = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n, n))
     after = ca.horzcat(ca.reshape(flat, 2 * n, n * (pieces - 1)), tip)
-    before = model.mapped("fields")(after, ca.repmat(floor, 1, pieces), *model.arguments)
+    points = ca.reshape(inside, n, n * degree * pieces)
+    before, defect = model.mapped("fields")(after, points, ca.repmat(floor, 1, pieces), *model.arguments)
     start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
-    block.program.set_guess(flat, fields_of(block._begin, start))
-    inner = ca.vec(before[:, n:])
+    for column, value in zip((flat, inside), fields_of(block._begin, start), strict=True):
+        block.program.set_guess(column, value)
+    between = ca.vec(ca.reshape(flat, 2 * n, n * (pieces - 1)) - before[:, n:])
     words = [
-        f"Jacobi field {column + 1}, row {row + 1}, after piece {k + 1}"
+        f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}"
         for k in range(pieces - 1)
-        for column in range(n)
-        for row in range(2 * n)
+        for c in range(n)
+        for r in range(2 * n)
     ]
-    block._demand(f"equations of the Jacobi fields{count}", flat - inner, upper=0.0, scale=scale, entries=words)
+    name = f"equations of the Jacobi fields{count}"
+    block._demand(name, between, upper=0.0, scale=scale, entries=words)
+    words = [
+        f"Jacobi field {c + 1}, tube {i + 1}, piece {k + 1}, point {x + 1}"
+        for k in range(pieces)
+        for c in range(n)
+        for x in range(degree)
+        for i in range(n)
+    ]
+    block._demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
     det = functions.determinant_function(n)
     held = before[:n, :n] - ca.repmat(model.transmission, 1, n) * before[n:, :n]
     dets = [det(before[:n, n * k : n * (k + 1)]) for k in range(pieces)]
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
     block._demand(f"margin{count}", ca.vertcat(*dets, det(held)), entries=places)
-    block._margins.append((flat, floor))
+    block._margins.append(((flat, inside), floor))
 
 
 def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
