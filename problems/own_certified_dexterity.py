@@ -18,29 +18,34 @@ import tubeopt
 from tubeopt.plotting import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
-UNITS = np.array([1.0, 1.0, 0.05, 0.05])
-"""1 rad of rotation counts as much as 50 mm of translation."""
+UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
+"""1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
+
+
+def minors(matrix: ca.MX) -> ca.MX:
+    """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
+    columns = ca.horzsplit(matrix)
+    second = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] ** 2
+    return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
 
 
 def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeopt.Equilibrium, float]:
-    """The best tubes in their best pose, and their least singular value, m."""
+    """The best tubes in their best pose, and their least singular value, cm."""
     opti = ca.Opti()
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
-    least, lower = 1e-4 * opti.variable(), 1e-2 * opti.variable(6)
+    least = opti.variable()
     tubes = {"curvature": curvature}
     block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], translations=near.translations, tubes=tubes)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)
     jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-    factor = ca.MX(ca.Sparsity.lower(3), lower)
-    rest = jacobian @ jacobian.T - least * ca.DM.eye(3) - factor @ factor.T
-    opti.subject_to(1e4 * ca.tril(rest).nz[:] == 0)
+    opti.subject_to(minors(jacobian @ jacobian.T - least * ca.DM.eye(3)) >= 0)
     opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
     opti.subject_to(opti.bounded(0, turn, np.pi))
-    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 1e-5), (lower[[0, 3, 5]], 0.02)):
+    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.1)):
         opti.set_initial(symbol, value)
-    opti.minimize(-1e4 * least)
+    opti.minimize(-least)
     opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
     solution = opti.solve()
     return block.equilibrium(solution), float(np.sqrt(solution.value(least)))
@@ -55,7 +60,7 @@ def main(out: Path) -> list[Path]:
         pose, least = design(near, floor)
         certified = tubeopt.snap_free_certificate(pose.robot, pose.translations)
         bends = ", ".join(f"{tube.curvature:.2f}" for tube in pose.robot.tubes)
-        titles.append(f"{name}: {1e3 * least:.1f} mm per rad or 50 mm")
+        titles.append(f"{name}: {10 * least:.1f} mm per rad or 50 mm")
         print(f"{titles[-1]}; curvatures {bends} per m, margin {pose.margin:.3f}, certificate {certified:.3f}")
         poses.append(pose)
     picture = out / "own_certified_dexterity.png"

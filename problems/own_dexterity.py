@@ -1,7 +1,7 @@
 """Tubes for the most dexterous robot in three places: the least singular value of the tip's Jacobian, made large.
 
 The Jacobian J of the tip is a part of the program: how the arm answers to its joints is lifted into further unknowns.
-J J' - s 1 = C C' with a lower triangular C says that no squared singular value is below s.
+No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell.
 
 One learns: a derivative of the equilibrium can be an objective, with exact second derivatives, and no eigenvalue needs
 to be differentiated.
@@ -22,8 +22,15 @@ ROOT = Path(__file__).resolve().parents[1]
 TARGETS_MM = ((10.0, -40.0, 80.0), (30.0, -30.0, 70.0), (12.0, -30.0, 68.0))
 NEAR = (([0.0, 0.8], [-0.01, -0.03]), ([1.2, 0.2], [0.0, -0.05]), ([-0.6, 0.9], [-0.02, -0.04]))
 """Joint values (rad, m) whose tips are some millimetres from the targets."""
-UNITS = np.array([1.0, 1.0, 0.05, 0.05])
-"""1 rad of rotation counts as much as 50 mm of translation."""
+UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
+"""1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
+
+
+def minors(matrix: ca.MX) -> ca.MX:
+    """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
+    columns = ca.horzsplit(matrix)
+    second = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] ** 2
+    return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
 
 
 def main(out: Path) -> list[Path]:
@@ -33,7 +40,7 @@ def main(out: Path) -> list[Path]:
 
     problem = tubeopt.Problem("dexterity")
     curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=25.0, scale=10.0)
-    least = problem.variable("least squared singular value", guess=1e-5, scale=1e-4)
+    least = problem.variable("least squared singular value", guess=0.1)
     blocks, jacobians = [], []
     for k, (near, target) in enumerate(zip(starts, TARGETS_MM, strict=True), start=1):
         rotations = problem.variable(f"rotations {k}", 2, guess=near.rotations, lower=-7.0, upper=7.0)
@@ -42,20 +49,17 @@ def main(out: Path) -> list[Path]:
         block = tubeopt.EquilibriumBlock(problem, near, rotations=rotations, translations=moved, tubes=tubes)
         block.margin_at_least(0.2)
         jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-        lower = problem.variable(f"factor {k}", 6, guess=[0.02, 0, 0, 0.02, 0, 0.02], scale=0.01)
-        factor = ca.MX(ca.Sparsity.lower(3), lower)
-        rest = jacobian @ jacobian.T - least * ca.DM.eye(3) - factor @ factor.T
-        problem.subject_to(f"singular values {k}", ca.tril(rest).nz[:], upper=0.0, scale=1e-4)
+        problem.subject_to(f"singular values {k}", minors(jacobian @ jacobian.T - least * ca.DM.eye(3)))
         problem.subject_to(f"tip {k}", block.tip_position == np.array(target) * 1e-3, scale=0.1)
         blocks.append(block)
         jacobians.append(jacobian)
-    problem.maximize(1e4 * least)
+    problem.maximize(least)
     solution = problem.solve()
 
     poses = [block.equilibrium(solution) for block in blocks]
     print(f"{solution.status} in {solution.statistics.iterations} iterations")
     print("curvatures (1/m):", np.round(solution.value("curvature"), 3))
-    after = [1e3 * np.linalg.svd(solution.value(jacobian), compute_uv=False)[-1] for jacobian in jacobians]
+    after = [10 * np.linalg.svd(solution.value(jacobian), compute_uv=False)[-1] for jacobian in jacobians]
     print("least singular values (mm per rad or 50 mm):", np.round(after, 3))
     picture = out / "own_dexterity.png"
     plot_shapes(poses, picture, titles=[f"{value:.1f} mm per rad or 50 mm" for value in after])
