@@ -185,7 +185,7 @@ class Problem:
         """Solve the program from its guesses, or from an earlier solution with its multipliers.
 
         Where breakpoints of a block meet at the optimum and press against each other, they change places, and the solve
-        goes on from there as long as the objective does not grow.
+        goes on from there as long as the objective does not grow. So they do where a failed solve ended.
 
         Args:
             solver: settings.
@@ -195,10 +195,12 @@ class Problem:
         Raises:
             SolveError: no optimum was found; the message names the worst constraints, `solution` holds the last point.
         """
-        from .reordering import improve
+        from .reordering import improve, retry
 
         own = solver or Ipopt()
         solution = self.attempt(own, start=start)
+        if solution.status is not ProblemStatus.SOLVED:
+            solution = retry(self, own, solution, reorderings)
         if solution.status is not ProblemStatus.SOLVED:
             raise SolveError(self.failure(solution), solution)
         return improve(self, own, solution, reorderings)

@@ -44,6 +44,32 @@ def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: i
     return with_reorderings(best, count, seconds)
 
 
+def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
+    """After a failed solve: let breakpoints that meet where it ended change places, one a time, and solve again.
+
+    Where the order of breakpoints keeps the robot from what is demanded, the solver halts where they meet. Returns the
+    first success, or the first failure with everything as it was.
+    """
+    laid, first = _layouts(problem), missed
+    guesses = {name: each.guess for name, each in problem._variables.items()}
+    seen = {_arrangement(problem)}
+    for _ in range(limit):
+        blocked = [block for block in problem.blocks if block.closed(missed)]
+        for block in blocked:
+            block.reorder(missed)
+        if not blocked or _arrangement(problem) in seen:
+            break
+        seen.add(_arrangement(problem))
+        _begin_at(problem, missed)
+        missed = problem.attempt(solver)
+        if missed.status is ProblemStatus.SOLVED:
+            return missed
+    _restore(problem, laid)
+    for name, guess in guesses.items():
+        problem.set_guess(name, guess)
+    return first
+
+
 def _pressing(block: EquilibriumBlock, solution: ProblemSolution) -> int | None:
     """The row of a block whose closed gap presses most, None where none does."""
     rows = block.closed(solution)
