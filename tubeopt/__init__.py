@@ -1,7 +1,11 @@
 """tubeopt: design, command and fabrication of concentric and eccentric tube robots."""
 
 from .batch import EquilibriumBatch, forward_kinematics_batch
+from .block.equilibrium_block import EquilibriumBlock, OrderWarning
+from .block.ipopt import Ipopt, ProblemStatus
 from .block.jacobian import Jacobian
+from .block.problem import Problem
+from .block.problem_solution import ProblemSolution, load_problem_solution
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium import Equilibrium, Statistics, Status, Verification
 from .errors import InputError, SolveError
@@ -72,6 +76,7 @@ __all__ = [
     "EnergyMap",
     "Equilibrium",
     "EquilibriumBatch",
+    "EquilibriumBlock",
     "Finding",
     "HeatingPlan",
     "HeatingSpec",
@@ -80,13 +85,18 @@ __all__ = [
     "InverseOptions",
     "InverseSolution",
     "InverseStatus",
+    "Ipopt",
     "Jacobian",
     "JointLimits",
     "Material",
     "Mold",
     "MoldSpec",
+    "OrderWarning",
     "Path",
     "PlanOptions",
+    "Problem",
+    "ProblemSolution",
+    "ProblemStatus",
     "Proof",
     "RateLimits",
     "Rig",
@@ -118,6 +128,7 @@ __all__ = [
     "inverse_kinematics",
     "judge",
     "load_equilibrium",
+    "load_problem_solution",
     "load_rig",
     "load_robot",
     "load_workspace",

@@ -13,11 +13,14 @@ from ..errors import SolveError
 from ..kinematics import forward_kinematics
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot
 from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
 from ..transcription.reduced import margin, to_unknowns
+from ..tubes import Tube
 from ..verification import verify_equilibrium
+from .guess import sample
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -25,16 +28,19 @@ if TYPE_CHECKING:
 AGREEMENT = 1e-6
 """Largest difference of the tip between block and equilibrium, over the length of the arm."""
 
+MISSED = 1e-6
+"""By how much a margin that was demanded may be missed."""
+
 
 def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibrium:
     """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
     numbers = {name: np.array(value(part)).ravel() for name, part in block.dimensions.items()}
-    robot = _robot(block.robot, numbers)
+    robot = rebuilt(block.robot, numbers)
     rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
     translations = np.minimum(translations, numbers["straight_length"])
     problem = reduced_problem(robot, tuple(translations.tolist()), DEFAULT_DISCRETISATION)
-    theta = block.rotation_at(problem.arc_length, value)
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+    theta = sample(block.model.at(value), problem.arc_length)[0].T
+    result = newton(problem, rotations, to_unknowns(problem, rotations, theta.reshape(-1, robot.n_tubes)))
     if not result.converged:
         raise SolveError("Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)")
     solution = Solution(problem, rotations, result, margin(problem, result.state))
@@ -48,26 +54,45 @@ def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibri
             "pieces of the block are too long (raise its refinement), or the program was not solved",
             found,
         )
+    for _, floor in block._margins:
+        least = float(np.array(value(floor)).item())
+        if found.margin < least - MISSED:
+            raise SolveError(
+                f"the margin is {found.margin:.4g} where {least:.4g} was demanded: the program has left the branch on "
+                "which the condition tells the margin; start it closer to its solution",
+                found,
+            )
     return found
 
 
-def _robot(robot: Robot, numbers: dict[str, Any]) -> Robot:
-    """The robot with other dimensions of its tubes."""
+def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
+    """The robot with other DIMENSIONS of its tubes, (n,) each.
+
+    A stiffness other than that of tube and material is had by other moduli of the material: diameters stay.
+    """
     given = dimensions_of(robot.tubes)
     if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
         return robot
-    tubes = []
-    for i, tube in enumerate(robot.tubes):
-        own = {name: float(numbers[name][i]) for name in DIMENSIONS}
-        stiff = own.pop("bending_stiffness"), own.pop("torsional_stiffness")
-        moduli = {}
-        if stiff != (tube.bending_stiffness, tube.torsional_stiffness):
-            moduli = {"youngs_modulus": stiff[0] / tube.second_moment, "shear_modulus": stiff[1] / tube.polar_moment}
-        tubes.append(replace(tube, **own, material=replace(tube.material, **moduli) if moduli else tube.material))
-    return _rebuilt(robot, tuple(tubes))
-
-
-def _rebuilt(robot: Robot, tubes: tuple[Any, ...]) -> Robot:
+    tubes = tuple(
+        _tube(tube, {name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
+    )
     if isinstance(robot, ConcentricRobot):
         return replace(robot, tubes=tubes)
-    raise SolveError("the tubes of an eccentric robot are equal: its dimensions cannot be unknowns one by one")
+    if isinstance(robot, SegmentedEccentricRobot):
+        return replace(robot, segments=tubes[::3])
+    assert isinstance(robot, EccentricRobot)
+    straight = tubes[0].straight_length - robot.transmission_length
+    if straight >= 0:
+        return replace(robot, tube=replace(tubes[0], straight_length=straight))
+    return replace(robot, tube=tubes[0], transmission_length=0.0)
+
+
+def _tube(tube: Tube, own: dict[str, float]) -> Tube:
+    """A tube with other dimensions."""
+    bending, torsional = own.pop("bending_stiffness"), own.pop("torsional_stiffness")
+    material = tube.material
+    if bending != tube.bending_stiffness:
+        material = replace(material, youngs_modulus=bending / tube.second_moment)
+    if torsional != tube.torsional_stiffness:
+        material = replace(material, shear_modulus=torsional / tube.polar_moment)
+    return replace(tube, **own, material=material)

@@ -8,52 +8,64 @@ and IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes ar
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..mechanics.shape import rotation_matrix
 from ..robots.assembly import Array
-from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of, places
-from . import functions
-from .layout import FREE_REFINEMENT, Layout, gap_names, layout
+from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from .given import LENGTHS, assembly_at, given_of, symbolic
+from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
+from .layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, swapped
+from .model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
+from .outputs import Outputs
 from .piece import Grid
 from .program import as_program
+from .sensitivity import add_jacobian, answers_of
+from .stability import add_certificate, add_margin
+from .violation import Violation, violations_of, worst
 
 if TYPE_CHECKING:
     from ..equilibrium import Equilibrium
 
-SMOOTH = 1e-9
-"""Rounds off the root of a strain at 0."""
+CLOSED = 1e-6
+"""Breakpoints closer than this part of the arm's length meet."""
 
 
 class OrderWarning(UserWarning):
     """A solution at which breakpoints meet: behind the meeting another order of them may be better."""
 
 
-class EquilibriumBlock:
+class EquilibriumBlock(Outputs):
     """One equilibrium of a robot in a nonlinear program.
 
     Args:
         opti: a `casadi.Opti` or a `tubeopt.Problem`, to which unknowns and equations are added.
         near: a solved equilibrium: the start, and the order of the breakpoints. Its robot is the block's.
         rotations, translations: (n,) rad and m, numbers or expressions of the program; None keeps those of `near`.
-        tubes: dimensions of the tubes that are expressions or other numbers, (n,) each, by name: any of `DIMENSIONS`;
-            what is not named stays.
+            Tubes of one segment, which move together, share one entry of an expression for their translation.
+        tubes: dimensions of the tubes that are expressions or other numbers, (n,) each, by name: any of `curvature`,
+            `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`; what is not named stays.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
+        name: what to call it in messages.
 
     Attributes:
         tip_position (3,) m, tip_rotation (3, 3): pose of the tip in the plate frame.
+        tip_rotations: (n,) rad, theta of the tubes where the arm ends.
         energy: elastic energy, J.  length: of the arm in front of the plate, m.
         rotations, translations, dimensions: as given or taken over.
 
     Raises:
-        InputError: an unknown name, or a vector of the wrong length.
+        InputError: an unknown name, a vector of the wrong length, or breakpoints whose order differs from that of the
+            numbers given.
 
     Example:
         >>> import casadi, tubeopt
@@ -81,285 +93,149 @@ class EquilibriumBlock:
         tubes: Mapping[str, Any] | None = None,
         side: int = -1,
         refinement: int | None = None,
+        name: str = "",
     ) -> None:
-        robot = near.robot
-        self.near, self.robot, self.program = near, robot, as_program(opti)
-        self._n, self._free = robot.n_tubes, _symbolic(translations)
-        self.rotations = self._column("rotations", rotations, near.rotations)
-        self.translations = self._column("translations", translations, near.translations)
-        self.dimensions = self._dimensions(tubes or {})
-        assembly = robot.assembly(near.translations)
-        self._grid = Grid(self._n, eccentric=assembly.eccentric)
-        given = self.dimensions
-        self._transmission, self._transition, self._end = places(
-            self.translations, given["straight_length"], given["curved_length"]
-        )
-        free_tubes = any(_symbolic(value) for value in given.values())
-        self._refinement = (FREE_REFINEMENT if free_tubes else 0) if refinement is None else refinement
-        self._moving = self._free or any(_symbolic(given[name]) for name in ("straight_length", "curved_length"))
-        order = order_of(assembly, robot.moving_together, side=side)
-        self.layout: Layout = layout(assembly, order, refinement=self._refinement)
-        if not self.layout.n_pieces:
-            raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
-        self._lay_out()
+        self.near, self.robot, self.program = near, near.robot, as_program(opti)
+        self._given = given_of(near, rotations, translations, tubes or {})
+        self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
+        self.dimensions = {key: self._given.values[key] for key in DIMENSIONS}
+        self._bundle = assembly_at(self.robot.assembly(near.translations), self._given.start)
+        self._grid = Grid(self.robot.n_tubes, eccentric=self._bundle.eccentric)
+        self._moving = self._given.free(*LENGTHS)
+        self._fixed = not self._given.free(*LENGTHS, *DIMENSIONS)
+        self._side, self.layout = side, self._lay_out(side, refinement)
+        self._reach = max(float(self.layout.length.sum(0) @ self._places(self._given.start)), 1e-3)
+        called = self.program.enter(self)
+        self.name = name or called
+        self._label = f"{self.name}: " if self.name else ""
+        self._words: dict[str, list[str]] = {}
+        self._checked: list[tuple[Any, ...]] = []
+        self._margins: list[tuple[tuple[Any, Any], Any]] = []
+        self._certificates: list[Any] = []
+        self._answers: list[tuple[Any, ...]] = []
         self._add_unknowns()
         self._add_equations()
-        self.program.enter(self)
 
     # --- construction -------------------------------------------------------------------------------------------------
 
-    def _column(self, name: str, value: Any, otherwise: Any) -> Any:
-        """An (n,) column of numbers or an expression."""
-        if value is None:
-            value = otherwise
-        if isinstance(value, (list, tuple)) and any(_symbolic(entry) for entry in value):
-            value = ca.vertcat(*value)
-        if _symbolic(value):
-            if value.numel() != self._n:
-                raise InputError(f"{name} has {value.numel()} entries; the robot has {self._n} tubes")
-            return ca.vec(value)
-        numbers = np.asarray(value, dtype=float).ravel()
-        if numbers.shape != (self._n,) or not np.isfinite(numbers).all():
-            raise InputError(f"{name} is {numbers.tolist()}; it must be {self._n} finite numbers, one per tube")
-        return ca.DM(numbers)
+    def _lay_out(self, side: int, refinement: int | None) -> Layout:
+        if side not in (-1, 1):
+            raise InputError(f"side is {side}; it must be -1 (behind the plate) or 1 (in front of it)")
+        if refinement is not None and refinement < 0:
+            raise InputError(f"refinement is {refinement}; it must be at least 0")
+        halvings = (0 if self._fixed else FREE_REFINEMENT) if refinement is None else refinement
+        order = order_of(self._bundle, self.robot.moving_together, side=side)
+        if not order.front:
+            raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
+        # Where breakpoints may change places every one of them may come to the front.
+        least = len(order.front) + len(order.behind) if self._moving else 0
+        return layout(self._bundle, order, refinement=halvings, least=least)
 
-    def _dimensions(self, tubes: Mapping[str, Any]) -> dict[str, Any]:
-        unknown = sorted(set(tubes) - set(DIMENSIONS))
-        if unknown:
-            raise InputError(f"tubes names {unknown[0]!r}; it may name {', '.join(DIMENSIONS)}")
-        values = dimensions_of(self.robot.tubes)
-        return {name: self._column(name, tubes.get(name), values[name]) for name in DIMENSIONS}
-
-    def _lay_out(self) -> None:
-        """Lengths and cross-sections of the pieces: numbers of the layout times places and dimensions."""
-        lay, n = self.layout, self._n
-        shapes = [np.shape(part) for part in (lay.length, lay.gap, lay.present, lay.curved)]
-        if self._moving:
-            self._numbers = self.program.parameter("layout", lay.numbers())
-            sizes = np.cumsum([0, *(rows * columns for rows, columns in shapes)]).tolist()
-            parts = ca.vertsplit(self._numbers, sizes)
-            length, gap, present, curved = (ca.reshape(part, *size) for part, size in zip(parts, shapes, strict=True))
-        else:
-            length, gap, present, curved = (ca.DM(part) for part in (lay.length, lay.gap, lay.present, lay.curved))
-        where = ca.vertcat(self._transition, self._end)
-        self._lengths = length @ where
-        self._gaps = gap @ where
-        given, pieces = self.dimensions, lay.n_pieces
-        kb = ca.repmat(given["bending_stiffness"], 1, pieces)
-        self._stiffness = kb * present
-        self._moment = kb * ca.repmat(given["curvature"], 1, pieces) * curved
-        self._torsional = ca.repmat(given["torsional_stiffness"], 1, pieces)
-        place = self.robot.assembly(self.near.translations)
-        self._place = (place.offset, place.offset_angle) if self._grid.eccentric else ()
-        self.length = ca.sum1(self._lengths)
-        assert n == present.shape[0]
+    def _places(self, numbers: Mapping[str, Array]) -> Array:
+        """(2n,) transitions and ends."""
+        return np.concatenate([numbers["translations"], numbers["translations"] + numbers["curved_length"]])
 
     def _add_unknowns(self) -> None:
-        """Rotations and torsions where pieces begin and at their points, poses where they begin."""
-        n, pieces, degree = self._n, self.layout.n_pieces, self._grid.degree
-        reach = max(float(self.near.arc_length[-1]), 1e-3)
-        self._reach = reach
-        program = self.program
-        self._theta = ca.reshape(program.variable("rotation", n * pieces), n, pieces)
-        self._twist = ca.reshape(program.variable("torsion", n * pieces, scale=1 / reach), n, pieces)
-        self._inner = ca.reshape(program.variable("rotation inside", n * pieces * degree), n, pieces * degree)
-        self._q = ca.reshape(program.variable("orientation", 4 * (pieces - 1)), 4, pieces - 1)
-        self._p = ca.reshape(program.variable("position", 3 * (pieces - 1), scale=reach), 3, pieces - 1)
-        for symbol, value in zip(self._unknowns, self._guess(), strict=True):
-            program.set_guess(ca.vec(symbol), value.ravel(order="F"))
+        """Unknowns in columns, and the arm that they make."""
+        n, pieces, degree, reach = self.robot.n_tubes, self.layout.n_pieces, self._grid.degree, self._reach
+        scale = {"torsion": 1 / reach, "position": reach}
+        shapes = sizes(n, pieces, degree)
+        self._columns = [
+            self.program.variable(self._label + name, rows * columns, scale=scale.get(name, 1.0))
+            for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=True)
+        ]
+        self._numbers = None
+        if self._moving:
+            self._numbers = self.program.parameter(self._label + "layout", self.layout.numbers())
+        unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self._columns, shapes, strict=True))
+        values = {**self._given.values, "place": placed(self._bundle)}
+        self.model = model_of(self._grid, numbers_of(self.layout, self._numbers), unknowns, values)
+        begin = self._start_model(self._given.start)
+        self._set_guess(begin, torsion_of_equilibrium(self.near, *points_of(begin)))
 
-    @property
-    def _unknowns(self) -> tuple[Any, ...]:
-        return self._theta, self._twist, self._inner, self._q, self._p
+    def _start_model(self, numbers: Mapping[str, Array]) -> Model:
+        """The arm at joint values and dimensions in numbers, its unknowns nought."""
+        self._begin_numbers = dict(numbers)
+        shapes = sizes(self.robot.n_tubes, self.layout.n_pieces, self._grid.degree)
+        values = {**{key: ca.DM(value) for key, value in numbers.items()}, "place": placed(self._bundle)}
+        zero = tuple(ca.DM.zeros(*shape) for shape in shapes)
+        return model_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
-    @property
-    def _arguments(self) -> list[Any]:
-        """Of the functions of a piece, all pieces side by side."""
-        place = [ca.repmat(ca.DM(v), 1, self.layout.n_pieces) for v in self._place]
-        data = [self._stiffness, self._moment, self._torsional, self._lengths.T]
-        return [self._theta, self._twist, self._inner, *data, *place]
+    def _set_guess(self, model: Model, shape: Shape) -> None:
+        """Start from these rotations and torsions on the pieces of `model`."""
+        model = replace(model, theta=shape[0], twist=shape[1], inner=shape[2])
+        for column, value in zip(self._columns, (*shape, *poses_of(model)), strict=True):
+            self.program.set_guess(column, np.asarray(value).ravel(order="F"))
+        self._begin = model
 
-    @property
-    def _poses(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where the pieces begin."""
-        return ca.horzcat(ca.DM([1, 0, 0, 0]), self._q), ca.horzcat(ca.DM.zeros(3), self._p)
-
-    def _mapped(self, function: ca.Function) -> Any:
-        return function.map(self.layout.n_pieces)
+    def _demand(
+        self,
+        name: str,
+        expression: Any,
+        *,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+        entries: Sequence[str] = (),
+    ) -> None:
+        """0 <= expression <= upper, with words for its entries."""
+        name, words = self._label + name, [self._label + entry for entry in (entries or (name,))]
+        self.program.subject_to(name, expression, upper=upper, scale=scale, entries=words)
+        size = expression.numel()
+        self._words[name] = words
+        self._checked.append((name, expression, *(np.broadcast_to(v, size).astype(float) for v in (upper, scale))))
 
     def _add_equations(self) -> None:
-        n, add = self._n, self.program.subject_to
-        defect, theta, twist = self._mapped(functions.torsion_function(self._grid))(*self._arguments)
-        add("torsion equation", ca.vec(defect), upper=0.0)
-        add("continuity of rotation", ca.vec(self._theta[:, 1:] - theta[:, :-1]), upper=0.0)
-        add("continuity of torsion", ca.vec(self._twist[:, 1:] - twist[:, :-1]), upper=0.0, scale=1 / self._reach)
-        wound = self._transmission * self._twist[:, 0]
-        add("base rotation", self._theta[:, 0] - self.rotations - wound, upper=0.0)
-        add("torsion at the end", twist[:, -1], upper=0.0, scale=1 / self._reach)
-        q, p = self._mapped(functions.pose_function(self._grid))(*self._poses, *self._arguments)
-        add("continuity of orientation", ca.vec(self._q - q[:, :-1]), upper=0.0)
-        add("continuity of position", ca.vec(self._p - p[:, :-1]), upper=0.0, scale=self._reach)
-        self.tip_position = p[:, -1]
-        self.tip_rotation = rotation_matrix(q[:, -1])
-        self.tip_rotations = theta[:, -1]
-        bending = ca.sum2(self._mapped(functions.energy_function(self._grid))(*self._arguments))
-        kt = self.dimensions["torsional_stiffness"]
-        self.energy = bending + ca.dot(kt * self._transmission, self._twist[:, 0] ** 2) / 2
+        model, reach = self.model, self._reach
+        for each in model.equations(self.rotations, reach):
+            self._demand(each.name, each.expression, upper=0.0, scale=each.scale, entries=each.entries)
+        q, p = model.pose_ends
+        self.tip_position, self.tip_rotation = p[:, -1], rotation_matrix(q[:, -1])
+        self.tip_rotations = model.ends[1][:, -1]
+        self.energy, self.length = model.energy, ca.sum1(model.lengths)
         if self._moving:
-            add(gap_names(self.layout.order), self._gaps, scale=self._reach)
-        assert n == theta.shape[0]
+            self._demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
+            held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
+            self._demand("transmissions", model.transmission, scale=reach, entries=held)
+        else:
+            gaps = self.layout.gap @ self._places(self._given.start)
+            if gaps.min(initial=0.0) < -CLOSED * reach:
+                raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")
 
-    def _guess(self) -> tuple[Array, ...]:
-        """Values of the unknowns at `near`, by interpolation of its torsion on the pieces of the block."""
-        from ..solution import discretisation_of, polish
-        from ..transcription import arm as arms
-
-        solution = polish(self.near, discretisation_of(self.near))
-        assembly, t = solution.problem.assembly, self._grid.tableau
-        length = self.layout.length @ np.concatenate([assembly.transition, assembly.end])
-        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        theta = arms.interpolate(solution.problem, solution.arm, start).T
-        twist = np.array([arms.twist_at(solution.problem, solution.arm, s) for s in start]).T
-        inside = (start[:, None] + length[:, None] * t.nodes).ravel()
-        inner = arms.interpolate(solution.problem, solution.arm, inside).T
-        return theta, twist, inner, *self._pose_guess((theta, twist, inner), length, assembly)
-
-    def _pose_guess(self, torsion: tuple[Array, ...], length: Array, assembly: Any) -> tuple[Array, Array]:
-        """Poses where the pieces begin but the first, by integration."""
-        kb = assembly.bending_stiffness[:, None] * self.layout.present
-        m = (assembly.bending_stiffness * assembly.curvature)[:, None] * self.layout.curved
-        step, degree = functions.pose_function(self._grid), self._grid.degree
-        q, p = np.array([1.0, 0, 0, 0]), np.zeros(3)
-        out = []
-        for k in range(self.layout.n_pieces - 1):
-            inner = torsion[2][:, k * degree : (k + 1) * degree]
-            own = [
-                torsion[0][:, k],
-                torsion[1][:, k],
-                inner,
-                kb[:, k],
-                m[:, k],
-                assembly.torsional_stiffness,
-                length[k],
-            ]
-            q, p = (np.array(part).ravel() for part in step(q, p, *own, *self._place))
-            out.append((q, p))
-        return (
-            np.array([q for q, _ in out]).reshape(-1, 4).T,
-            np.array([p for _, p in out]).reshape(-1, 3).T,
-        )
-
-    # --- outputs ------------------------------------------------------------------------------------------------------
-
-    def position(self, fraction: float) -> Any:
-        """(3,) position, m, at a fraction of the arm's length in front of the plate: 0 the plate, 1 the tip."""
-        return self.tip_position if fraction == 1.0 else self._inside(fraction)[1]
-
-    def orientation(self, fraction: float) -> Any:
-        """(3, 3) Bishop frame at a fraction of the arm's length."""
-        return rotation_matrix(self._inside(fraction)[0])
-
-    def curvature(self, fraction: float) -> Any:
-        """(2,) curvature of the arm in its Bishop frame, 1/m, at a fraction of its length."""
-        return self._inside(fraction)[4]
-
-    def rotation(self, fraction: float) -> Any:
-        """(n,) rotations theta_i of the tubes, rad, at a fraction of the arm's length."""
-        return self._inside(fraction)[2]
-
-    def _inside(self, fraction: float) -> Any:
-        """All of `inside_function` at a fraction of the arm's length."""
-        if not 0 <= fraction <= 1:
-            raise InputError(f"fraction is {fraction:g}; it must lie between 0, the plate, and 1, the tip")
-        assembly = self.robot.assembly(self.near.translations)
-        length = self.layout.length @ np.concatenate([assembly.transition, assembly.end])
-        behind = np.cumsum(length)
-        k = min(int(np.searchsorted(behind, fraction * behind[-1])), len(length) - 1)
-        start = ca.sum1(self._lengths[:k]) if k else 0.0
-        x = (fraction * self.length - start) / self._lengths[k]
-        degree = self._grid.degree
-        piece = [self._theta[:, k], self._twist[:, k], self._inner[:, k * degree : (k + 1) * degree]]
-        piece += [self._stiffness[:, k], self._moment[:, k], self._torsional[:, k], self._lengths[k], *self._place]
-        q, p = self._poses
-        return functions.inside_function(self._grid)(q[:, k], p[:, k], x, *piece)
-
-    def strain(self, tube: int) -> Any:
-        """(points,) bending strain r |u - u*| / (1 - r |u*|) at the surface of a tube (0 is the innermost), at the
-        collocation points where it is."""
-        if tube not in range(self._n):
-            raise InputError(f"tube is {tube}; the robot has tubes 0 to {self._n - 1}")
-        degree = self._grid.degree
-        theta, u = self._mapped(functions.curvature_function(self._grid))(*self._arguments)
-        radius = self.robot.tubes[tube].outer_diameter / 2
-        out = []
-        for k in np.flatnonzero(self.layout.present[tube]).tolist():
-            own = self._moment[tube, k] / self._stiffness[tube, k]
-            for c in range(k * degree, (k + 1) * degree):
-                gap = u[:, c] - own * ca.vertcat(ca.cos(theta[tube, c]), ca.sin(theta[tube, c]))
-                out.append(radius * ca.sqrt(ca.sumsqr(gap) + SMOOTH**2) / (1 - radius * ca.fabs(own)))
-        return ca.vertcat(*out)
-
-    def points(self) -> Any:
-        """(3, m) shape points of the arm, four per piece, the tip last, m."""
-        return self._mapped(functions.places_function(self._grid))(*self._poses, *self._arguments)
-
-    def clearance(self, body: Any) -> Any:
-        """(m,) distance of the arm's surface from a body at its shape points, m: at least 0 keeps them apart there.
-
-        `body` is any of `tubeopt.obstacles`, or whatever has `distance(x, y, z)` written with arithmetic alone. Between
-        the points nothing is known: `verify_trajectory` proves clearance.
-        """
-        places = self.points()
-        thick = np.array([tube.outer_diameter / 2 for tube in self.robot.tubes])
-        offset = self._place[0] if self._place else np.zeros(self._n)
-        radius = np.repeat(
-            (self.layout.present * (thick + offset)[:, None]).max(0), places.shape[1] // self.layout.n_pieces
-        )
-        x, y, z = (ca.SX.sym(axis) for axis in "xyz")
-        far = ca.Function("distance", [x, y, z], [body.distance(x, y, z)]).map(places.shape[1])
-        return ca.vec(far(places[0, :], places[1, :], places[2, :])) - ca.DM(radius)
+    # --- demands ------------------------------------------------------------------------------------------------------
 
     def margin_at_least(self, margin: Any) -> None:
-        """Demand that the stability margin is at least `margin`, a number or an expression, for instance a variable that
-        is maximised; below 1.
+        """Demand that the stability margin is at least `margin`, a number or an expression, for instance a variable
+        that is maximised; below 1.
 
         By Jacobi's condition on softened tubes, whose determinants are smooth where an eigenvalue is not; for eccentric
-        robots on their own equations. Accurate to about 1e-8; `equilibrium` gives the margin itself.
-        """
-        if not _symbolic(margin) and not float(margin) < 1:
-            raise InputError(f"margin is {float(margin):g}; it must be below 1")
-        n, pieces, reach = self._n, self.layout.n_pieces, self._reach
-        size = np.concatenate([np.ones((n, n)), np.full((n, n), 1 / reach)]).ravel(order="F")
-        flat = self.program.variable("Jacobi fields", 2 * n * n * (pieces - 1), scale=np.tile(size, pieces - 1))
-        tip = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n, n))
-        after = ca.horzcat(ca.reshape(flat, 2 * n, n * (pieces - 1)), tip)
-        floor = ca.repmat(ca.MX(margin), 1, pieces)
-        before = self._mapped(functions.fields_function(self._grid))(after, floor, *self._arguments)
-        scale = np.tile(size, pieces - 1)
-        inner = ca.vec(before[:, n:])
-        self.program.set_guess(flat, self._fields_guess(margin))
-        self.program.subject_to("Jacobi fields", flat - inner, upper=0.0, scale=scale)
-        det = functions.determinant_function(n)
-        base = before[:n, :n] - ca.repmat(self._transmission, 1, n) * before[n:, :n]
-        fields = [det(before[:n, n * k : n * (k + 1)]) for k in range(pieces)]
-        self.program.subject_to("margin", ca.vertcat(*fields, det(base)))
+        robots on their own equations. Collocated as the torsion is; `equilibrium` gives the margin itself, and says so where
+        the condition holds on another branch of it.
 
-    def _fields_guess(self, margin: Any) -> Array:
-        """The Jacobi fields where pieces begin, but the first, at `near`."""
-        floor = float(margin) if not _symbolic(margin) else min(max(self.near.margin - 0.1, 0.0), 0.9)
-        theta, twist, inner, *_ = self._guess()
-        assembly = self.robot.assembly(self.near.translations)
-        length = self.layout.length @ np.concatenate([assembly.transition, assembly.end])
-        kb = assembly.bending_stiffness[:, None] * self.layout.present
-        m = (assembly.bending_stiffness * assembly.curvature)[:, None] * self.layout.curved
-        step, degree = functions.fields_function(self._grid), self._grid.degree
-        fields = np.concatenate([np.eye(self._n), np.zeros((self._n, self._n))])
-        out = []
-        for k in reversed(range(1, self.layout.n_pieces)):
-            own = [theta[:, k], twist[:, k], inner[:, k * degree : (k + 1) * degree], kb[:, k], m[:, k]]
-            fields = np.array(step(fields, floor, *own, assembly.torsional_stiffness, length[k], *self._place))
-            out.append(fields.ravel(order="F"))
-        return np.concatenate([*reversed(out), np.zeros(0)])
+        Raises:
+            InputError: a number that is not below 1.
+        """
+        add_margin(self, margin)
+
+    def certificate_at_least(self, margin: Any) -> None:
+        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1: with 0
+        the robot cannot snap at any rotations. Concentric robots.
+
+        Raises:
+            InputError: a number that is not below 1, or an eccentric robot.
+        """
+        add_certificate(self, margin)
+
+    def jacobian(self, wrt: Sequence[str] = ("rotations", "translations")) -> Any:
+        """(3, ...) derivative of the tip's position with respect to joint values, m per rad and m per m: expressions, n
+        columns for "rotations", one for each carriage for "translations".
+
+        By the implicit function theorem: how the arm answers to each joint is lifted into further unknowns of linear
+        equations. Where breakpoints meet it is the derivative in their present order.
+
+        Raises:
+            InputError: a name that is neither.
+        """
+        return add_jacobian(self, wrt)
 
     # --- solutions ----------------------------------------------------------------------------------------------------
 
@@ -371,8 +247,8 @@ class EquilibriumBlock:
                 that failed).
 
         Raises:
-            SolveError: Newton's method does not stay at the solution, or the tip differs by more than 1e-6 of the
-                length: the pieces of the block are too long (`refinement`).
+            SolveError: Newton's method does not stay at the solution, the tip differs by more than 1e-6 of the length
+                (the pieces of the block are too long: `refinement`), or a margin that was demanded does not hold.
             InputError: dimensions of which no tube can be made.
 
         Warns:
@@ -385,32 +261,86 @@ class EquilibriumBlock:
             warnings.warn(text, OrderWarning, stacklevel=2)
         return confirmed(self, solution.value)
 
-    def rotation_at(self, arc_length: Array, value: Any) -> Array:
-        """(len(arc_length), n) theta of a solution, whose numbers `value` gives, at places along the arm, m."""
-        length = np.array(value(self._lengths)).ravel()
-        parts = [np.array(value(part), ndmin=2).reshape(part.shape) for part in self._arguments[:6]]
-        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        inside, degree = functions.inside_function(self._grid), self._grid.degree
-        out = []
-        for s in arc_length:
-            k = max(int(np.searchsorted(start, s, side="right")) - 1, 0)
-            theta, twist, inner, *data = parts
-            own = [theta[:, k], twist[:, k], inner[:, k * degree : (k + 1) * degree], *(part[:, k] for part in data)]
-            x = (s - start[k]) / length[k]
-            out.append(np.array(inside(np.array([1.0, 0, 0, 0]), np.zeros(3), x, *own, length[k], *self._place)[2]))
-        return np.array(out).reshape(-1, self._n)
+    def violations(self, solution: Any, *, tolerance: float = 1e-8, count: int = 5) -> tuple[Violation, ...]:
+        """What this block demands and a solution does not hold, in words, the worst first: up to `count`, by more than
+        `tolerance` of their scale. Of `casadi.Opti`, whose solve failed, ask with `opti.debug`."""
+        found: list[Violation] = []
+        for name, expression, upper, scale in self._checked:
+            words = self._words[name]
+            values = np.array(solution.value(expression)).ravel(order="F")
+            found += violations_of(words, values, (np.zeros(len(words)), upper), scale, tolerance)
+        return worst(found, count)
 
     def meetings(self, solution: Any) -> list[str]:
         """Which breakpoints, free to move, meet at a solution, in words."""
-        return [f"{gap_names(self.layout.order)[k]}, and they meet" for k in self._touching(solution)]
+        return [f"{gap_names(self.layout.order)[row]}, and they meet" for row in self.closed(solution)]
 
-    def _touching(self, solution: Any) -> list[int]:
-        """Rows of the gaps that are free and closed at a solution."""
+    def closed(self, solution: Any) -> list[int]:
+        """Rows of the gaps between breakpoints that are closed at a solution and may be opened the other way."""
         if not self._moving:
             return []
-        gaps = np.array(solution.value(self._gaps)).ravel()
-        return [int(k) for k in np.flatnonzero(np.abs(gaps) < 1e-7)]
+        gaps = np.array(solution.value(self.model.gaps)).ravel()
+        rows = np.flatnonzero(np.abs(gaps) < CLOSED * self._reach).tolist()
+        return [row for row in rows if may_swap(self.layout.order, row)]
 
+    def reorder(self, solution: Any, row: int | None = None) -> None:
+        """Let breakpoints that meet at a solution change places, and start the next solve there.
 
-def _symbolic(value: Any) -> bool:
-    return isinstance(value, (ca.SX, ca.MX))
+        Only numbers of the program change. With `casadi.Opti` the start of your own variables is set by
+        `opti.set_initial(solution.value_variables())` before.
+
+        Args:
+            row: of `closed`; None is the first of them.
+
+        Raises:
+            InputError: breakpoints do not meet there, or the block has too few pieces for the new order.
+        """
+        rows = self.closed(solution)
+        if not rows or (row is not None and row not in rows):
+            raise InputError("no breakpoints meet there that could change places")
+        solved = self.model.at(solution.value)
+        numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._given.values.items()}
+        order = swapped(self.layout.order, rows[0] if row is None else row)
+        self.restore(layout(assembly_at(self._bundle, numbers), order, pieces=self.layout.n_pieces))
+        begin = self._start_model(numbers)
+        start, inside = points_of(begin)
+        theta, twist = sample(solved, start)
+        floors = [float(np.array(solution.value(margin)).item()) for _, margin in self._margins]
+        self._begin_with(begin, (theta, twist, sample(solved, inside)[0]), floors)
+
+    def start(self, equilibrium: Equilibrium) -> None:
+        """Start the next solve at another equilibrium of the robot, whose dimensions may differ; your own variables are
+        yours to start.
+
+        Raises:
+            InputError: its breakpoints have an order that the block cannot take.
+        """
+        given = {"rotations": equilibrium.rotations, "translations": equilibrium.translations}
+        numbers = {**given, **dimensions_of(equilibrium.robot.tubes)}
+        if self._moving:
+            bundle = assembly_at(self._bundle, numbers)
+            order = order_of(bundle, self.robot.moving_together, side=self._side)
+            if not order.front:
+                raise InputError("the robot lies behind the plate: an arm without length has no equilibrium")
+            self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
+        begin = self._start_model(numbers)
+        floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self._margins]
+        self._begin_with(begin, torsion_of_equilibrium(equilibrium, *points_of(begin)), floors)
+
+    def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:
+        """Start all that the block has added to the program at these numbers."""
+        self._set_guess(begin, shape)
+        for (columns, _), floor in zip(self._margins, floors, strict=True):
+            for column, value in zip(columns, fields_of(self._begin, min(floor, 0.9)), strict=True):
+                self.program.set_guess(column, value)
+        for flat, equations, seeds in self._answers:
+            self.program.set_guess(flat, answers_of(self, equations, seeds))
+
+    def restore(self, laid: Layout) -> None:
+        """Lay the pieces as in a layout that the block had."""
+        self.layout = laid
+        self.program.set_value(self._numbers, laid.numbers())
+        name = self._label + "order of breakpoints"
+        words = [self._label + entry for entry in gap_names(laid.order)]
+        self.program.rename(name, words)
+        self._words[name] = words

@@ -12,6 +12,9 @@ from .piece import Grid, energy_of, shape_of, softened_fields, symbols, torsion_
 
 OPTIONS = {"cse": True}
 
+SMOOTH = 1e-6
+"""Curvature (1/m) within which the root of a bend is rounded off at 0."""
+
 
 @lru_cache(maxsize=64)
 def torsion_function(grid: Grid) -> ca.Function:
@@ -60,21 +63,39 @@ def energy_function(grid: Grid) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def curvature_function(grid: Grid) -> ca.Function:
-    """Arguments of a piece -> theta (n, K) and u (2, K) at its points."""
-    piece = symbols(grid)
-    u = ca.horzcat(*(piece.section(piece.inner[:, k]).curvature for k in range(grid.degree)))
-    return ca.Function("curvature", piece.arguments, [piece.inner, u], OPTIONS)
+def bend_function(grid: Grid) -> ca.Function:
+    """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
+    at the points, |u / g - u*|, 1/m."""
+    piece, natural = symbols(grid), ca.SX.sym("natural", grid.n_tubes)
+    columns = []
+    for k in range(grid.degree):
+        theta = piece.inner[:, k]
+        here = piece.section(theta)
+        across = [here.curvature[0] / here.stretch, here.curvature[1] / here.stretch]
+        gap = across[0] - natural * ca.cos(theta), across[1] - natural * ca.sin(theta)
+        columns.append(ca.sqrt(gap[0] ** 2 + gap[1] ** 2 + SMOOTH**2) - SMOOTH)
+    return ca.Function("bend", [*piece.arguments, natural], [ca.horzcat(*columns)], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def fields_function(grid: Grid) -> ca.Function:
-    """(Jacobi fields (2n, n) at the end, margin, arguments of a piece) -> Jacobi fields at its beginning."""
+    """(Jacobi fields (2n, n) at the end, (n, K n) at the points, margin, arguments of a piece) -> fields (2n, n) at its
+    beginning, defect (n, K n)."""
     torsion = torsion_of(symbols(grid))
     n = grid.n_tubes
-    fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
-    before = softened_fields(torsion, fields, margin)
-    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [before], OPTIONS)
+    fields, inner, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("inside", n, grid.degree * n), ca.SX.sym("margin")
+    out = softened_fields(torsion, fields, inner, margin)
+    return ca.Function("fields", [fields, inner, margin, *torsion.piece.arguments], list(out), OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def field_matrix_function(grid: Grid) -> ca.Function:
+    """(margin, arguments of a piece) -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    torsion = torsion_of(symbols(grid))
+    inner, margin = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("margin")
+    defect = softened_fields(torsion, ca.SX.zeros(2 * grid.n_tubes, 1), inner, margin)[1]
+    matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
+    return ca.Function("field_matrix", [margin, *torsion.piece.arguments], [matrix], OPTIONS)
 
 
 @lru_cache(maxsize=16)

@@ -1,7 +1,7 @@
 """How the pieces of a block lie in the sections of an arm: numbers that change where breakpoints change their order.
 
-The lengths of the pieces are linear in the places of the breakpoints, and which tubes are present and curved on each are
-numbers too, so that one program serves every order.
+The lengths of the pieces are linear in the places of the breakpoints, and which tubes are present and curved on each
+are numbers too, so that one program serves every order.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..robots.assembly import Array, Assembly
@@ -46,11 +47,13 @@ class Layout:
         return np.concatenate([part.ravel(order="F") for part in parts])
 
 
-def layout(assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0) -> Layout:
+def layout(
+    assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0, least: int = 0
+) -> Layout:
     """Pieces in every section, short enough for coupling and bend at the given places; sections without length get one.
 
     Args:
-        pieces: how many there must be in all; None is as many as are needed.
+        pieces: how many there must be in all; None is as many as are needed, and `least` at least.
 
     Raises:
         InputError: `pieces` are too few.
@@ -63,6 +66,8 @@ def layout(assembly: Assembly, order: Order, *, pieces: int | None = None, refin
         if pieces < len(counts):
             raise InputError(f"the block has {pieces} pieces; the order of its breakpoints needs {len(counts)}")
         counts = _fit(counts, lengths, pieces)
+    elif counts.sum() < least:
+        counts = _fit(counts, lengths, least)
     section = np.repeat(np.arange(len(counts)), counts)
     gap = gap_rows(order, assembly.n_tubes)
     return Layout(
@@ -75,7 +80,7 @@ def layout(assembly: Assembly, order: Order, *, pieces: int | None = None, refin
     )
 
 
-def _fit(counts: Array, lengths: Array, pieces: int) -> Array:
+def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.intp]:
     """Counts whose sum is `pieces`: of too many the longest pieces are spared, too few halve the longest."""
     counts = counts.copy()
     while counts.sum() != pieces:
@@ -111,6 +116,20 @@ def gap_names(order: Order) -> list[str]:
         before = "the plate" if not k else str(order.front[k - 1])
         names.append(f"order of breakpoints: {point} is not before {before}")
     return names + [f"order of breakpoints: {point} is not in front of the plate" for point in order.behind]
+
+
+def may_swap(order: Order, row: int) -> bool:
+    """Whether the breakpoint of a row of the gaps may change places with its neighbour, or with the plate: a tube's
+    transition stays before its end, and some tube in front of the plate."""
+    front = len(order.front)
+    if row >= front:
+        point = order.behind[row - front]
+        return point.end or not any(other.end and set(other.tubes) & set(point.tubes) for other in order.behind)
+    point = order.front[row]
+    if row:
+        before = order.front[row - 1]
+        return before.end == point.end or not set(before.tubes) & set(point.tubes)
+    return front > 1
 
 
 def swapped(order: Order, row: int) -> Order:

@@ -15,28 +15,20 @@ from ..errors import InputError
 class Program(Protocol):
     """A nonlinear program under construction."""
 
-    def variable(
-        self,
-        name: str | Sequence[str],
-        size: int = 1,
-        *,
-        guess: ArrayLike = 0.0,
-        lower: ArrayLike = -np.inf,
-        upper: ArrayLike = np.inf,
-        scale: ArrayLike = 1.0,
-    ) -> Any:
+    def variable(self, name: str, size: int = 1, *, guess: ArrayLike = 0.0, scale: ArrayLike = 1.0) -> Any:
         """A column of `size` unknowns."""
 
     def subject_to(
         self,
-        name: str | Sequence[str],
+        name: str,
         expression: Any,
         *,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         scale: ArrayLike = 1.0,
+        entries: Sequence[str] | None = None,
     ) -> None:
-        """Demand lower <= expression <= upper."""
+        """Demand lower <= expression <= upper; `entries` are words for each row."""
 
     def parameter(self, name: str, value: ArrayLike) -> Any:
         """A column of numbers that may be changed between solves."""
@@ -47,8 +39,11 @@ class Program(Protocol):
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
         """Start the next solve there."""
 
-    def enter(self, block: Any) -> None:
-        """Take note of a block, which can be asked about its solution."""
+    def rename(self, name: str, entries: Sequence[str]) -> None:
+        """Give the rows of a constraint other words."""
+
+    def enter(self, block: Any) -> str:
+        """Take note of a block, which can be asked about its solution; returns what to call it."""
 
 
 class OptiProgram:
@@ -57,33 +52,22 @@ class OptiProgram:
     def __init__(self, opti: ca.Opti) -> None:
         self.opti = opti
 
-    def variable(
-        self,
-        name: str | Sequence[str],
-        size: int = 1,
-        *,
-        guess: ArrayLike = 0.0,
-        lower: ArrayLike = -np.inf,
-        upper: ArrayLike = np.inf,
-        scale: ArrayLike = 1.0,
-    ) -> Any:
+    def variable(self, name: str, size: int = 1, *, guess: ArrayLike = 0.0, scale: ArrayLike = 1.0) -> Any:
         """A column of unknowns, in its own units; Opti is given it over its scale."""
-        factor = np.broadcast_to(np.asarray(scale, dtype=float), (size,))
-        symbol = self.opti.variable(size)
-        low, high = (np.broadcast_to(np.asarray(bound, dtype=float), (size,)) for bound in (lower, upper))
-        self.set_guess(symbol * ca.DM(factor), guess)
-        if np.isfinite(low).any() or np.isfinite(high).any():
-            self.opti.subject_to(self.opti.bounded(low / factor, symbol, high / factor))
-        return symbol * ca.DM(factor)
+        factor = ca.DM(np.broadcast_to(np.asarray(scale, dtype=float), (size,)))
+        column = self.opti.variable(size) * factor
+        self.set_guess(column, guess)
+        return column
 
     def subject_to(
         self,
-        name: str | Sequence[str],
+        name: str,
         expression: Any,
         *,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         scale: ArrayLike = 1.0,
+        entries: Sequence[str] | None = None,
     ) -> None:
         """Demand lower <= expression <= upper, divided by their scale."""
         size = expression.numel()
@@ -107,11 +91,15 @@ class OptiProgram:
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
         """Start there; Opti solves for the variable behind the scale."""
-        size = variable.numel()
-        self.opti.set_initial(variable, ca.DM(np.broadcast_to(np.asarray(value, dtype=float), (size,))))
+        if variable.numel():
+            self.opti.set_initial(variable, ca.DM(np.broadcast_to(np.asarray(value, dtype=float), (variable.numel(),))))
 
-    def enter(self, block: Any) -> None:
+    def rename(self, name: str, entries: Sequence[str]) -> None:
+        """Opti keeps no names."""
+
+    def enter(self, block: Any) -> str:
         """Opti keeps no list of blocks."""
+        return ""
 
 
 def as_program(opti: Any) -> Program:

@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..block.piece import softened_fields
+from ..block.fields import marched_fields
 from ..errors import InputError
 from ..mechanics.matrix import determinant
 from ..mechanics.shape import GAUSS_POINTS, magnus_step
@@ -281,7 +281,7 @@ def _jacobi(block: Block, collocated: tuple[bool, ...], transmission: Any, margi
     out = []
     for piece, torsion in reversed(list(enumerate(block.torsion))):
         if collocated[piece]:
-            fields = softened_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+            fields = marched_fields(torsion, fields, margin, steps=JACOBI_STEPS)
         else:
             fields = ca.vertcat(fields[:n, :] - torsion.piece.length * fields[n:, :], fields[n:, :])
         if piece:

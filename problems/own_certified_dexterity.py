@@ -1,0 +1,75 @@
+"""The most dexterous tubes that cannot snap: the least singular value of the Jacobian, under a certificate of 0.1.
+
+The certificate is a condition on tubes and translations alone: whatever the rotations, the energy has one minimum.
+
+One learns: what a guarantee costs. Without it the tubes bend as far as they may; with it dexterity ends where the
+certificate does.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+import tubeopt
+from tubeopt.plotting import plot_shapes
+
+ROOT = Path(__file__).resolve().parents[1]
+UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
+"""1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
+
+
+def minors(matrix: ca.MX) -> ca.MX:
+    """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
+    columns = ca.horzsplit(matrix)
+    second = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] ** 2
+    return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
+
+
+def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeopt.Equilibrium, float]:
+    """The best tubes in their best pose, and their least singular value, cm."""
+    opti = ca.Opti()
+    curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
+    least = opti.variable()
+    tubes = {"curvature": curvature}
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], translations=near.translations, tubes=tubes)
+    block.margin_at_least(0.1)
+    if certificate is not None:
+        block.certificate_at_least(certificate)
+    jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
+    opti.subject_to(minors(jacobian @ jacobian.T - least * ca.DM.eye(3)) >= 0)
+    opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
+    opti.subject_to(opti.bounded(0, turn, np.pi))
+    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.1)):
+        opti.set_initial(symbol, value)
+    opti.minimize(-least)
+    opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
+    solution = opti.solve()
+    return block.equilibrium(solution), float(np.sqrt(solution.value(least)))
+
+
+def main(out: Path) -> list[Path]:
+    """Design with and without the certificate, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
+    near = tubeopt.forward_kinematics(robot, [1.2, 0.0], [-0.01, -0.03])
+    poses, titles = [], []
+    for name, floor in (("no certificate", None), ("certificate 0.1", 0.1)):
+        pose, least = design(near, floor)
+        certified = tubeopt.snap_free_certificate(pose.robot, pose.translations)
+        bends = ", ".join(f"{tube.curvature:.2f}" for tube in pose.robot.tubes)
+        titles.append(f"{name}: {10 * least:.1f} mm per rad or 50 mm")
+        print(f"{titles[-1]}; curvatures {bends} per m, margin {pose.margin:.3f}, certificate {certified:.3f}")
+        poses.append(pose)
+    picture = out / "own_certified_dexterity.png"
+    plot_shapes(poses, picture, titles=titles)
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

@@ -1,0 +1,73 @@
+"""Tubes for the most dexterous robot in three places: the least singular value of the tip's Jacobian, made large.
+
+The Jacobian J of the tip is a part of the program: how the arm answers to its joints is lifted into further unknowns.
+No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell.
+
+One learns: a derivative of the equilibrium can be an objective, with exact second derivatives, and no eigenvalue needs
+to be differentiated.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+import tubeopt
+from tubeopt.plotting import plot_shapes
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGETS_MM = ((10.0, -40.0, 80.0), (30.0, -30.0, 70.0), (12.0, -30.0, 68.0))
+NEAR = (([0.0, 0.8], [-0.01, -0.03]), ([1.2, 0.2], [0.0, -0.05]), ([-0.6, 0.9], [-0.02, -0.04]))
+"""Joint values (rad, m) whose tips are some millimetres from the targets."""
+UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
+"""1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
+
+
+def minors(matrix: ca.MX) -> ca.MX:
+    """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
+    columns = ca.horzsplit(matrix)
+    second = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] ** 2
+    return ca.vertcat(matrix[0, 0], second, ca.dot(columns[0], ca.cross(columns[1], columns[2])))
+
+
+def main(out: Path) -> list[Path]:
+    """Make the robot dexterous, print what came of it, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
+    starts = [tubeopt.forward_kinematics(robot, *joints) for joints in NEAR]
+
+    problem = tubeopt.Problem("dexterity")
+    curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=25.0, scale=10.0)
+    least = problem.variable("least squared singular value", guess=0.1)
+    blocks, jacobians = [], []
+    for k, (near, target) in enumerate(zip(starts, TARGETS_MM, strict=True), start=1):
+        rotations = problem.variable(f"rotations {k}", 2, guess=near.rotations, lower=-7.0, upper=7.0)
+        moved = problem.variable(f"translations {k}", 2, guess=near.translations, lower=-0.1, upper=0.05, scale=0.1)
+        tubes = {"curvature": curvature}
+        block = tubeopt.EquilibriumBlock(problem, near, rotations=rotations, translations=moved, tubes=tubes)
+        block.margin_at_least(0.2)
+        jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
+        problem.subject_to(f"singular values {k}", minors(jacobian @ jacobian.T - least * ca.DM.eye(3)))
+        problem.subject_to(f"tip {k}", block.tip_position == np.array(target) * 1e-3, scale=0.1)
+        blocks.append(block)
+        jacobians.append(jacobian)
+    problem.maximize(least)
+    solution = problem.solve()
+
+    poses = [block.equilibrium(solution) for block in blocks]
+    print(f"{solution.status} in {solution.statistics.iterations} iterations")
+    print("curvatures (1/m):", np.round(solution.value("curvature"), 3))
+    after = [10 * np.linalg.svd(solution.value(jacobian), compute_uv=False)[-1] for jacobian in jacobians]
+    print("least singular values (mm per rad or 50 mm):", np.round(after, 3))
+    picture = out / "own_dexterity.png"
+    plot_shapes(poses, picture, titles=[f"{value:.1f} mm per rad or 50 mm" for value in after])
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

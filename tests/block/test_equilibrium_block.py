@@ -1,0 +1,306 @@
+"""The block says what forward kinematics says, with exact second derivatives, whatever is free in it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import tubeopt
+from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE, eccentric_robot
+from tubeopt import EquilibriumBlock, InputError, OrderWarning, Problem, SolveError, forward_kinematics
+from tubeopt.obstacles import Sphere
+from tubeopt.robots.robot import Robot
+
+SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
+QUIET = {"print_level": 0, "sb": "yes", "tol": 1e-11}
+ROBOTS = [
+    (THESIS, [0.0, 1.0, 2.0], [0.0, 0.0, 0.0]),
+    (THESIS, [0.3, -0.8, 1.2], [0.01, 0.02, -0.03]),
+    (CRL, [0.5, 1.5, 0.0], [-0.01, -0.005, 0.005]),
+    (eccentric_robot(0.02), [0.3, 1.4, -0.9], [0.0, 0.0, 0.0]),
+    (SEGMENTED, list(np.linspace(-0.8, 0.9, 9)), None),
+]
+
+
+def solved(opti: ca.Opti) -> Any:
+    opti.solver("ipopt", {"print_time": False}, QUIET)
+    return opti.solve()
+
+
+@pytest.mark.parametrize(("robot", "rotations", "translations"), ROBOTS)
+def test_square_program_is_forward_kinematics(robot: Robot, rotations: list[float], translations: Any) -> None:
+    """From a neighbouring equilibrium to given joint values: the solver has no choice."""
+    shift = robot.home_translations if translations is None else np.array(translations)
+    near = forward_kinematics(robot, np.array(rotations) + 0.05, shift)
+    known = forward_kinematics(robot, rotations, shift)
+    opti = ca.Opti()
+    block = EquilibriumBlock(opti, near, rotations=rotations, refinement=1)
+    solution = solved(opti)
+    length = known.arc_length[-1]
+    np.testing.assert_allclose(solution.value(block.tip_position), known.tip_position, atol=1e-8 * length)
+    np.testing.assert_allclose(solution.value(block.tip_rotation), known.tip_rotation, atol=1e-7)
+    assert solution.value(block.energy) == pytest.approx(known.energy, rel=1e-8)
+    assert solution.value(block.length) == pytest.approx(length)
+    k = len(known.arc_length) // 3
+    part = known.arc_length[k] / length
+    np.testing.assert_allclose(solution.value(block.position(part)), known.position[k], atol=1e-8)
+    np.testing.assert_allclose(solution.value(block.orientation(part)), known.frame[k], atol=1e-7)
+    np.testing.assert_allclose(solution.value(block.rotation(part)), known.rotation[:, k], atol=1e-7)
+    found = block.equilibrium(solution)
+    np.testing.assert_allclose(found.tip_position, known.tip_position, atol=1e-8)
+    assert found.verification is not None
+    assert found.verification.tip_position < 1e-8
+
+
+def test_hessians_are_exact_and_newton_is_quick() -> None:
+    """With exact second derivatives the last steps converge quadratically; a quasi-Newton method takes many more."""
+    near = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.03, -0.02, -0.01])
+    counts = {}
+    for hessian in ("exact", "limited-memory"):
+        opti = ca.Opti()
+        turn = opti.variable(3)
+        opti.set_initial(turn, near.rotations)
+        block = EquilibriumBlock(opti, near, rotations=turn)
+        opti.minimize(ca.sumsqr(turn - near.rotations))
+        opti.subject_to(block.tip_position[:2] == near.tip_position[:2] + np.array([3e-3, -2e-3]))
+        options = {**QUIET, "hessian_approximation": hessian}
+        opti.solver("ipopt", {"print_time": False, "expand": True}, options)
+        counts[hessian] = opti.solve().stats()["iter_count"]
+    assert counts["exact"] <= 8
+    assert counts["limited-memory"] > counts["exact"]
+
+
+@pytest.mark.parametrize(
+    ("robot", "rotations"),
+    [(THESIS, [0.0, np.pi / 2, np.pi]), (TWO_TUBE, [3.4, 0.0]), (eccentric_robot(0.02), [0.3, 2.2, -1.4])],
+)
+def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotations: list[float]) -> None:
+    near = forward_kinematics(robot, rotations)
+    assert near.margin < 0.97
+    problem = Problem()
+    least = problem.variable("margin", guess=near.margin - 0.1)
+    block = EquilibriumBlock(problem, near, refinement=1)
+    block.margin_at_least(least)
+    problem.maximize(least)
+    margin = problem.solve(tubeopt.Ipopt(expand=True)).value("margin")
+    if block.model.place:
+        # On the eccentric equations: at the largest softening the determinant is 0 and the exact fold lies there.
+        assert abs(margin - near.margin) < 0.05
+    else:
+        assert margin == pytest.approx(near.margin, abs=1e-8)
+
+
+def test_margin_keeps_a_robot_from_the_snap() -> None:
+    """Turned towards its snap at 203.9 deg, the robot stops where the margin is as demanded."""
+    near = forward_kinematics(TWO_TUBE, [2.6, 0.0])
+    problem = Problem()
+    turn = problem.variable("turn", guess=2.6)
+    block = EquilibriumBlock(problem, near, rotations=[turn, 0.0])
+    block.margin_at_least(0.3)
+    problem.maximize(turn)
+    found = block.equilibrium(problem.solve())
+    assert found.margin == pytest.approx(0.3, abs=1e-7)
+    assert found.rotations[0] < np.radians(203.9)
+
+
+@pytest.mark.parametrize("robot", [TWO_TUBE, CRL])
+def test_certificate_is_that_of_the_library(robot: Robot) -> None:
+    near = forward_kinematics(robot, np.zeros(robot.n_tubes), np.full(robot.n_tubes, -0.02))
+    problem = Problem()
+    least = problem.variable("certificate", guess=-20.0, scale=1.0)
+    block = EquilibriumBlock(problem, near)
+    block.certificate_at_least(least)
+    problem.minimize((least - tubeopt.snap_free_certificate(robot, near.translations) + 1e-3) ** 2)
+    problem.subject_to("below", least <= 0.99)
+    assert problem.solve().status is tubeopt.ProblemStatus.SOLVED
+    value = problem.evaluate(problem._constraints["equilibrium 1: certificate"].expression, {}, {})
+    assert value.shape == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("robot", "translations"), [(TWO_TUBE, [-0.01, -0.03]), (eccentric_robot(0.02), [-0.01, -0.01, -0.01])]
+)
+def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]) -> None:
+    rotations = np.linspace(0.0, 1.2, robot.n_tubes)
+    near = forward_kinematics(robot, rotations, translations)
+    opti = ca.Opti()
+    block = EquilibriumBlock(opti, near, rotations=rotations + 0.02)
+    jacobian = block.jacobian()
+    found = solved(opti).value(jacobian)
+    columns = [np.eye(robot.n_tubes)[i] * 1e-5 for i in range(robot.n_tubes)]
+    moved = [np.where(np.isin(range(robot.n_tubes), tubes), 1e-6, 0.0) for tubes in robot.moving_together]
+    at = rotations + 0.02, np.array(translations)
+
+    def tip(turn: Any, shift: Any) -> Any:
+        guess = forward_kinematics(robot, *at, tolerance=1e-12)
+        return forward_kinematics(robot, at[0] + turn, at[1] + shift, guess=guess, tolerance=1e-12).tip_position
+
+    slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns]
+    slopes += [(tip(0, step) - tip(0, -step)) / 2e-6 for step in moved]
+    np.testing.assert_allclose(found, np.array(slopes).T, atol=2e-7)
+
+
+def test_outputs_follow_an_arm_whose_lengths_are_free() -> None:
+    """Asked at fractions of a length that the solve changes, over breakpoints that move past them."""
+    start, goal = [-0.01, -0.02, -0.03], [0.015, 0.03, 0.02]
+    near = forward_kinematics(THESIS, [0.0, 1.0, 2.0], start)
+    problem = Problem()
+    shift = problem.variable("translations", 3, guess=start, scale=0.1)
+    block = EquilibriumBlock(problem, near, translations=shift, refinement=1)
+    body = Sphere((0.02, 0.0, 0.1), 0.01)
+    problem.minimize(1e4 * ca.sumsqr(shift - ca.DM(goal)))
+    solution = problem.solve()
+    assert solution.statistics.reorderings >= 3
+    found = block.equilibrium(solution)
+    np.testing.assert_allclose(found.translations, goal, atol=1e-9)
+    np.testing.assert_allclose(solution.value(block.tip_position), found.tip_position, atol=1e-9)
+    for k in range(2, len(found.arc_length), 5):
+        part = found.arc_length[k] / found.arc_length[-1]
+        np.testing.assert_allclose(solution.value(block.position(part)), found.position[k], atol=1e-8)
+    strain = solution.value(block.strain(2))
+    radius, natural = THESIS.tubes[2].outer_diameter / 2, THESIS.tubes[2].curvature
+    s = found.arc_length
+    own = np.where(s > goal[2], natural, 0.0)
+    bend = found.curvature - (own * np.array([np.cos(found.rotation[2]), np.sin(found.rotation[2])])).T
+    there = (s < goal[2] + THESIS.tubes[2].curved_length - 1e-9) & (np.abs(s - goal[2]) > 1e-9)
+    known = (radius * np.linalg.norm(bend, axis=1) / (1 - radius * own))[there].max()
+    assert strain.max() == pytest.approx(known, rel=0.02)
+    clearance = solution.value(block.clearance(body)).min()
+    thick = [tube.outer_diameter / 2 for tube in THESIS.tubes]
+    outer = np.array([max(r for r, end in zip(thick, found.tube_end, strict=True) if s <= end + 1e-9) for s in s])
+    assert clearance == pytest.approx((body.signed_distance(found.position) - outer).min(), abs=5e-4)
+
+
+def test_dimensions_are_unknowns_and_come_back_as_a_robot() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.2, 1.0], [-0.01, -0.03])
+    goal = {"curvature": [11.0, 14.0], "curved_length": [0.11, 0.09], "straight_length": [0.06, 0.045]}
+    stiff = [tube.bending_stiffness * 1.04 for tube in TWO_TUBE.tubes]
+    turn = [tube.torsional_stiffness * 0.97 for tube in TWO_TUBE.tubes]
+    goal |= {"bending_stiffness": stiff, "torsional_stiffness": turn}
+    opti = ca.Opti()
+    tubes, cost = {}, 0.0
+    for name, value in goal.items():
+        size = np.abs(value).max()
+        tubes[name] = size * opti.variable(2)
+        opti.set_initial(tubes[name], [getattr(tube, name) for tube in TWO_TUBE.tubes])
+        cost += ca.sumsqr((tubes[name] - ca.DM(value)) / size)
+    block = EquilibriumBlock(opti, near, tubes=tubes)
+    opti.minimize(cost)
+    solution = solved(opti)
+    found = block.equilibrium(solution)
+    for name, value in goal.items():
+        np.testing.assert_allclose([getattr(tube, name) for tube in found.robot.tubes], value, rtol=1e-7)
+    again = forward_kinematics(found.robot, near.rotations, near.translations)
+    np.testing.assert_allclose(solution.value(block.tip_position), again.tip_position, atol=1e-8)
+
+
+def test_eccentric_tubes_of_a_segment_share_an_unknown() -> None:
+    robot = eccentric_robot(0.02)
+    near = forward_kinematics(robot, [0.3, 1.4, -0.9])
+    problem = Problem()
+    bend, shift = problem.variable("bend", guess=8.0, scale=10.0), problem.variable("shift", guess=0.0, scale=0.1)
+    block = EquilibriumBlock(problem, near, translations=shift, tubes={"curvature": bend})
+    problem.subject_to("bend is", bend == 8.8)
+    problem.subject_to("shift is", shift == -0.01)
+    solution = problem.solve()
+    found = block.equilibrium(solution)
+    assert [tube.curvature for tube in found.robot.tubes] == pytest.approx([8.8] * 3)
+    np.testing.assert_allclose(solution.value(block.tip_position), found.tip_position, atol=1e-8)
+
+
+def test_meeting_breakpoints_are_told_and_reordered_by_hand() -> None:
+    start, goal = [0.0, -0.02], [-0.03, -0.01]
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0], start)
+    opti = ca.Opti()
+    shift = opti.variable(2)
+    opti.set_initial(shift, start)
+    block = EquilibriumBlock(opti, near, translations=shift)
+    opti.minimize(1e4 * ca.sumsqr(shift - ca.DM(goal)))
+    solution = solved(opti)
+    with pytest.warns(OrderWarning, match="the end of tube 1 is not before the end of tube 2, and they meet"):
+        block.equilibrium(solution)
+    assert solution.value(shift)[0] == pytest.approx(-0.02, abs=1e-6)
+    opti.set_initial(solution.value_variables())
+    block.reorder(solution)
+    found = block.equilibrium(opti.solve())
+    np.testing.assert_allclose(found.translations, goal, atol=1e-8)
+
+
+def test_thirty_blocks_build_in_seconds() -> None:
+    near = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.03, -0.02, -0.01])
+    began = time.process_time()
+    opti, last, cost = ca.Opti(), None, 0.0
+    for _ in range(30):
+        turn = opti.variable(3)
+        opti.set_initial(turn, near.rotations)
+        block = EquilibriumBlock(opti, near, rotations=turn)
+        cost += 0.0 if last is None else ca.sumsqr(turn - last)
+        last = turn
+    opti.minimize(cost)
+    opti.subject_to(block.tip_position[:2] == near.tip_position[:2] + np.array([3e-3, -2e-3]))
+    assert time.process_time() - began < 5
+    found = block.equilibrium(solved(opti))
+    np.testing.assert_allclose(found.tip_position[:2] - near.tip_position[:2], [3e-3, -2e-3], atol=1e-8)
+
+
+def test_failure_of_opti_is_told_in_words() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    opti = ca.Opti()
+    turn = opti.variable(2)
+    block = EquilibriumBlock(opti, near, rotations=turn, name="arm")
+    opti.subject_to(block.tip_position[2] == 0.5)
+    opti.solver("ipopt", {"print_time": False}, {**QUIET, "max_iter": 3})
+    with pytest.raises(RuntimeError, match="Maximum_Iterations"):
+        opti.solve()
+    words = [str(each) for each in block.violations(opti.debug)]
+    assert words
+    assert all(word.startswith("arm: ") and "violated by" in word for word in words)
+
+
+def test_a_program_that_was_not_solved_is_no_equilibrium() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    opti = ca.Opti()
+    turn = opti.variable(2)
+    opti.set_initial(turn, [0.4, 1.0])
+    block = EquilibriumBlock(opti, near, rotations=turn)
+    opti.solver("ipopt", {"print_time": False}, {**QUIET, "max_iter": 0})
+    with pytest.raises(RuntimeError):
+        opti.solve()
+    with pytest.raises(SolveError, match="the program was not solved"):
+        block.equilibrium(opti.debug)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"rotations": [0.0]}, r"rotations is \[0.0\]; it must be 2 finite numbers"),
+        ({"tubes": {"curvatur": [1.0, 2.0]}}, "tubes names 'curvatur'.*did you mean 'curvature'"),
+        ({"rotations": ca.MX.sym("q", 3)}, "rotations has 3 entries; it must have 2, one per tube"),
+        ({"side": 2}, "side is 2"),
+        ({"refinement": -1}, "refinement is -1"),
+        ({"translations": [-0.2, -0.2]}, "behind the plate"),
+    ],
+)
+def test_wrong_input_is_named(given: dict[str, Any], message: str) -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    with pytest.raises(InputError, match=message):
+        EquilibriumBlock(ca.Opti(), near, **given)
+
+
+def test_wrong_demands_are_named() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    with pytest.raises(InputError, match=r"casadi.Opti or a tubeopt.Problem"):
+        EquilibriumBlock(3, near)
+    block = EquilibriumBlock(ca.Opti(), near)
+    with pytest.raises(InputError, match="margin is 1; it must be below 1"):
+        block.margin_at_least(1.0)
+    with pytest.raises(InputError, match=r"fraction is 1.2"):
+        block.position(1.2)
+    with pytest.raises(InputError, match="tube is 2"):
+        block.strain(2)
+    with pytest.raises(InputError, match="wrt is 'curvature'"):
+        block.jacobian(["curvature"])

@@ -1,0 +1,170 @@
+"""The named program: its optimum is known, its multipliers are slopes, its failures have names."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.examples import TWO_TUBE
+from tubeopt import (
+    EquilibriumBlock,
+    InputError,
+    Ipopt,
+    Problem,
+    ProblemStatus,
+    SolveError,
+    forward_kinematics,
+    load_problem_solution,
+)
+
+
+def rectangle(area: float = 4e-6) -> Problem:
+    """The least circumference 4 sqrt(area) of a rectangle, in m."""
+    problem = Problem("rectangle")
+    side = problem.variable("side", 2, guess=1e-3, lower=1e-4, scale=1e-3)
+    given = problem.parameter("area given", area)
+    problem.subject_to("area", side[0] * side[1] >= given, scale=1e-6)
+    problem.minimize(2 * ca.sum1(side))
+    return problem
+
+
+def test_optimum_multiplier_and_change_of_a_parameter() -> None:
+    problem = rectangle()
+    solution = problem.solve()
+    assert solution.status is ProblemStatus.SOLVED
+    assert str(solution.status) == "an optimum was found"
+    assert solution.objective == pytest.approx(8e-3)
+    # d(4 sqrt(A)) / dA = 2 / sqrt(A), in m per m^2.
+    assert solution.multiplier("area") == pytest.approx(1e3, rel=1e-4)
+    problem.set_value("area given", 9e-6)
+    assert problem.solve().value("side") == pytest.approx([3e-3, 3e-3])
+    assert solution.value(ca.DM([1, 2])).tolist() == [1, 2]
+
+
+def test_multiplier_of_a_bound_is_the_slope_of_the_objective() -> None:
+    values = []
+    for low in (3e-3, 3.001e-3):
+        problem = rectangle()
+        problem._variables["side"].lower[0] = low
+        values.append(problem.solve())
+    slope = (values[1].objective - values[0].objective) / 1e-6
+    assert values[0].multiplier("side")[0] == pytest.approx(slope, rel=1e-2)
+    assert abs(values[0].multiplier("side")[1]) < 1e-4
+
+
+def test_saved_solution_starts_a_solve_warm(tmp_path: Path) -> None:
+    solution = rectangle().solve()
+    solution.save(tmp_path)
+    loaded = load_problem_solution(tmp_path)
+    assert loaded.objective == solution.objective
+    assert loaded.statistics == solution.statistics
+    for name in ("values", "multipliers", "bound_multipliers", "parameters"):
+        for key, value in getattr(solution, name).items():
+            np.testing.assert_array_equal(getattr(loaded, name)[key], value)
+    again = rectangle().solve(start=loaded)
+    assert again.statistics.iterations < solution.statistics.iterations
+    assert again.value("side") == pytest.approx(solution.value("side"), rel=1e-6)
+    with pytest.raises(InputError, match="values by name only"):
+        loaded.value(ca.MX.sym("x"))
+    assert pickle.loads(pickle.dumps(solution)).value("side").tolist() == solution.value("side").tolist()
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(InputError, match="not the solution of a problem"):
+        load_problem_solution(tmp_path)
+
+
+def test_failure_names_the_worst_constraints() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    problem = Problem("far away")
+    turn = problem.variable("turn", 2, guess=near.rotations, lower=-7.0, upper=7.0)
+    block = EquilibriumBlock(problem, near, rotations=turn)
+    problem.subject_to("tip height", block.tip_position[2] >= 0.5, scale=0.1)
+    with pytest.raises(SolveError, match=r"far away: .*tip height: violated by \d") as caught:
+        problem.solve()
+    assert caught.value.solution.status is not ProblemStatus.SOLVED
+    assert caught.value.solution.violations[0].name == "tip height"
+    with pytest.raises(SolveError, match="ran out of iterations") as caught:
+        problem.solve(Ipopt(iterations=2))
+    names = {each.name for each in caught.value.solution.violations}
+    assert any(name.startswith("equilibrium 1: torsion equation, tube ") for name in names | {"tip height"}) or names
+
+
+def test_equations_of_a_block_are_named() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    problem = Problem()
+    block = EquilibriumBlock(problem, near, rotations=[0.4, 1.0], name="arm")
+    with pytest.raises(SolveError) as caught:
+        problem.solve(Ipopt(iterations=1))
+    assert "arm: " in str(caught.value)
+    entries = problem._constraints["arm: torsion equation"].entries
+    assert entries[0] == "arm: torsion equation, tube 1, piece 1, point 1"
+    assert len(entries) == 2 * block.layout.n_pieces * block.model.grid.degree
+
+
+def test_multistart_keeps_the_best_and_counts() -> None:
+    """Two minima, at -1 and 1; the one at 1 is lower."""
+    problem = Problem("wells")
+    x = problem.variable("x", guess=-1.0, lower=-2.0, upper=2.0)
+    problem.minimize((x**2 - 1) ** 2 - 0.1 * x)
+    best = problem.multistart(["x"], 8, seed=1)
+    assert best.value("x") == pytest.approx(1.0, abs=0.05)
+    assert best.attempts is not None
+    assert best.attempts.started == 8
+    assert best.attempts.solved == 8
+    assert str(best.attempts) == "8 starts: 8 optima, 0 failed"
+    assert best.attempts.objectives[0] == best.objective < best.attempts.objectives[-1]
+
+
+def test_multistart_starts_blocks_at_equilibria() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 0.0], [-0.01, -0.03])
+    goal = forward_kinematics(TWO_TUBE, [-0.7, 1.1], [0.02, -0.02])
+    problem = Problem("reach")
+    turn = problem.variable("turn", 2, lower=-2.0, upper=2.0)
+    shift = problem.variable("shift", 2, guess=near.translations, lower=-0.05, upper=0.04, scale=0.1)
+    block = EquilibriumBlock(problem, near, rotations=turn, translations=shift)
+    problem.subject_to("tip", block.tip_position == goal.tip_position, scale=0.1)
+    problem.minimize(ca.sumsqr(turn))
+    solution = problem.multistart(["turn", "shift"], 4)
+    found = block.equilibrium(solution)
+    np.testing.assert_allclose(found.tip_position, goal.tip_position, atol=1e-8)
+    assert solution.attempts is not None
+    assert solution.attempts.solved >= 1
+
+
+def test_multistart_without_success_says_so() -> None:
+    problem = Problem("nowhere")
+    x = problem.variable("x", lower=0.0, upper=1.0)
+    problem.subject_to("far", x >= 2.0)
+    with pytest.raises(SolveError, match=r"nowhere: 2 starts: 0 optima, 2 failed; nearest: .*far: violated by"):
+        problem.multistart(["x"], 2)
+
+
+def test_wrong_input_is_named() -> None:
+    problem = Problem()
+    x = problem.variable("x", 2)
+    with pytest.raises(InputError, match="'x' is taken"):
+        problem.variable("x")
+    with pytest.raises(InputError, match="guess of 'y' is"):
+        problem.variable("y", 2, guess=[1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="out of order"):
+        problem.variable("y", lower=1.0, upper=0.0)
+    with pytest.raises(InputError, match="scale of 'y' is"):
+        problem.variable("y", scale=0.0)
+    with pytest.raises(InputError, match="no expression"):
+        problem.subject_to("nothing", 3.0)
+    with pytest.raises(InputError, match="shape"):
+        problem.minimize(x)
+    with pytest.raises(InputError, match="symbols that are not the problem's: stranger"):
+        problem.minimize(ca.MX.sym("stranger"))
+        problem.solve()
+    with pytest.raises(InputError, match="no variable is called 'z'"):
+        problem.set_guess("z", 1.0)
+    with pytest.raises(InputError, match="no finite bounds"):
+        problem.multistart(["x"])
+    with pytest.raises(InputError, match="tolerance is 0"):
+        Ipopt(tolerance=0.0)
+    with pytest.raises(InputError, match="hessian is 'none'"):
+        Ipopt(hessian="none")

@@ -1,0 +1,79 @@
+"""Numbers of an arm: the unknowns of a block where a solve begins, and what a solution says between its points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..robots.assembly import Array
+from ..solution import discretisation_of, polish
+from ..transcription import arm as arms
+from . import functions
+from .model import Model
+
+Shape = tuple[Array, Array, Array]
+"""theta, w (n, P) and theta inside (n, P K)."""
+
+
+def points_of(model: Model) -> tuple[Array, Array]:
+    """Arc lengths where the pieces begin (P,), and of their points (P K,)."""
+    length = np.maximum(np.asarray(model.lengths, dtype=float).ravel(), 0.0)
+    start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+    return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
+
+
+def torsion_of_equilibrium(near: Equilibrium, start: Array, inside: Array) -> Shape:
+    """Torsion of an equilibrium at the places of a block's pieces; beyond its tip, that of the tip."""
+    solution = polish(near, discretisation_of(near))
+    last = float(solution.problem.assembly.total_length)
+    start, inside = np.minimum(start, last), np.minimum(inside, last)
+    theta = arms.interpolate(solution.problem, solution.arm, start).T
+    twist = np.array([arms.twist_at(solution.problem, solution.arm, s) for s in start]).T
+    return theta, twist, arms.interpolate(solution.problem, solution.arm, inside).T
+
+
+def sample(model: Model, arc_length: Array) -> tuple[Array, Array]:
+    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m."""
+    start, _ = points_of(model)
+    inside = functions.inside_function(model.grid)
+    base = np.array([1.0, 0, 0, 0]), np.zeros(3)
+    theta, twist = [], []
+    for s in arc_length:
+        k = max(int(np.searchsorted(start, s, side="right")) - 1, 0)
+        x = min((s - start[k]) / model.lengths[k], 1.0) if model.lengths[k] > 0 else 0.0
+        out = inside(*base, x, *model.piece(k))
+        theta.append(np.array(out[2]).ravel())
+        twist.append(np.array(out[3]).ravel())
+    return np.array(theta).T, np.array(twist).T
+
+
+def poses_of(model: Model) -> tuple[Array, Array]:
+    """(4, P - 1), (3, P - 1) poses where the pieces but the first begin, by integration."""
+    step = functions.pose_function(model.grid)
+    q, p = np.array([1.0, 0, 0, 0]), np.zeros(3)
+    out = []
+    for k in range(model.n_pieces - 1):
+        q, p = (np.array(part).ravel() for part in step(q, p, *model.piece(k)))
+        out.append((q, p))
+    return np.array([q for q, _ in out]).reshape(-1, 4).T, np.array([p for _, p in out]).reshape(-1, 3).T
+
+
+def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
+    """Jacobi fields of tubes softened by `margin`: (2 n n (P - 1),) where the pieces but the first begin, and
+    (n n K P,) at the points, by columns."""
+    n, degree = model.theta.shape[0], model.grid.degree
+    step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
+    fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
+    out, points = [], []
+    for k in reversed(range(model.n_pieces)):
+        piece = model.piece(k)
+        forced = np.array(step(fields, np.zeros((n, degree * n)), margin, *piece)[1])
+        columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
+        own = -np.linalg.solve(np.array(matrix(margin, *piece)), columns)
+        inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
+        fields = np.array(step(fields, inner, margin, *piece)[0])
+        out.append(fields.ravel(order="F"))
+        points.append(inner.ravel(order="F"))
+    return np.concatenate([*reversed(out[:-1]), np.zeros(0)]), np.concatenate([*reversed(points)])

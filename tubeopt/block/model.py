@@ -1,0 +1,194 @@
+"""The arm of a block, all its pieces side by side: its equations as expressions, or its numbers at a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..robots.assembly import Array, Assembly
+from ..robots.breakpoints import places
+from . import functions
+from .layout import Layout
+from .piece import Grid
+
+UNKNOWNS = ("rotation", "torsion", "rotation inside", "orientation", "position")
+"""Columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose where all
+pieces but the first begin."""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """expression == 0, of size `scale`, with words for each entry."""
+
+    name: str
+    entries: tuple[str, ...]
+    expression: Any
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """P pieces with K points, n tubes, b breakpoints; expressions or arrays.
+
+    theta, twist: (n, P).  inner: (n, P K).  q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.
+    stiffness, moment, torsional_stiffness: (n, P).  natural: (n, P) precurvature.  present: (n, P).  lengths: (P,).
+    gaps: (b,).  transmission: (n,).  place: offset and angle (n,), or nothing.
+    """
+
+    grid: Grid
+    theta: Any
+    twist: Any
+    inner: Any
+    q: Any
+    p: Any
+    stiffness: Any
+    moment: Any
+    torsional_stiffness: Any
+    natural: Any
+    present: Any
+    lengths: Any
+    gaps: Any
+    transmission: Any
+    place: tuple[Array, ...]
+
+    @property
+    def n_pieces(self) -> int:
+        """Number of pieces P."""
+        return int(self.theta.shape[1])
+
+    @property
+    def arguments(self) -> list[Any]:
+        """Of the functions of a piece, all pieces side by side."""
+        beside = [np.repeat(v[:, None], self.n_pieces, axis=1) for v in self.place]
+        data = [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.T]
+        return [self.theta, self.twist, self.inner, *data, *beside]
+
+    def piece(self, k: int) -> list[Any]:
+        """The arguments of one piece."""
+        degree = self.grid.degree
+        own = [self.theta[:, k], self.twist[:, k], self.inner[:, k * degree : (k + 1) * degree]]
+        own += [self.stiffness[:, k], self.moment[:, k], self.torsional_stiffness[:, k], self.lengths[k]]
+        return [*own, *self.place]
+
+    @property
+    def poses(self) -> tuple[Any, Any]:
+        """Quaternions (4, P) and positions (3, P) where the pieces begin."""
+        return ca.horzcat(ca.DM([1, 0, 0, 0]), self.q), ca.horzcat(ca.DM.zeros(3), self.p)
+
+    def mapped(self, name: str) -> ca.Function:
+        """A function of `block.functions` for all pieces at once."""
+        return mapped(name, self.grid, self.n_pieces)
+
+    @cached_property
+    def ends(self) -> tuple[Any, Any, Any]:
+        """Defect (n, P K), theta and w (n, P) where pieces end."""
+        defect, theta, twist = self.mapped("torsion")(*self.arguments)
+        return defect, theta, twist
+
+    @cached_property
+    def pose_ends(self) -> tuple[Any, Any]:
+        """Quaternions (4, P) and positions (3, P) where pieces end."""
+        q, p = self.mapped("pose")(*self.poses, *self.arguments)
+        return q, p
+
+    @property
+    def energy(self) -> Any:
+        """Elastic energy of the arm and of the transmissions, J."""
+        bending = ca.sum2(self.mapped("energy")(*self.arguments))
+        return bending + ca.dot(self.torsional_stiffness[:, 0] * self.transmission, self.twist[:, 0] ** 2) / 2
+
+    def equations(self, rotations: Any, reach: float) -> list[Equation]:
+        """All that hold at an equilibrium whose tubes are held at `rotations`; `reach`: a typical length, m."""
+        n, pieces, degree = self.theta.shape[0], self.n_pieces, self.grid.degree
+        defect, theta, twist = self.ends
+        q, p = self.pose_ends
+        tubes, after = [f"tube {i + 1}" for i in range(n)], [f"after piece {k + 1}" for k in range(pieces - 1)]
+        points = [f"piece {k + 1}, point {c + 1}" for k in range(pieces) for c in range(degree)]
+        wound = self.transmission * self.twist[:, 0]
+        rows = [
+            ("torsion equation", _words(tubes, points), defect, 1.0),
+            ("continuity of rotation", _words(tubes, after), self.theta[:, 1:] - theta[:, :-1], 1.0),
+            ("continuity of torsion", _words(tubes, after), self.twist[:, 1:] - twist[:, :-1], 1 / reach),
+            ("base rotation", tubes, self.theta[:, 0] - rotations - wound, 1.0),
+            ("torsion at the end", tubes, twist[:, -1], 1 / reach),
+            ("continuity of orientation", _words(list("wxyz"), after), self.q - q[:, :-1], 1.0),
+            ("continuity of position", _words(list("xyz"), after), self.p - p[:, :-1], reach),
+        ]
+        return [
+            Equation(name, tuple(f"{name}, {entry}" for entry in entries), ca.vec(expression), scale)
+            for name, entries, expression, scale in rows
+        ]
+
+    def at(self, value: Callable[[Any], Any]) -> Model:
+        """The numbers of this arm that `value` gives to its expressions."""
+        names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place")]
+        numbers = {name: np.array(value(getattr(self, name))).reshape(getattr(self, name).shape) for name in names}
+        for name in ("lengths", "gaps", "transmission"):
+            numbers[name] = numbers[name].ravel()
+        return Model(grid=self.grid, place=self.place, **numbers)
+
+
+def _words(rows: list[str], columns: list[str]) -> list[str]:
+    """Names of the entries of a matrix by columns."""
+    return [f"{row}, {column}" for column in columns for row in rows]
+
+
+@lru_cache(maxsize=256)
+def mapped(name: str, grid: Grid, pieces: int) -> ca.Function:
+    """A function of `block.functions`, by name, for so many pieces side by side: one for all blocks, and so are its
+    derivatives."""
+    function: ca.Function = getattr(functions, f"{name}_function")(grid)
+    return function.map(pieces)
+
+
+def sizes(n: int, pieces: int, degree: int) -> tuple[tuple[int, int], ...]:
+    """Shapes of the UNKNOWNS."""
+    return (n, pieces), (n, pieces), (n, pieces * degree), (4, pieces - 1), (3, pieces - 1)
+
+
+def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
+    """length, gap, present and curved of a layout, as numbers, or read off the `column` of a parameter."""
+    parts = (layout.length, layout.gap, layout.present, layout.curved)
+    if column is None:
+        return ca.DM(layout.length), ca.DM(layout.gap), ca.DM(layout.present), ca.DM(layout.curved)
+    stops = np.cumsum([0, *(part.size for part in parts)]).tolist()
+    own = ca.vertsplit(column, stops)
+    length, gap, present, curved = (ca.reshape(own[k], *part.shape) for k, part in enumerate(parts))
+    return length, gap, present, curved
+
+
+def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
+    """The arm with these UNKNOWNS, as matrices, on a layout's `numbers`, with these joint values and dimensions."""
+    length, gap, present, curved = numbers
+    transmission, transition, end = places(given["translations"], given["straight_length"], given["curved_length"])
+    where, pieces = ca.vertcat(transition, end), present.shape[1]
+    kb = ca.repmat(given["bending_stiffness"], 1, pieces)
+    natural = ca.repmat(given["curvature"], 1, pieces) * curved
+    theta, twist, inner, q, p = unknowns
+    return Model(
+        grid,
+        theta=theta,
+        twist=twist,
+        inner=inner,
+        q=q,
+        p=p,
+        stiffness=kb * present,
+        moment=kb * natural,
+        torsional_stiffness=ca.repmat(given["torsional_stiffness"], 1, pieces),
+        natural=natural,
+        present=present,
+        lengths=length @ where,
+        gaps=gap @ where,
+        transmission=transmission,
+        place=given.get("place", ()),
+    )
+
+
+def placed(assembly: Assembly) -> tuple[Array, ...]:
+    """Offset and angle (n,) of tubes beside the centreline, nothing for concentric ones."""
+    return (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()

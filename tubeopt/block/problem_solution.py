@@ -1,0 +1,176 @@
+"""The solution of a program: plain numbers by name, saved as JSON + npz."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict, dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError, nearest
+from ..robots.assembly import Array
+from .ipopt import ProblemStatus
+from .violation import Violation
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+
+@dataclass(frozen=True)
+class ProblemStatistics:
+    """How a solve went: IPOPT's own verdict, iterations of the last solve, seconds of all, numbers of unknowns and of
+    constraints, and how often breakpoints changed places."""
+
+    verdict: str
+    iterations: int
+    seconds: float
+    unknowns: int
+    constraints: int
+    reorderings: int = 0
+
+
+@dataclass(frozen=True)
+class Attempts:
+    """What became of the starts of `Problem.multistart`: how many there were, how many ended in an optimum, had no
+    equilibrium to start from, or failed; and the objectives of the optima, least first."""
+
+    started: int
+    solved: int
+    without_equilibrium: int
+    failed: int
+    objectives: tuple[float, ...]
+
+    def __str__(self) -> str:
+        text = f"{self.started} starts: {self.solved} optima, {self.failed} failed"
+        return text + (f", {self.without_equilibrium} had no equilibrium" if self.without_equilibrium else "")
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemSolution:
+    """What was found for a `Problem`.
+
+    Attributes:
+        status: how the solve ended.  objective: the value there.
+        values: of the variables, by name, in their own units.
+        multipliers: of the constraints, by name, a row each: the change of the objective per unit by which the
+            bound that holds it is raised, in the units of objective and constraint; 0 for what does not press.
+        bound_multipliers: the same of the bounds of variables.
+        parameters: the numbers that were given, by name.
+        violations: constraints that do not hold, the worst first: none of a solved program.
+        statistics: the cost.  attempts: of a multi-start.
+    """
+
+    status: ProblemStatus
+    objective: float
+    values: dict[str, Array]
+    multipliers: dict[str, Array]
+    bound_multipliers: dict[str, Array]
+    parameters: dict[str, Array]
+    violations: tuple[Violation, ...]
+    statistics: ProblemStatistics
+    attempts: Attempts | None = None
+    program: Problem | None = field(default=None, repr=False)
+
+    def value(self, what: Any) -> Any:
+        """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.
+
+        Raises:
+            InputError: an unknown name, or an expression of another program or after loading.
+        """
+        if isinstance(what, str):
+            known = self.values | self.parameters
+            if what not in known:
+                raise InputError(f"no variable is called {what!r}{nearest(what, known)}")
+            return _plain(known[what])
+        if not isinstance(what, ca.MX):
+            return _plain(np.array(ca.DM(what)))
+        if self.program is None:
+            raise InputError("a solution that was loaded has values by name only; expressions belong to a Problem")
+        return _plain(self.program.evaluate(what, self.values, self.parameters))
+
+    def multiplier(self, name: str) -> Any:
+        """The multiplier of a constraint, or of the bounds of a variable, by its name.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        known = self.bound_multipliers | self.multipliers
+        if name not in known:
+            raise InputError(f"no constraint or variable is called {name!r}{nearest(name, known)}")
+        return _plain(known[name])
+
+    def save(self, directory: str | PathLike[str]) -> None:
+        """Write `result.json` and `arrays.npz` into `directory`; `load_problem_solution` reads them back.
+
+        Raises:
+            InputError: the files cannot be written.
+        """
+        from ..study.files import atomic_write, write_text
+
+        tables = {"values": self.values, "multipliers": self.multipliers}
+        tables |= {"bound_multipliers": self.bound_multipliers, "parameters": self.parameters}
+        names = {table: list(entries) for table, entries in tables.items()}
+        arrays = {f"{table}{k}": v for table, entries in tables.items() for k, v in enumerate(entries.values())}
+        record = {
+            "status": self.status.name,
+            "objective": self.objective,
+            "names": names,
+            "violations": [asdict(each) for each in self.violations],
+            "statistics": asdict(self.statistics),
+            "attempts": asdict(self.attempts) if self.attempts else None,
+        }
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **arrays)
+        with atomic_write(Path(directory) / "arrays.npz") as temporary:
+            temporary.write_bytes(content.getvalue())
+        write_text(Path(directory) / "result.json", json.dumps(record, indent=2) + "\n")
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Symbols do not travel: what is unpickled has values by name.
+        return {**self.__dict__, "program": None}
+
+
+def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
+    """The solution that `ProblemSolution.save` wrote into `directory`: values by name, good as the start of a solve.
+
+    Raises:
+        InputError: a file is missing or is not what was written.
+    """
+    from ..study.files import read_bytes, read_text
+
+    result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
+    text, content = read_text(result), read_bytes(arrays)
+    try:
+        record = json.loads(text)
+        with np.load(io.BytesIO(content), allow_pickle=False) as data:
+            tables = {
+                table: {name: data[f"{table}{k}"] for k, name in enumerate(names)}
+                for table, names in record["names"].items()
+            }
+        attempts = record["attempts"]
+        return ProblemSolution(
+            status=ProblemStatus[record["status"]],
+            objective=float(record["objective"]),
+            values=tables["values"],
+            multipliers=tables["multipliers"],
+            bound_multipliers=tables["bound_multipliers"],
+            parameters=tables["parameters"],
+            violations=tuple(Violation(**each) for each in record["violations"]),
+            statistics=ProblemStatistics(**record["statistics"]),
+            attempts=Attempts(**{**attempts, "objectives": tuple(attempts["objectives"])}) if attempts else None,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{result}: not the solution of a problem ({error})") from None
+
+
+def _plain(value: Array) -> Any:
+    """A number, a vector, or a matrix."""
+    array = np.asarray(value, dtype=float)
+    if array.size == 1:
+        return float(array.item())
+    return array.ravel() if array.ndim == 2 and array.shape[1] == 1 else array

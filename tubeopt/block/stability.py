@@ -1,0 +1,92 @@
+"""Stability as constraints of a block: the margin of its equilibrium, the certificate of its tubes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError, finite
+from ..mechanics.certificate import base_determinant
+from . import functions
+from .given import symbolic
+from .guess import fields_of
+
+if TYPE_CHECKING:
+    from .equilibrium_block import EquilibriumBlock
+
+
+def _checked(name: str, margin: Any) -> Any:
+    if symbolic(margin):
+        return margin
+    if not finite(name, margin) < 1:
+        raise InputError(f"{name} is {float(margin):g}; it must be below 1, that of tubes that do not couple")
+    return ca.DM(float(margin))
+
+
+def add_margin(block: EquilibriumBlock, margin: Any) -> None:
+    """Jacobi's condition on tubes softened by `margin`: y = 1, w = 0 at the tip, det y >= 0 where pieces begin and
+    det(y - |beta| v) >= 0 at the plate."""
+    floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
+    pieces, reach = model.n_pieces, block._reach
+    degree = model.grid.degree
+    own = np.concatenate([np.ones((n, n)), np.full((n, n), 1 / reach)]).ravel(order="F")
+    scale = np.tile(own, pieces - 1)
+    count = f" {len(block._margins) + 1}" if block._margins else ""
+    label = f"{block._label}Jacobi fields"
+    flat = block.program.variable(f"{label}{count}", 2 * n * n * (pieces - 1), scale=scale)
+    inside = block.program.variable(f"{label} inside{count}", n * n * degree * pieces)
+    tip = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n, n))
+    after = ca.horzcat(ca.reshape(flat, 2 * n, n * (pieces - 1)), tip)
+    points = ca.reshape(inside, n, n * degree * pieces)
+    before, defect = model.mapped("fields")(after, points, ca.repmat(floor, 1, pieces), *model.arguments)
+    start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
+    for column, value in zip((flat, inside), fields_of(block._begin, start), strict=True):
+        block.program.set_guess(column, value)
+    between = ca.vec(ca.reshape(flat, 2 * n, n * (pieces - 1)) - before[:, n:])
+    words = [
+        f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}"
+        for k in range(pieces - 1)
+        for c in range(n)
+        for r in range(2 * n)
+    ]
+    name = f"equations of the Jacobi fields{count}"
+    block._demand(name, between, upper=0.0, scale=scale, entries=words)
+    words = [
+        f"Jacobi field {c + 1}, tube {i + 1}, piece {k + 1}, point {x + 1}"
+        for k in range(pieces)
+        for c in range(n)
+        for x in range(degree)
+        for i in range(n)
+    ]
+    block._demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
+    det = functions.determinant_function(n)
+    held = before[:n, :n] - ca.repmat(model.transmission, 1, n) * before[n:, :n]
+    dets = [det(before[:n, n * k : n * (k + 1)]) for k in range(pieces)]
+    places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
+    block._demand(f"margin{count}", ca.vertcat(*dets, det(held)), entries=places)
+    block._margins.append(((flat, inside), floor))
+
+
+def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
+    """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
+    `mechanics.certificate`, with the pieces of the block in place of sections."""
+    floor, model = _checked("margin", margin), block.model
+    if model.place:
+        raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
+    n, pieces = block.robot.n_tubes, model.n_pieces
+    given = {
+        "torsional_stiffness": ca.SX.sym("kt", n),
+        "transmission": ca.SX.sym("l", n),
+        "length": ca.SX.sym("h", pieces),
+        "stiffness": ca.SX.sym("kb", n, pieces),
+        "moment": ca.SX.sym("m", n, pieces),
+    }
+    eigenvalue = ca.SX.sym("lambda")
+    determinant = base_determinant(eigenvalue, given)
+    function = ca.Function("certificate", [eigenvalue, *given.values()], [determinant], {"cse": True})
+    kt = model.torsional_stiffness[:, 0]
+    value = function(1 - floor, kt, model.transmission, model.lengths, model.stiffness, model.moment)
+    block._demand("certificate", value)
+    block._certificates.append(floor)
