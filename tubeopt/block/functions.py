@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 
+from ..mechanics.matrix import determinant
 from ..mechanics.shape import quaternion_product, rotation_matrix
 from .piece import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
 
@@ -102,7 +103,7 @@ def field_matrix_function(grid: Grid) -> ca.Function:
 def determinant_function(n: int) -> ca.Function:
     """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not."""
     matrix = ca.SX.sym("matrix", n, n)
-    return ca.Function("determinant", [matrix], [ca.det(matrix)], OPTIONS)
+    return ca.Function("determinant", [matrix], [determinant(matrix)], OPTIONS)
 
 
 def _pose() -> tuple[Any, Any]:
