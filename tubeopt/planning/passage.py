@@ -103,6 +103,7 @@ class Follower:
     wanted: Wanted
     length: float
     until: float
+    constants: Constants
     count: int = 0
 
     @property
@@ -170,7 +171,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
     size = np.array([TURN] * n + [SHIFT * follower.length] * n)
-    meetings = _meetings(follower.robot, joints[:, n:])
+    meetings = _meetings(follower.constants, joints[:, n:])
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
@@ -186,10 +187,10 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     return steps, None
 
 
-def _meetings(robot: Robot, translations: Array) -> dict[int, Array]:
+def _meetings(constants: Constants, translations: Array) -> dict[int, Array]:
     """Fractions of the way between waypoints at which breakpoints meet each other or the plate: sections change there,
     and with them how the arm moves."""
-    points = Constants.of(robot).breakpoints(translations)
+    points = constants.breakpoints(translations)
     points = np.concatenate([np.zeros((len(points), 1)), points], axis=1)
     gap = points[:, :, None] - points[:, None, :]
     before, after = gap[:-1], gap[1:]
@@ -233,34 +234,29 @@ def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bo
     out: list[tuple[Link, bool, Array]] = []
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
-        intervals, steps = _intervals(follower, some)
-        found = branch(intervals, _stiffness(steps))
+        intervals = _intervals(follower, some)
+        found = branch(intervals, _stiffness(intervals.arms))
         out += list(zip(some, found.unbroken.tolist(), found.off, strict=True))
     return out
 
 
-def _intervals(follower: Follower, links: Sequence[Link]) -> tuple[Intervals, list[Step]]:
+def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
     steps: dict[int, Step] = {}
     for link in links:
         steps.setdefault(id(link.one), link.one)
         steps.setdefault(id(link.other), link.other)
     number = {key: k for k, key in enumerate(steps)}
-    arms = Arms.of(Constants.of(follower.robot), [step.equilibrium for step in steps.values()])
+    arms = Arms.of(follower.constants, [step.equilibrium for step in steps.values()])
     one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
-    return Intervals.of(arms, one, other), list(steps.values())
+    return Intervals.of(arms, one, other)
 
 
-def _stiffness(steps: Sequence[Step]) -> Array:
+def _stiffness(arms: Arms) -> Array:
     """Least singular values of the linearised equations: the margins, unless tubes run off the centreline."""
-    out = []
-    for step in steps:
-        e = step.equilibrium
-        if e.robot.assembly(e.translations).eccentric:
-            state = polish(e, discretisation_of(e)).result.state
-            out.append(float(np.linalg.svd(state.hessian, compute_uv=False).min(initial=1.0)))
-        else:
-            out.append(min(e.margin, 1.0))
-    return np.array(out)
+    if not arms.constants.offset.any():
+        return np.array([min(e.margin, 1.0) for e in arms.equilibria])
+    states = (polish(e, discretisation_of(e)).result.state for e in arms.equilibria)
+    return np.array([np.linalg.svd(state.hessian, compute_uv=False).min(initial=1.0) for state in states])
 
 
 def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]], float]:
@@ -272,7 +268,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
     while links:
         for k in range(0, len(links), BATCH):
             some = links[k : k + BATCH]
-            intervals, _ = _intervals(follower, some)
+            intervals = _intervals(follower, some)
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
             found = cleared(intervals, off, follower.scene, follower.wanted, closest)
             closest = found.closest

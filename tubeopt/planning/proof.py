@@ -33,6 +33,7 @@ from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .motion import RateLimits
 from .passage import TOLERANCE, Follower, Passage, follow
+from .sections import Constants
 
 SAMPLES = 5
 """Equilibria that are integrated once more."""
@@ -130,8 +131,8 @@ def verify_trajectory(
         raise InputError("start is at other joint values than the first sample; they must be the same")
     if own.any():  # within round-off of a file
         first = forward_kinematics(robot, alpha[0], shift[0], guess=first)
-    longest = max(tube.length for tube in robot.tubes)
-    follower = Follower(robot, Scene(bodies), Wanted(clearance, TOLERANCE), longest, clock.perf_counter() + seconds)
+    longest, until = max(tube.length for tube in robot.tubes), clock.perf_counter() + seconds
+    follower = Follower(robot, Scene(bodies), Wanted(clearance, TOLERANCE), longest, until, Constants.of(robot))
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     faults = _branch_faults(follower, passage, min_margin)
     return _judge(follower, passage, faults, joint_range(robot, limits), (t, alpha, shift), rate_limits)
