@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from .errors import InputError, positive, vector
 from .robots.assembly import Array
-from .scene import FEW, Scene
+from .scene import FEW, scene_of
 
 SMOOTH = 1e-7
 """Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that."""
@@ -302,7 +302,7 @@ def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
     array = _points(points)
     if len(obstacles) > FEW:
-        return Scene(tuple(obstacles)).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
+        return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
     distance = np.full(array.shape[:-1], np.inf)
     for obstacle in obstacles:
         distance = np.minimum(distance, obstacle.signed_distance(array))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -123,3 +123,27 @@ class Scene:
         for crowd in crowds:
             out = crowd.nearest(points, out)
         return out
+
+
+class _Same:
+    """Bodies as a key: the same ones, not equal ones, which a mesh would take long to compare."""
+
+    def __init__(self, bodies: Sequence[Any]) -> None:
+        self.bodies = tuple(bodies)
+        self._identity = tuple(map(id, self.bodies))
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self._identity == other._identity
+
+
+@lru_cache(maxsize=8)
+def _scene(key: _Same) -> Scene:
+    return Scene(key.bodies)
+
+
+def scene_of(bodies: Sequence[Any]) -> Scene:
+    """The scene of bodies, its trees built once for the same bodies."""
+    return _scene(_Same(bodies))

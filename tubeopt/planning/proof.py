@@ -25,7 +25,7 @@ from ..obstacles import Obstacle
 from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..scene import Scene
+from ..scene import scene_of
 from ..stability.following import _waypoints
 from ..verification import verify_equilibrium
 from .arguments import check_robot, checked_obstacles, kind_of
@@ -132,7 +132,7 @@ def verify_trajectory(
     if own.any():  # within round-off of a file
         first = forward_kinematics(robot, alpha[0], shift[0], guess=first)
     longest, until = max(tube.length for tube in robot.tubes), clock.perf_counter() + seconds
-    follower = Follower(robot, Scene(bodies), Wanted(clearance, TOLERANCE), longest, until, Constants.of(robot))
+    follower = Follower(robot, scene_of(bodies), Wanted(clearance, TOLERANCE), longest, until, Constants.of(robot))
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     faults = _branch_faults(follower, passage, min_margin)
     return _judge(follower, passage, faults, joint_range(robot, limits), (t, alpha, shift), rate_limits)
