@@ -192,7 +192,8 @@ class Capsule:
         axis = np.array(self._axis()[0])
         aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         length = float(np.linalg.norm(aside))
-        return _unit(self._from_axis(_points(points), np.array(self.numbers())), aside / length if length else np.array([0.0, 0.0, 1.0]))
+        away = self._from_axis(_points(points), np.array(self.numbers()))
+        return _unit(away, aside / length if length else np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ class _Bounds:
         wide = own + 2 * more, pair + 2 * (more[..., :, None] + more[..., None, :])
         # The bound is linear in what it bounds: if it holds for more than it gives, it holds.
         sure = (self._between(wide) <= 2 * more + 1e-15).all((1, 2))
-        return wide, sure
+        return wide, np.asarray(sure)
 
     def _between(self, turn: Turn) -> Array:
         """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""

@@ -23,7 +23,10 @@ from ..scene import Scene
 from .sections import PARTS, Index, Intervals
 
 SHARE = 1 / 3
-"""Part of the tolerance that may be given away by the size of cells; the rest is left to the time between equilibria."""
+"""Part of the tolerance that the size of cells may give away; the rest is left to the time between equilibria."""
+
+DEEP = 0.05
+"""Share of the depth of an arm inside a body that the bound may give away: what it says then is that it is inside."""
 
 MOST_CELLS = 3_000_000
 """Cells that are looked at; where they do not suffice the bound is less sharp, and holds."""
@@ -38,7 +41,7 @@ class Wanted:
 
     def line(self, closest: float) -> float:
         """What bounds should reach where `closest` was measured: what is wanted, if it can be had and is more."""
-        line = closest - self.tolerance
+        line = closest - max(self.tolerance, -DEEP * closest)
         return self.clearance if line < self.clearance < closest else line
 
 

@@ -148,7 +148,8 @@ def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> P
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
     begin = Step(0.0, first, joints[0])
     steps, snap = _through(follower, begin, t, joints)
-    links, lost = [], []
+    links: list[Link] = []
+    lost: list[tuple[float, float]] = []
     try:
         links, lost = _joined(follower, [Link(a, b) for a, b in pairwise(steps)])
     except _SnapError as error:
@@ -275,9 +276,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
             for link, bound in zip(some, found.bound.tolist(), strict=True):
                 done[id(link)] = replace(link, bound=bound)
         line = follower.wanted.line(closest)
-        short = [
-            key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST
-        ]
+        short = [key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST]
         if follower.over:
             break
         try:

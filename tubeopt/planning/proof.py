@@ -171,7 +171,8 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> l
         faults.append(f"not proved beyond {100 * reached:.4g} % of the time: {why}")
     elif passage.lost:
         a, b = passage.lost[0]
-        faults.append(f"not proved: nothing shows that one branch joins {100 * a:.8g} % and {100 * b:.8g} % of the time")
+        where = f"{100 * a:.8g} % and {100 * b:.8g} % of the time"
+        faults.append(f"not proved: nothing shows that one stable branch joins {where}")
     if passage.measured < wanted:
         shown = passage.measured * 1e3
         faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:g} mm")

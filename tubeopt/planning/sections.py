@@ -259,7 +259,7 @@ class Intervals:
     @cached_property
     def radius(self) -> Array:
         """(B, K) radius of the arm in each section, m."""
-        return np.where(self.present, self.arms.constants.radius, 0.0).max(2)
+        return np.asarray(np.where(self.present, self.arms.constants.radius, 0.0).max(2))
 
     @cached_property
     def length(self) -> tuple[Array, Array]:
