@@ -62,6 +62,8 @@ def proof_rows(proof: Proof) -> list[tuple[str, str]]:
     if np.isfinite(p.least_clearance):
         shown, measured = _down(p.least_clearance * MM), p.measured_clearance * MM
         rows.append(("clearance", f"at least {shown:.3f} mm at all times ({measured:.3f} mm measured)"))
+    elif p.least_clearance < 0:
+        rows.append(("clearance", f"none is shown ({p.measured_clearance * MM:.3f} mm measured)"))
     return [
         *rows,
         (

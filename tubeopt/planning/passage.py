@@ -73,9 +73,9 @@ class Passage:
     """What was found on the way.
 
     steps: in order of time.   snap: fraction of the time at which the branch ends.   lost: (from, to) fractions of the
-    time between which nothing shows that one stable branch joins the equilibria, or before which time ran out.
-    margin: least, numerically, of all times.   clearance: bound of all times, m.   measured: least distance that was
-    measured, m.
+    time between which nothing shows that one stable branch joins the equilibria.
+    margin: least, numerically, of all times.   clearance: bound of all times up to the last step, m; -inf where some is
+    lost.   measured: least distance that was measured, m.
     """
 
     steps: tuple[Step, ...]
@@ -148,22 +148,22 @@ def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> P
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
     begin = Step(0.0, first, joints[0])
     steps, snap = _through(follower, begin, t, joints)
-    links: list[Link] = []
-    lost: list[tuple[float, float]] = []
-    try:
-        links, lost = _joined(follower, [Link(a, b) for a, b in pairwise(steps)])
-    except _SnapError as error:
-        snap = error.at
-        links = [Link(a, b) for a, b in pairwise([step for step in steps if step.at < snap])]
+    while True:
+        pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is begin])
+        try:
+            links, lost = _joined(follower, [Link(a, b) for a, b in pairs])
+            break
+        except _SnapError as error:
+            snap = error.at
     clearance = measured = math.inf
-    if follower.scene.bodies and not lost:
-        links, more, measured = _kept_clear(follower, links or [Link(begin, begin)])
+    if follower.scene.bodies:
+        shown = [link for link in links if np.isfinite(link.off).all()]
+        kept, more, measured = _kept_clear(follower, shown or [Link(begin, begin)])
         lost += more
-        clearance = min(link.bound for link in links)
+        clearance = min(link.bound for link in kept) if not lost else -math.inf
+        links = links if lost else [link for link in kept if link.one is not link.other]
     steps = [begin, *(link.other for link in links)]
     margin = 0.0 if snap is not None else _least_margin(follower, steps)
-    if follower.over and not lost:
-        lost = [(0.0, 1.0)] if clearance < follower.wanted.clearance < measured else []
     return Passage(tuple(steps), snap, tuple(lost), margin, clearance, measured)
 
 

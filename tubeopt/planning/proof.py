@@ -49,9 +49,9 @@ class Proof:
     Attributes:
         snap: fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end.
         least_margin: of all times, numerically; 0 at a snap.
-        least_clearance: lower bound of the distance of the arm from obstacles at all times, m: of all points within the
-            radius of the outermost tube from the centreline, so with half a ball at every end. Infinite without
-            obstacles.   measured_clearance: the least that was measured, m.
+        least_clearance: lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all points
+            within the radius of the outermost tube from the centreline, so with half a ball at every end. Infinite
+            without obstacles, -inf where none is shown.   measured_clearance: the least that was measured, m.
         largest_rotation_rate, largest_translation_rate: rad/s, m/s; largest accelerations, rad/s^2, m/s^2.
         largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
         reintegration: largest difference of a tip from DOP853, m.
@@ -123,6 +123,8 @@ def verify_trajectory(
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
     positive("clearance", clearance, zero=True)
+    if not seconds > 0:
+        raise InputError(f"seconds is {seconds}; it must be greater than 0")
     first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
@@ -176,7 +178,7 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> l
     if passage.measured < wanted:
         shown = passage.measured * 1e3
         faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:g} mm")
-    elif passage.clearance < wanted:
+    elif -math.inf < passage.clearance < wanted:
         shown = passage.clearance * 1e3
         faults.append(f"not proved: of the clearance of {wanted * 1e3:g} mm only {shown:.4g} mm are shown")
     return faults

@@ -243,7 +243,6 @@ class Intervals:
             ordered &= (np.diff(sorted_points, axis=1) >= -SWAPPED).all(1)
             sides.append(np.maximum.accumulate(sorted_points, axis=1))
         # One that is behind the plate at one end and in front of it at the other meets the plate in between.
-        ordered &= ((a > -SWAPPED) == (b > -SWAPPED)).all(1) | ((a < SWAPPED) == (b < SWAPPED)).all(1)
         ordered &= ~((a < -SWAPPED) & (b > SWAPPED) | (a > SWAPPED) & (b < -SWAPPED)).any(1)
         inside = ((sides[2][:, :-1] + sides[2][:, 1:]) / 2)[..., None]
         transition, tip = np.split(middle, 2, axis=1)
