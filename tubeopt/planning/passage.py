@@ -146,7 +146,7 @@ def _pair(joints: Array) -> tuple[Array, Array]:
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
-    begin = Step(0.0, first, joints[0])
+    begin = Step(0.0 if len(joints) > 1 else 1.0, first, joints[0])
     steps, snap = _through(follower, begin, t, joints)
     while True:
         pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is begin])
