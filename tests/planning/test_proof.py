@@ -203,3 +203,22 @@ def test_what_is_not_shown_in_time_is_a_fault() -> None:
     assert any("not proved beyond" in fault for fault in proof.faults)
     with pytest.raises(InputError, match="seconds is 0"):
         verify_trajectory(THESIS, [0.0], [[0.0, 0.0, 0.0]], seconds=0)
+
+
+def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
+    """Also where its nearest place is all but a corner of the triangles into which the surface is cut."""
+    pytest.importorskip("trimesh")
+    from tubeopt.corridors import MeshObstacle
+
+    edge, back = [(-0.01, 0.0, 0.0), (0.01, 0.0, 0.0)], [(x, y, 0.02) for x in (-0.01, 0.01) for y in (-1e-3, 1e-3)]
+    faces = ((0, 1, 3), (0, 3, 2), (2, 3, 5), (2, 5, 4), (0, 4, 5), (0, 5, 1), (0, 2, 4), (1, 5, 3))
+    wedge = MeshObstacle((*edge, back[0], back[2], back[1], back[3]), faces)
+    random = np.random.default_rng(0)
+    corners = wedge._surface._cut.reshape(-1, 3)
+    corners = np.unique(corners[(np.abs(corners[:, 1:]).max(1) < 1e-12) & (np.abs(corners[:, 0]) < 9e-3), 0])
+    assert len(corners)
+    x = (corners[:, None] + 10 ** random.uniform(-8, -6, (len(corners), 1000))).ravel()
+    side = random.integers(2, size=len(x))
+    angle, far = -np.abs(np.pi * side - random.uniform(0, 0.1, len(x))), random.uniform(0.02, 0.04, len(x))
+    points = np.column_stack([x, far * np.cos(angle), far * np.sin(angle)])
+    assert wedge.distance_within(points, np.full(len(x), np.inf)).min() > 0

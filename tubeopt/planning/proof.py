@@ -49,9 +49,9 @@ class Proof:
     Attributes:
         snap: fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end.
         least_margin: of all times, numerically; 0 at a snap.
-        least_clearance: lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all points
-            within the radius of the outermost tube from the centreline, so with half a ball at every end. Infinite
-            without obstacles, -inf where none is shown.   measured_clearance: the least that was measured, m.
+        least_clearance: lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all
+            points within the radius of the outermost tube from the centreline, so with half a ball at every end.
+            Infinite without obstacles, -inf where none is shown.   measured_clearance: the least that was measured, m.
         largest_rotation_rate, largest_translation_rate: rad/s, m/s; largest accelerations, rad/s^2, m/s^2.
         largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
         reintegration: largest difference of a tip from DOP853, m.
