@@ -157,7 +157,7 @@ def run_corridors(robot: ConcentricRobot, count: int, seed: int) -> None:
         print(
             f"corridor {k}: {s.seconds:6.2f} s  {s.how:8s} {s.smoothed or 'rests':8s} "
             f"length {s.raw_length:6.2f} -> {s.length:6.2f}  "
-            f"clearance {plan.proof.least_clearance * 1e3:.3f} mm (bound {plan.proof.clearance_bound * 1e3:.3f}, "
+            f"clearance {plan.proof.measured_clearance * 1e3:.3f} mm (bound {plan.proof.least_clearance * 1e3:.3f}, "
             f"sampled independently {surface_clearance(plan, vessel) * 1e3:.3f})  "
             f"proved {plan.proof.holds}",
             flush=True,

@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from .errors import InputError, positive
 from .obstacles import Capsule, Point3, _greater, _points, _triple
 from .robots.assembly import Array
+from .scene import Scene
 from .triangles import Triangles
 
 CELLS = 24
@@ -65,10 +66,14 @@ class Corridor:
             inside = _greater(inside, -part.distance(x, y, z))
         return inside
 
+    @cached_property
+    def _inside(self) -> Scene:
+        return Scene(self._parts)
+
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3) from the wall, m; positive inside the vessel."""
         array = _points(points)
-        return np.asarray(np.max([-part.signed_distance(array) for part in self._parts], axis=0))
+        return -self._inside.nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors towards the centreline."""
@@ -130,17 +135,28 @@ class MeshObstacle:
         """
         array = _points(points)
         flat = array.reshape(-1, 3)
-        axes, table = self.grid
-        low, high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
-        inside = np.clip(flat, low, high)
-        beyond = np.linalg.norm(flat - inside, axis=1)
-        cell = float(np.linalg.norm([axis[1] - axis[0] for axis in axes]))
-        # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
-        bound = np.maximum(RegularGridInterpolator(axes, table)(inside) - cell - beyond, beyond)
-        bound = np.where(beyond > 0, bound, RegularGridInterpolator(axes, table)(inside) - cell)
+        bound, cell = self._bound(flat)
         near = bound <= max(float(bound.min(initial=np.inf)), 0.0) + 2 * cell
         bound[near] = self._exact(flat[near])
         return np.asarray(bound.reshape(array.shape[:-1]))
+
+    def distance_within(self, points: Array, least: Array) -> Array:
+        """(N,) distance of points (N, 3) from the surface where it is less than `least` (N,), else no less than it."""
+        bound, _ = self._bound(points)
+        near = bound < least
+        bound[near] = self._exact(points[near])
+        return bound
+
+    def _bound(self, points: Array) -> tuple[Array, float]:
+        """(N,) lower bounds of the distance of points (N, 3), from the table in `grid`, and the size of its cells."""
+        axes, table = self.grid
+        low, high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
+        inside = np.clip(points, low, high)
+        beyond = np.linalg.norm(points - inside, axis=1)
+        cell = float(np.linalg.norm([axis[1] - axis[0] for axis in axes]))
+        # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
+        near = RegularGridInterpolator(axes, table)(inside) - cell
+        return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
 
     @cached_property
     def _surface(self) -> Triangles:

@@ -16,11 +16,18 @@ from numpy.typing import ArrayLike
 
 from .errors import InputError, positive, vector
 from .robots.assembly import Array
+from .scene import FEW, scene_of
 
 SMOOTH = 1e-7
 """Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that."""
 
+PIECES = 16
+"""Balls at most that cover a long body."""
+
 Point3 = tuple[float, float, float]
+
+Balls = tuple[Array, Array]
+"""Centres (k, 3) and radii (k,) of balls that cover a body; m."""
 
 
 class Obstacle(Protocol):
@@ -88,9 +95,25 @@ class Sphere:
         a, b, c = self.centre
         return _root((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) - self.radius
 
+    ROUND = True
+    """Whether the ball that covers the body is the body."""
+
+    def balls(self) -> Balls:
+        """Itself."""
+        return np.array([self.centre]), np.array([self.radius])
+
+    def numbers(self) -> tuple[float, ...]:
+        """Centre and radius."""
+        return (*self.centre, self.radius)
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from spheres of `numbers` (..., 4), m."""
+        return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 3])
+
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return np.asarray(np.linalg.norm(_points(points) - self.centre, axis=-1) - self.radius)
+        return self.distances(_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the centre."""
@@ -134,22 +157,43 @@ class Capsule:
         t = -_greater(-along, -length) / length
         return _root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
 
-    def _away(self, points: Array) -> Array:
-        axis, square = self._axis()
-        from_start = points - self.start
-        t = np.clip(from_start @ np.array(axis) / square, 0.0, 1.0) if square else np.zeros(points.shape[:-1])
-        return np.asarray(from_start - t[..., None] * np.array(axis))
+    def balls(self) -> Balls:
+        """Around pieces of the axis, no longer than the capsule is thick, where that does not take too many."""
+        length = float(np.sqrt(self._axis()[1]))
+        count = int(np.clip(np.ceil(length / (2 * self.radius)), 1, PIECES))
+        x = (np.arange(count)[:, None] + 0.5) / count
+        a, b = np.array(self.start), np.array(self.end)
+        return a + x * (b - a), np.full(count, self.radius + length / (2 * count))
+
+    def numbers(self) -> tuple[float, ...]:
+        """Both ends and the radius."""
+        return (*self.start, *self.end, self.radius)
+
+    @staticmethod
+    def _from_axis(points: Array, numbers: Array) -> Array:
+        """(..., 3) vectors to points from the nearest place of the axis."""
+        from_start, axis = points - numbers[..., :3], numbers[..., 3:6] - numbers[..., :3]
+        square = (axis**2).sum(-1)
+        along = (from_start * axis).sum(-1)
+        t = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0.0, 1.0)
+        return np.asarray(from_start - t[..., None] * axis)
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from capsules of `numbers` (..., 7), m."""
+        return np.asarray(np.linalg.norm(Capsule._from_axis(points, numbers), axis=-1) - numbers[..., 6])
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return np.asarray(np.linalg.norm(self._away(_points(points)), axis=-1) - self.radius)
+        return self.distances(_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the axis; on it, one square to it."""
         axis = np.array(self._axis()[0])
         aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         length = float(np.linalg.norm(aside))
-        return _unit(self._away(_points(points)), aside / length if length else np.array([0.0, 0.0, 1.0]))
+        away = self._from_axis(_points(points), np.array(self.numbers()))
+        return _unit(away, aside / length if length else np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -220,21 +264,36 @@ class Box:
         inside = _greater(_greater(beyond[0], beyond[1]), beyond[2])
         return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - _greater(-inside, 0.0)
 
-    def _beyond(self, points: Array) -> tuple[Array, Array]:
-        """How far points lie beyond the faces along each axis, and on which side of the middle."""
+    def balls(self) -> Balls:
+        """The one through its corners."""
         low, high = np.array(self.low), np.array(self.high)
+        return ((low + high) / 2)[None], np.array([np.linalg.norm(high - low) / 2])
+
+    def numbers(self) -> tuple[float, ...]:
+        """Both corners."""
+        return (*self.low, *self.high)
+
+    @staticmethod
+    def _beyond(points: Array, numbers: Array) -> tuple[Array, Array]:
+        """How far points lie beyond the faces along each axis, and on which side of the middle."""
+        low, high = numbers[..., :3], numbers[..., 3:]
         shifted = points - (low + high) / 2
         return np.abs(shifted) - (high - low) / 2, np.where(shifted < 0, -1.0, 1.0)
 
-    def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
-        beyond, _ = self._beyond(_points(points))
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from boxes of `numbers` (..., 6), m."""
+        beyond, _ = Box._beyond(points, numbers)
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(beyond.max(-1), 0.0))
 
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return self.distances(_points(points), np.array(self.numbers()))
+
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
-        beyond, side = self._beyond(_points(points))
+        beyond, side = self._beyond(_points(points), np.array(self.numbers()))
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], _unit(outside, np.array([0.0, 0.0, 1.0])), nearest)
@@ -243,6 +302,8 @@ class Box:
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
     array = _points(points)
+    if len(obstacles) > FEW:
+        return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
     distance = np.full(array.shape[:-1], np.inf)
     for obstacle in obstacles:
         distance = np.minimum(distance, obstacle.signed_distance(array))

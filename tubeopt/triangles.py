@@ -84,9 +84,14 @@ class Triangles:
         place, distance = self._nearest(points[row], face)
         least = np.full(len(points), np.inf)
         np.minimum.at(least, row, distance)
-        tied = distance <= least[row] + tie
-        row, face, place = row[tied], face[tied], place[tied]
-        facing = (self._normals[face] * (points[row] - place)).sum(1) * self._angle(face, place)
+        # All triangles at a corner count by their angles there, or none: whether it is as near as the nearest place is
+        # decided by the distance of the corner itself, which is the same number for all of them.
+        corner, angle, there = self._corner(face, place)
+        to_corner = np.linalg.norm(points[row] - corner, axis=1)
+        tied = np.where(there, to_corner, distance) <= least[row] + tie
+        row, face, place, angle = row[tied], face[tied], place[tied], angle[tied]
+        angle = np.where(to_corner[tied] <= least[row] + tie, angle, np.pi)
+        facing = (self._normals[face] * (points[row] - place)).sum(1) * angle
         side = np.bincount(row, facing, len(points))
         return np.where(side < 0, -least, least)
 
@@ -97,11 +102,14 @@ class Triangles:
         place = np.asarray(closest_point(self._cut[face] / self.size, points / self.size)) * self.size  # type: ignore[no-untyped-call]
         return place, np.linalg.norm(points - place, axis=1)
 
-    def _angle(self, face: Array, place: Array) -> Array:
-        """(K,) angle of triangles at points of them: that of the corner, pi on an edge and (as good) inside."""
+    def _corner(self, face: Array, place: Array) -> tuple[Array, Array, Array]:
+        """(K, 3) the corner of triangles nearest to points of them, (K,) their angle there, and whether it is there.
+
+        Elsewhere a triangle counts by pi: on an edge, and (as good) inside.
+        """
         corner = self._cut[face]
         gap = np.linalg.norm(corner - place[:, None], axis=2)
         k, row = gap.argmin(1), np.arange(len(face))
         one, other = (corner[row, (k + j) % 3] - corner[row, k] for j in (1, 2))
         cosine = (one * other).sum(1) / (np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1))
-        return np.where(gap[row, k] <= TIE * self.size, np.arccos(np.clip(cosine, -1, 1)), np.pi)
+        return corner[row, k], np.arccos(np.clip(cosine, -1, 1)), gap[row, k] <= TIE * self.size

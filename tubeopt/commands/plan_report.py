@@ -46,6 +46,7 @@ def proof_record(proof: Proof) -> dict[str, Any]:
         "least_margin": p.least_margin,
         "least_clearance_mm": p.least_clearance * MM,
         "clearance_bound_mm": p.clearance_bound * MM,
+        "measured_clearance_mm": p.measured_clearance * MM,
         "largest_rotation_rate_deg_per_s": p.largest_rotation_rate * DEG,
         "largest_translation_rate_mm_per_s": p.largest_translation_rate * MM,
         "largest_rotation_acceleration_deg_per_s2": p.largest_rotation_acceleration * DEG,
@@ -62,8 +63,10 @@ def proof_rows(proof: Proof) -> list[tuple[str, str]]:
     p = proof
     rows = [("least margin", f"{p.least_margin:.4f}")]
     if np.isfinite(p.least_clearance):
-        words = f"{p.least_clearance * MM:.3f} mm, between equilibria at least {p.clearance_bound * MM:.3f} mm"
-        rows.append(("least clearance", words))
+        shown, measured = _down(p.least_clearance * MM), p.measured_clearance * MM
+        rows.append(("clearance", f"at least {shown:.3f} mm at all times ({measured:.3f} mm measured)"))
+    elif p.least_clearance < 0:
+        rows.append(("clearance", f"none is shown ({p.measured_clearance * MM:.3f} mm measured)"))
     return [
         *rows,
         (
@@ -79,6 +82,11 @@ def proof_rows(proof: Proof) -> list[tuple[str, str]]:
             + (f", re-integrated to {p.reintegration * MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""),
         ),
     ]
+
+
+def _down(value: float) -> float:
+    """Rounded down to what is printed, so that a bound stays one."""
+    return float(np.floor(value * 1e3) / 1e3)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,224 @@
+"""What a proof says of the time between its equilibria, along the arm and around it, against equilibria of its own."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tubeopt import find_snap, forward_kinematics, verify_trajectory
+from tubeopt.equilibrium import Equilibrium
+from tubeopt.inverse.posture import arm_radius
+from tubeopt.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
+from tubeopt.planning.branch import branch
+from tubeopt.planning.clock import Clock
+from tubeopt.planning.sections import Arms, Constants, Intervals
+from tubeopt.robots.assembly import Array
+from tubeopt.robots.eccentric import SegmentedEccentricRobot
+from tubeopt.robots.robot import Robot
+from tubeopt.scene import Scene
+from tubeopt.tubes import Tube
+
+from ..examples import DEG, THESIS, TWO_TUBE, eccentric_robot
+
+SEGMENTED = SegmentedEccentricRobot(
+    (Tube(0.8e-3, 0.6e-3, 0.09, 0.05, 12.0), Tube(1.2e-3, 0.9e-3, 0.02, 0.05, 8.0)), name="segmented"
+)
+MOVED = np.array([0.35, -0.2, 0.15, 0.1, 0.2, -0.3])
+
+FROM, TO = ([0.0, 0.3, -0.2], [-0.02, -0.02, -0.01]), ([0.5, 0.5, 0.0], [-0.015, -0.013, -0.01])
+
+
+def between(robot: Robot, one: Equilibrium, other: Equilibrium, share: float) -> Equilibrium:
+    alpha = (1 - share) * one.rotations + share * other.rotations
+    shift = (1 - share) * one.translations + share * other.translations
+    return forward_kinematics(robot, alpha, shift, guess=one)
+
+
+def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
+    """Points of the centreline at most `step` apart, the ends of tubes among them, and the radius there."""
+    s = np.linspace(0.0, e.arc_length[-1], int(e.arc_length[-1] / step) + 2)
+    s = np.union1d(s, e.tube_end[(e.tube_end > 0) & (e.tube_end < s[-1])])
+    arms = Arms.of(Constants.of(e.robot), [e])
+    return arms.points(np.zeros(len(s), dtype=np.intp), s), arm_radius(e, s)
+
+
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.2), SEGMENTED], ids=lambda r: r.name or "etr")
+def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> None:
+    n = robot.n_tubes
+    shift = -0.02 * np.ones(n) if isinstance(robot, SegmentedEccentricRobot) else -0.01 * np.ones(n)
+    first = forward_kinematics(robot, np.linspace(0.4, -0.8, n), robot.home_translations + shift)
+    last = between(robot, first, forward_kinematics(robot, first.rotations + MOVED[:n], first.translations + 0.004), 1)
+    chain = [between(robot, first, last, share) for share in np.linspace(0, 1, 17)]
+    arms = Arms.of(Constants.of(robot), chain)
+    one = np.arange(16)
+    intervals = Intervals.of(arms, one, one + 1)
+    stiffness = np.array([min(e.margin, 1.0) for e in chain]) * (0.9 if arms.constants.offset.any() else 1.0)
+    found = branch(intervals, stiffness)
+    assert found.unbroken.all()
+    assert found.off.max() < 3e-4
+    x = np.linspace(0, 1, 9)
+    for k in (0, 7, 15):
+        for share in (0.25, 0.5):
+            e = between(robot, chain[k], chain[k + 1], share)
+            true = Arms.of(arms.constants, [e])
+            for section in np.flatnonzero(np.maximum(*intervals.length)[k] > 0):
+                cut = (1 - share) * intervals.begin[k] + share * intervals.end[k]
+                s = cut[section] + x * (cut[section + 1] - cut[section])
+                a, b = intervals.places(np.full(9, k), np.full(9, section), x)
+                off = np.linalg.norm(true.points(np.zeros(9, dtype=np.intp), s) - (1 - share) * a - share * b, axis=1)
+                allowed = found.off[k, section] + 2 * arms.shape_error.max() + true.shape_error[0]
+                assert off.max() <= allowed
+    # Of second order: twice the step, four times the bound.
+    coarse = branch(Intervals.of(arms, np.array([6]), np.array([8])), stiffness).off[0, -1]
+    assert 3 < coarse / found.off[6:8, -1].mean() < 6
+
+
+def test_the_error_of_interpolation_along_the_arm_is_bounded() -> None:
+    e = forward_kinematics(THESIS, [2.0, 0.5, -1.0])
+    arms = Arms.of(Constants.of(THESIS), [e])
+    finer = forward_kinematics(THESIS, [2.0, 0.5, -1.0], tolerance=1e-13)
+    assert len(finer.arc_length) > 1.9 * len(e.arc_length)
+    off = arms.points(np.zeros(len(finer.arc_length), dtype=np.intp), finer.arc_length) - finer.position
+    assert 1e-9 < np.linalg.norm(off, axis=1).max() <= arms.shape_error[0] < 5e-6
+
+
+@pytest.fixture(scope="module")
+def moving() -> list[Equilibrium]:
+    first, last = forward_kinematics(THESIS, *FROM), forward_kinematics(THESIS, *TO)
+    return [between(THESIS, first, last, share) for share in np.linspace(0, 1, 241)]
+
+
+def body_at(place: Array, radius: float, random: np.random.Generator) -> Obstacle:
+    """A tiny sphere, the side of a thin capsule, or the corner of a box with (all but) the given clearance."""
+    away = random.normal(size=3)
+    away /= np.linalg.norm(away)
+    size, gap = 10 ** random.uniform(-6, -4), random.uniform(-1e-4, 4e-4)
+    centre = place + (radius + gap + size) * away
+    kind = random.integers(3)
+    if kind == 0:
+        return Sphere(tuple(centre.tolist()), size)
+    if kind == 1:
+        along = np.cross(away, random.normal(size=3)) * 10 ** random.uniform(-4, -2)
+        return Capsule(tuple((centre - along).tolist()), tuple((centre + along).tolist()), size)
+    corner, other = place + (radius + gap) * away, place + (radius + gap) * away + np.sign(away) * [0.004, 0.009, 0.002]
+    return Box(tuple(np.minimum(corner, other).tolist()), tuple(np.maximum(corner, other).tolist()))
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_no_body_between_samples_is_closer_than_the_bound(moving: list[Equilibrium], at_rest: bool) -> None:
+    random = np.random.default_rng(4)
+    arms = moving[:1] if at_rest else moving
+    ends = arms[0], arms[-1]
+    table = [e.rotations for e in ends][: 2 - at_rest], [e.translations for e in ends][: 2 - at_rest]
+    lines = [surface(e, 1e-4) for e in arms]
+    points, radius = (np.concatenate(part) for part in zip(*lines, strict=True))
+    for _ in range(60):
+        k = int(random.integers(len(points)))
+        body = body_at(points[k], float(radius[k]), random)
+        true = float((body.signed_distance(points) - radius).min())
+        wanted = max(true - 2e-5, 0.0)
+        proof = verify_trajectory(THESIS, [0.0, 1.0][: 2 - at_rest], *table, obstacles=[body], clearance=wanted)
+        assert proof.least_clearance <= true + 1e-9
+        assert proof.holds == (true - 2e-5 >= 0) or 0 <= true < 2e-5
+        if true > 0:
+            # Points of the centreline 0.1 mm apart, times 1/240 apart: they may miss the least by a few micrometres.
+            assert proof.least_clearance >= true - 2e-5
+
+
+def test_a_cloud_of_20_000_points_is_proved() -> None:
+    random = np.random.default_rng(1)
+    first, last = forward_kinematics(THESIS, *FROM), forward_kinematics(THESIS, *TO)
+    lines = [surface(between(THESIS, first, last, share), 2e-4) for share in np.linspace(0, 1, 61)]
+    points, radius = (np.concatenate(part) for part in zip(*lines, strict=True))
+    centres = points[random.integers(len(points), size=80_000)] + random.normal(size=(80_000, 3)) * 0.006
+    from scipy.spatial import cKDTree
+
+    far, nearest = cKDTree(points).query(centres)
+    chosen = np.flatnonzero(far > 3e-3)[:20_000]
+    assert len(chosen) == 20_000
+    cloud = [Sphere(tuple(centre), 1e-4) for centre in centres[chosen].tolist()]
+    true = float((far[chosen] - radius[nearest[chosen]] - 1e-4).min())
+    began = time.process_time()
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [FROM[0], TO[0]], [FROM[1], TO[1]], obstacles=cloud, clearance=2e-3)
+    assert time.process_time() - began < 10
+    assert proof.holds
+    # Radii fall along the arm, so that the nearest point need not be the one with the least clearance.
+    assert true - 2.5e-4 <= proof.least_clearance <= true + 1e-6
+
+
+def test_a_scene_tells_the_least_distance_of_all_its_bodies() -> None:
+    random = np.random.default_rng(2)
+    bodies: list[Obstacle] = [
+        Sphere(tuple(p), r)
+        for p, r in zip(random.normal(size=(300, 3)).tolist(), 10 ** random.uniform(-4, 0, 300), strict=True)
+    ]
+    bodies += [Capsule(tuple(p[:3]), tuple(p[3:]), 0.01) for p in random.normal(size=(50, 6)).tolist()]
+    bodies += [
+        Box(tuple(p), tuple(q))
+        for p, q in zip(*(np.sort(random.normal(size=(2, 40, 3)), axis=0)).tolist(), strict=True)
+    ]
+    bodies += [HalfSpace((0.0, 0.0, -2.0), (0.0, 0.0, 1.0))]
+    points = random.normal(size=(2000, 3)) * 2
+    exact = np.min([body.signed_distance(points) for body in bodies], axis=0)
+    np.testing.assert_allclose(Scene(tuple(bodies)).nearest(points), exact, atol=1e-12)
+    np.testing.assert_allclose(Scene(tuple(bodies)).nearest(points, 0.3), np.minimum(exact, 0.3), atol=1e-12)
+    np.testing.assert_allclose(nearest_distance(bodies, points), exact, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [2, 40])
+def test_a_snap_is_put_where_it_is(samples: int) -> None:
+    snap = find_snap(THESIS, ([0.0, 0.0, 0.0], None), ([270 * DEG, 0.0, 0.0], None))
+    assert snap is not None
+    table = np.linspace(0, 1, samples)[:, None] * [270 * DEG, 0.0, 0.0]
+    proof = verify_trajectory(THESIS, np.linspace(0, 1, samples), table)
+    assert proof.snap is not None
+    assert proof.snap * 270 == pytest.approx(snap.fraction * 270, abs=1e-6)
+    assert proof.least_margin == 0.0
+    assert "79.34" in proof.faults[0]
+
+
+def test_the_least_margin_is_that_of_all_times() -> None:
+    table = np.array([[0.0, 0.0, 0.0], [190.0, 0.0, 0.0], [160.0, 5.0, 0.0]]) * DEG
+    proof = verify_trajectory(THESIS, [0.0, 1.0, 2.0], table)
+    assert proof.holds
+    dense = [forward_kinematics(THESIS, table[0])]
+    for a, b in pairwise(table):
+        for share in np.linspace(0, 1, 300)[1:]:
+            dense.append(forward_kinematics(THESIS, a + share * (b - a), guess=dense[-1]))
+    assert proof.least_margin == pytest.approx(min(e.margin for e in dense), abs=1e-6)
+
+
+def test_rotations_of_a_robot_without_limits_are_free() -> None:
+    proof = verify_trajectory(THESIS, [0.0, 1.0], [[7.0, 7.0, 7.0], [7.5, 7.4, 7.3]])
+    assert proof.holds
+    limited = verify_trajectory(THESIS, [0.0, 1.0], [[7.0, 7.0, 7.0], [7.5, 7.4, 7.3]], limits=THESIS.limits)
+    assert any("leaves its range" in fault for fault in limited.faults)
+
+
+def test_what_is_not_shown_in_time_is_a_fault() -> None:
+    table = np.linspace(0, 3, 200)[:, None] * [1.0, 0.2, 0.1]
+    proof = verify_trajectory(THESIS, np.arange(200.0), table, clock=Clock(1e-6))
+    assert any("not proved beyond" in fault for fault in proof.faults)
+    assert proof.open
+
+
+def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
+    """Also where its nearest place is all but a corner of the triangles into which the surface is cut."""
+    pytest.importorskip("trimesh")
+    from tubeopt.corridors import MeshObstacle
+
+    edge, back = [(-0.01, 0.0, 0.0), (0.01, 0.0, 0.0)], [(x, y, 0.02) for x in (-0.01, 0.01) for y in (-1e-3, 1e-3)]
+    faces = ((0, 1, 3), (0, 3, 2), (2, 3, 5), (2, 5, 4), (0, 4, 5), (0, 5, 1), (0, 2, 4), (1, 5, 3))
+    wedge = MeshObstacle((*edge, back[0], back[2], back[1], back[3]), faces)
+    random = np.random.default_rng(0)
+    corners = wedge._surface._cut.reshape(-1, 3)
+    corners = np.unique(corners[(np.abs(corners[:, 1:]).max(1) < 1e-12) & (np.abs(corners[:, 0]) < 9e-3), 0])
+    assert len(corners)
+    x = (corners[:, None] + 10 ** random.uniform(-8, -6, (len(corners), 1000))).ravel()
+    side = random.integers(2, size=len(x))
+    angle, far = -np.abs(np.pi * side - random.uniform(0, 0.1, len(x))), random.uniform(0.02, 0.04, len(x))
+    points = np.column_stack([x, far * np.cos(angle), far * np.sin(angle)])
+    assert wedge.distance_within(points, np.full(len(x), np.inf)).min() > 0

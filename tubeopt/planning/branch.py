@@ -1,0 +1,224 @@
+"""Between two equilibria: that one unbroken branch of stable equilibria joins them, and where the arm is on the way.
+
+Between them joint values are linear in time t, 0 to 1. theta~ is what goes linearly from the one to the other at fixed
+fractions of the sections, whose lengths are linear in t. It all but solves the equations
+
+    F(theta, t) = theta - alpha - |beta| w(0) - int h g w = 0,    w = - int_s h M(theta) / kt   (to the tip),
+
+since F(theta~, t) is 0 at both ends: in between |F| <= max |F_tt| / 8, which is of second order in the step. With
+A = DF(theta_0)^-1, of norm 1 / mu in the norm of torsional energy (mu: the margin), theta~ + e solves them where
+
+    e = e - A F(theta~ + e):    |e| <= |A F(theta~)| + q |e|,    q = |A (DF(theta_0) - DF(theta~ + e, t))|.
+
+Where the right-hand side maps a ball into itself and q < 1 (Newton and Kantorovich), the ball holds exactly one
+solution for every t, on which DF is never singular: no fold, no crossing, and no loss of stability in between. The
+half of the time nearer to the other end is reached from there. Every bound is in closed form and holds for all
+rotations. Then, |u| being known to within what e and curved paths of theta make of it, the points of the arm are no
+farther than `off` from the straight line between where they are at both ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import Array, Mask
+from .jets import Jet, linear
+from .sections import PARTS, Intervals
+
+Turn = tuple[Array, Array]
+"""Bounds (B, K, n) of the changes of theta_i in every section, and (B, K, n, n) of theta_i - theta_j."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """What is known between neighbouring equilibria: `unbroken` (B,) whether one stable branch joins them; `off` (B, K)
+    by how much, m, a point in a section may be off the straight line between its places at both ends."""
+
+    unbroken: Mask
+    off: Array
+
+
+def branch(intervals: Intervals, stiffness: Array) -> Branch:
+    """What is known between equilibria whose linearised equations have least singular values `stiffness` (E,)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        found = _Bounds(intervals, np.minimum(stiffness[intervals.one], stiffness[intervals.other]))
+        turn, sure = found.turn()
+        error, kept = found.error(turn)
+        unbroken = sure & kept & intervals.ordered
+        off = found.off(turn, error)
+    return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf))
+
+
+class _Bounds:
+    """Bounds over intervals (B,) with sections (K,) of n tubes; those of a section hold all over it."""
+
+    def __init__(self, intervals: Intervals, stiffness: Array) -> None:
+        self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness
+        c, arms = intervals.arms.constants, intervals.arms
+        self.kt, self.offset = c.torsional, c.offset
+        self.long = linear(*intervals.length)
+        beta = arms.transmission
+        self.transmission = linear(beta[intervals.one], beta[intervals.other])
+        self.reach = np.maximum(intervals.begin, intervals.end)[:, 1:, None] + self.transmission.v[:, None]
+        """(B, K, n) from where a tube is held to the end of a section."""
+        own = np.sqrt(self.reach / self.kt)
+        self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
+        """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
+        self.torque = self.bending.pairs.sum(3)
+
+    def _h(self) -> Jet:
+        return self.long.map(lambda bound: bound[..., None])
+
+    def torque_change(self, turn: Turn) -> Array:
+        """(B, K, n) of the moment M where theta changes."""
+        b = self.bending
+        k = b.slope * b.change(turn[0])
+        return np.asarray((b.pairs * turn[1]).sum(3) + self.torque * (k / b.stiffness)[..., None])
+
+    def torque_second(self, one: Turn, other: Turn) -> Array:
+        """(B, K, n) second derivative of M in two directions."""
+        b = self.bending
+        u = b.change(one[0]), b.change(other[0])
+        k = [b.slope * each / b.stiffness for each in u]
+        kk = (b.slope * b.second(one[0], other[0]) + b.bow * u[0] * u[1]) / b.stiffness
+        mixed = (b.pairs * one[1]).sum(3) * k[1][..., None] + (b.pairs * other[1]).sum(3) * k[0][..., None]
+        return np.asarray(
+            (b.pairs * one[1] * other[1]).sum(3) + mixed + self.torque * (kk + 2 * k[0] * k[1])[..., None]
+        )
+
+    def twist(self, moment: Jet) -> tuple[Jet, Jet]:
+        """w (B, K, n) at both ends of every section, of moments with these bounds."""
+        gain = (self._h() * moment).over(self.kt)
+        begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
+        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
+
+    def rotation(self, moment: Jet, stretch: Jet) -> Jet:
+        """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
+        begin, end = self.twist(moment)
+        half = np.array(0.5)
+        mean = Jet((begin.v + end.v) * half, (begin.d + end.d) * half, (begin.dd + end.dd) * half)
+        one = Jet(1 + stretch.v, stretch.d, stretch.dd)
+        along = (self._h() * (one * mean)).map(lambda bound: np.cumsum(bound, axis=1))
+        base = self.transmission * begin.map(lambda bound: bound[:, 0])
+        return along + base.map(lambda bound: bound[:, None])
+
+    def _stretch(self, u: Array) -> Array:
+        return np.asarray(self.offset * u[..., None])
+
+    def energy(self, turn: Turn) -> Array:
+        """(B,) norm, in torsional energy, of (DF - 1) of what turns theta by at most this."""
+        zero = np.zeros_like(self.torque)
+        begin, end = self.twist(Jet(self.torque_change(turn), zero, zero))
+        whole = self.twist(Jet(self.torque, zero, zero))[0].v
+        grown = 1 + self._stretch(self.bending.most)
+        more = self._stretch(self.bending.change(turn[0])) * whole
+        a, b = grown * begin.v + more, grown * end.v + more
+        along = (self.long.v[..., None] * self.kt * (a**2 + a * b + b**2) / 3).sum((1, 2))
+        held = (self.kt * self.transmission.v * begin.v[:, 0] ** 2).sum(1)
+        return np.asarray(np.sqrt(along + held))
+
+    def response(self, turn: Turn) -> Turn:
+        """A f of an f that turns theta by at most this: f, and what it calls forth."""
+        size = (self.energy(turn) / self.stiffness)[:, None, None]
+        return turn[0] + size * self.weight[0], turn[1] + size[..., None] * self.weight[1]
+
+    def norm(self, turn: Turn) -> Array:
+        """(B,) the least factor of `weight` that is as much as this in all sections of any length."""
+        there = self.long.v[..., None] > 0
+        own = np.where(there & (turn[0] > 0), turn[0] / self.weight[0], 0.0).max((1, 2), initial=0.0)
+        pair = np.where(there[..., None] & (turn[1] > 0), turn[1] / self.weight[1], 0.0).max((1, 2, 3), initial=0.0)
+        return np.asarray(np.maximum(own, pair))
+
+    def turn(self) -> tuple[Turn, Mask]:
+        """By how much theta differs between both ends, sampled, with what lies between samples: a function differs from
+        its chord by at most an eighth of the square of their distance times its second derivative."""
+        own, pair = self.intervals.changes
+        more = self._between((own, pair))
+        wide = own + 2 * more, pair + 2 * (more[..., :, None] + more[..., None, :])
+        # The bound is linear in what it bounds: if it holds for more than it gives, it holds.
+        sure = (self._between(wide) <= 2 * more + 1e-15).all((1, 2))
+        return wide, np.asarray(sure)
+
+    def _between(self, turn: Turn) -> Array:
+        """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
+        h, torque = self._h(), Jet(self.torque, self.torque_change(turn), np.zeros_like(self.torque))
+        u, du = self.bending.most, self.bending.change(turn[0])
+        g = Jet(1 + self._stretch(u), self._stretch(du), np.zeros_like(self.torque))
+        second = h * h * g * torque.over(self.kt)
+        if self.offset.any():
+            w = self.twist(torque)[0]
+            speed = h * g * w
+            bent = Jet(self.bending.change(speed.v), self.bending.second(turn[0], speed.v), np.zeros_like(u))
+            bent = Jet(bent.v, bent.d + self.bending.change(speed.d), bent.dd)
+            second = second + h * w * bent.map(self._stretch)
+        return np.asarray(second.d / (8 * PARTS**2))
+
+    def error(self, turn: Turn) -> tuple[Array, Mask]:
+        """(B, K, n) bound of |e|, and (B,) whether the ball is mapped into itself."""
+        b, zero = self.bending, np.zeros_like(self.torque)
+        u, du = b.change(turn[0]), np.zeros_like(b.most)
+        stretch = Jet(b.most, u, b.second(turn[0], turn[0])).map(self._stretch)
+        moment = Jet(self.torque, self.torque_change(turn), self.torque_second(turn, turn))
+        residual = self.rotation(moment, stretch).dd / 8
+        first = self.norm(self.response(_both(residual)))
+        # What DF(theta~, t) - DF(theta_0) makes of |y| <= weight by half of the time, and what e adds to it per unit.
+        added = []
+        for by, moving in ((turn, True), (self.weight, False)):
+            y = self.weight
+            dy, ddy = b.change(y[0]), b.second(y[0], by[0])
+            varied = Jet(self.torque_change(y), self.torque_second(y, by), zero)
+            gained = Jet(dy, ddy, du).map(self._stretch)
+            made = self._varied(varied, gained, by, moving)
+            added.append(self.norm(self.response(_both(made))))
+        q, bow = added[0] / 2, added[1]
+        root = (1 - q) ** 2 - 2 * bow * first
+        kept = (q < 1) & (root > 0)
+        ball = 2 * first / ((1 - q) + np.sqrt(np.maximum(root, 0.0)))
+        return np.asarray(ball[:, None, None] * self.weight[0]), np.asarray(kept)
+
+    def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
+        """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to
+        what changes moments by `varied` and stretch by `gained`."""
+        b, zero = self.bending, np.zeros_like(self.torque)
+        still = self if moving else _Still(self)
+        plain = Jet(self._stretch(b.most), self._stretch(b.change(by[0])), zero)
+        made = still.rotation(varied, plain).d
+        if self.offset.any():
+            twist = still.twist(Jet(self.torque, self.torque_change(by), zero))[0]
+            made = made + (still._h() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
+        return np.asarray(made)
+
+    def off(self, turn: Turn, error: Array) -> Array:
+        """(B, K) bound of the distance of a point from the straight line between its places at both ends, m.
+
+        With U = h u and phi the turn of the frame, phi_s = R U_t: |P_tt| <= int 2 |h_t| W + h (Phi + W^2), where W
+        bounds |phi| and Phi its derivative; an eighth of it is off the line. What e makes of u adds its lever.
+        """
+        b, h = self.bending, self.long
+        u = Jet(b.most, b.change(turn[0]), b.second(turn[0], turn[0]))
+        bent = h * u
+        w = np.cumsum(bent.d, axis=1)
+        w0 = w - bent.d
+        phi = np.cumsum((w + w0) / 2 * bent.d + bent.dd, axis=1)
+        phi0 = np.concatenate([np.zeros_like(phi[:, :1]), phi[:, :-1]], axis=1)
+        second = h.d * (w + w0) + h.v * ((phi + phi0) / 2 + (w**2 + w * w0 + w0**2) / 3)
+        wrong = b.change(error)
+        slope = np.cumsum(h.v * wrong, axis=1)
+        lever = h.v * (slope - h.v * wrong / 2)
+        return np.asarray(np.cumsum(second / 8 + lever, axis=1))
+
+
+class _Still(_Bounds):
+    """The same with sections and transmissions at rest."""
+
+    def __init__(self, other: _Bounds) -> None:
+        self.__dict__.update(other.__dict__)
+        self.long = Jet(other.long.v, np.zeros_like(other.long.v), other.long.dd)
+        self.transmission = Jet(other.transmission.v, np.zeros_like(other.transmission.v), other.transmission.dd)
+
+
+def _both(own: Array) -> Turn:
+    """Bounds of theta_i as those of their differences."""
+    return own, own[..., :, None] + own[..., None, :]

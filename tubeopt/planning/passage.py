@@ -1,0 +1,314 @@
+"""Following a trajectory through equilibria, close enough that what lies between them is proved.
+
+Equilibria are those of `forward_kinematics` (collocation and Newton's method). Where `branch` does not show that one
+stable branch joins two neighbours, or where the bound of the clearance is not sharp, one more is put between them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..equilibrium import Equilibrium
+from ..errors import SolveError
+from ..kinematics import forward_kinematics
+from ..robots.assembly import Array
+from ..robots.robot import Robot
+from ..scene import Scene
+from ..solution import discretisation_of, polish
+from ..stability.snapping import find_snap
+from .branch import branch
+from .clearing import Wanted, cleared
+from .sections import SWAPPED, Arms, Constants, Intervals
+
+TURN = 0.04
+"""Largest turn (rad) of a joint between two equilibria, to begin with."""
+
+SHIFT = 0.004
+"""Largest translation between two equilibria to begin with, as a share of the longest tube."""
+
+SHORTEST = 1e-9
+"""Share of the time below which nothing is put between two equilibria."""
+
+MOST = 20_000
+"""Equilibria at most."""
+
+TOLERANCE = 1.2e-5
+"""How far (m) the bound of the clearance may lie below the least distance that was measured."""
+
+DIP = 1e-7
+"""Depth of a least margin between equilibria that does not matter."""
+
+BATCH = 2000
+"""Intervals at once: bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """An equilibrium, the fraction of the time, and the joint values (2n,)."""
+
+    at: float
+    equilibrium: Equilibrium
+    joints: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Two neighbouring steps; by how much (K,) m the arm is off the straight line in between; bound of the clearance
+    there, m."""
+
+    one: Step
+    other: Step
+    off: Array = field(default_factory=lambda: np.zeros(0))
+    bound: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """What was found on the way.
+
+    steps: in order of time.   snap: fraction of the time at which the branch ends.   lost: (from, to) fractions of the
+    time between which nothing shows that one stable branch joins the equilibria.
+    margin: least, numerically, of all times.   clearance: bound of all times up to the last step, m; -inf where some is
+    lost.   measured: least distance that was measured, m.
+    """
+
+    steps: tuple[Step, ...]
+    snap: float | None
+    lost: tuple[tuple[float, float], ...]
+    margin: float
+    clearance: float
+    measured: float
+
+
+class _SnapError(Exception):
+    """The branch ends at a fraction of the time."""
+
+    def __init__(self, at: float) -> None:
+        super().__init__()
+        self.at = at
+
+
+@dataclass(eq=False)
+class Follower:
+    """Follows a robot past bodies; until a moment of `time.perf_counter`."""
+
+    robot: Robot
+    scene: Scene
+    wanted: Wanted
+    length: float
+    until: float
+    constants: Constants
+    count: int = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether there is no more time, or no more equilibria to spend."""
+        return self.count >= MOST or time.perf_counter() > self.until
+
+    def step(self, here: Step, at: float, joints: Array) -> Step | None:
+        """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
+        self.count += 1
+        try:
+            e = forward_kinematics(self.robot, *np.split(joints, 2), guess=here.equilibrium)
+        except SolveError:
+            return None
+        return Step(at, e, joints) if e.stable else None
+
+    def between(self, one: Step, other: Step) -> Step | None:
+        """The step half-way."""
+        return self.step(one, (one.at + other.at) / 2, (one.joints + other.joints) / 2)
+
+    def ends(self, here: Step, at: float, joints: Array) -> float:
+        """Fraction of the time at which the branch that leads from here to joint values (2n,) ends."""
+        try:
+            snap = find_snap(
+                self.robot,
+                _pair(np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])),
+                _pair(joints),
+                equilibrium=here.equilibrium,
+            )
+        except SolveError:
+            snap = None
+        # None: it is stability that ends, where branches cross, or a solver that gives up.
+        return here.at if snap is None else here.at + snap.fraction * (at - here.at)
+
+
+def _pair(joints: Array) -> tuple[Array, Array]:
+    rotations, translations = np.split(joints, 2)
+    return rotations, translations
+
+
+def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
+    """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
+    begin = Step(0.0 if len(joints) > 1 else 1.0, first, joints[0])
+    steps, snap = _through(follower, begin, t, joints)
+    while True:
+        pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is begin])
+        try:
+            links, lost = _joined(follower, [Link(a, b) for a, b in pairs])
+            break
+        except _SnapError as error:
+            snap = error.at
+    clearance = measured = math.inf
+    if follower.scene.bodies:
+        shown = [link for link in links if np.isfinite(link.off).all()]
+        kept, more, measured = _kept_clear(follower, shown or [Link(begin, begin)])
+        lost += more
+        clearance = min(link.bound for link in kept) if not lost else -math.inf
+        links = links if lost else [link for link in kept if link.one is not link.other]
+    steps = [begin, *(link.other for link in links)]
+    margin = 0.0 if snap is not None else _least_margin(follower, steps)
+    return Passage(tuple(steps), snap, tuple(lost), margin, clearance, measured)
+
+
+def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[list[Step], float | None]:
+    """Steps all along, and the fraction of the time where the branch ends."""
+    steps, n = [here], joints.shape[1] // 2
+    span = float(t[-1] - t[0]) or 1.0
+    size = np.array([TURN] * n + [SHIFT * follower.length] * n)
+    meetings = _meetings(follower.constants, joints[:, n:])
+    for k in range(len(joints) - 1):
+        a, b = joints[k], joints[k + 1]
+        count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
+        for x in np.union1d(np.arange(1, count + 1) / count, meetings.get(k, [])):
+            there = b if x == 1 else a + (b - a) * x
+            at = float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
+            ahead = follower.step(steps[-1], at, there)
+            if ahead is None:
+                return steps, follower.ends(steps[-1], float(t[k + 1] - t[0]) / span, b)
+            steps.append(ahead)
+            if follower.over:
+                return steps, None
+    return steps, None
+
+
+def _meetings(constants: Constants, translations: Array) -> dict[int, Array]:
+    """Fractions of the way between waypoints at which breakpoints meet each other or the plate: sections change there,
+    and with them how the arm moves."""
+    points = constants.breakpoints(translations)
+    points = np.concatenate([np.zeros((len(points), 1)), points], axis=1)
+    gap = points[:, :, None] - points[:, None, :]
+    before, after = gap[:-1], gap[1:]
+    found: dict[int, Array] = {}
+    crossed = (before > SWAPPED) & (after < -SWAPPED)
+    for k in np.flatnonzero(crossed.any((1, 2))):
+        a, b = before[k][crossed[k]], after[k][crossed[k]]
+        x = np.unique(np.round(a / (a - b), 12))
+        found[int(k)] = x[(x > 0) & (x < 1)]
+    return found
+
+
+def _joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
+    """Links that are joined by one stable branch, in order of time; and between which times none is shown."""
+    done: list[Link] = []
+    lost: list[tuple[float, float]] = []
+    while links:
+        fresh: list[Link] = []
+        for link, unbroken, off in _looked_at(follower, links):
+            if unbroken:
+                done.append(replace(link, off=off))
+            elif follower.over or link.other.at - link.one.at < SHORTEST:
+                lost.append((link.one.at, link.other.at))
+                done.append(replace(link, off=np.full_like(off, np.inf)))
+            else:
+                fresh += _halves(follower, link)
+        links = fresh
+    return sorted(done, key=lambda link: link.one.at), lost
+
+
+def _halves(follower: Follower, link: Link) -> list[Link]:
+    """Both halves of a link; raises _SnapError where the branch ends in it."""
+    middle = follower.between(link.one, link.other)
+    if middle is None:
+        raise _SnapError(follower.ends(link.one, link.other.at, link.other.joints))
+    return [Link(link.one, middle), Link(middle, link.other)]
+
+
+def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bool, Array]]:
+    """Every link with whether one stable branch joins its ends, and its `off`."""
+    out: list[tuple[Link, bool, Array]] = []
+    for k in range(0, len(links), BATCH):
+        some = links[k : k + BATCH]
+        intervals = _intervals(follower, some)
+        found = branch(intervals, _stiffness(intervals.arms))
+        out += list(zip(some, found.unbroken.tolist(), found.off, strict=True))
+    return out
+
+
+def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
+    steps: dict[int, Step] = {}
+    for link in links:
+        steps.setdefault(id(link.one), link.one)
+        steps.setdefault(id(link.other), link.other)
+    number = {key: k for k, key in enumerate(steps)}
+    arms = Arms.of(follower.constants, [step.equilibrium for step in steps.values()])
+    one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
+    return Intervals.of(arms, one, other)
+
+
+def _stiffness(arms: Arms) -> Array:
+    """Least singular values of the linearised equations: the margins, unless tubes run off the centreline."""
+    if not arms.constants.offset.any():
+        return np.array([min(e.margin, 1.0) for e in arms.equilibria])
+    states = (polish(e, discretisation_of(e)).result.state for e in arms.equilibria)
+    return np.array([np.linalg.svd(state.hessian, compute_uv=False).min(initial=1.0) for state in states])
+
+
+def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]], float]:
+    """Links with bounds of their clearance, as many as it takes for the least of them to be sharp; between which times
+    no branch was shown; and the least distance that was measured."""
+    done: dict[int, Link] = {}
+    lost: list[tuple[float, float]] = []
+    closest = math.inf
+    while links:
+        for k in range(0, len(links), BATCH):
+            some = links[k : k + BATCH]
+            intervals = _intervals(follower, some)
+            off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
+            found = cleared(intervals, off, follower.scene, follower.wanted, closest)
+            closest = found.closest
+            for link, bound in zip(some, found.bound.tolist(), strict=True):
+                done[id(link)] = replace(link, bound=bound)
+        line = follower.wanted.line(closest)
+        short = [key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST]
+        if follower.over:
+            break
+        try:
+            links, more = _joined(follower, [half for key in short for half in _halves(follower, done[key])])
+        except _SnapError as error:  # not where one branch was shown
+            lost.append((error.at, error.at))
+            break
+        lost += more
+        for key in short:
+            del done[key]
+    return sorted(done.values(), key=lambda link: link.one.at), lost, closest
+
+
+def _least_margin(follower: Follower, steps: Sequence[Step]) -> float:
+    """The least margin, also between steps: where three neighbours have it in their middle, halves are looked at."""
+    margins = np.array([step.equilibrium.margin for step in steps])
+    least = float(margins.min())
+    padded = np.concatenate([[np.inf], margins, [np.inf]])
+    dips = np.flatnonzero((margins <= padded[:-2]) & (margins <= padded[2:]))
+    for k in dips[np.argsort(margins[dips], kind="stable")]:
+        around = list(steps[max(k - 1, 0) : k + 2])
+        while len(around) > 1 and not follower.over:
+            values = [step.equilibrium.margin for step in around]
+            # A smooth dip is no deeper than an eighth of how much its sides rise; a fourth is safe.
+            depth = 0.25 * (max(values) - min(values))
+            if depth < DIP or min(values) - depth >= least or around[-1].at - around[0].at < SHORTEST:
+                break
+            finer = [around[0]]
+            for one, other in pairwise(around):
+                middle = follower.between(one, other)
+                finer += [other] if middle is None else [middle, other]
+            best = int(np.argmin([step.equilibrium.margin for step in finer]))
+            around = finer[max(best - 1, 0) : best + 2]
+            least = min(least, finer[best].equilibrium.margin)
+    return least
