@@ -26,7 +26,7 @@ HEIGHT = 0.175
 def softness(block: tubeopt.EquilibriumBlock) -> ca.MX:
     """Way of the tip along the push by bending, m/N: three Gauss points on every stretch between ends of tubes."""
     robot, ends = block.robot, sorted(tube.curved_length for tube in block.robot.tubes)
-    total = 0.0
+    total = ca.MX(0)
     for low, high in zip([0.0, *ends], ends, strict=False):
         stiffness = sum(tube.bending_stiffness for tube in robot.tubes if tube.curved_length > low)
         for x, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):

@@ -116,7 +116,11 @@ def test_every_unknown_and_equation_is_named_once(add: Callable[..., Any]) -> No
     assert len(set(nlp.names)) == len(nlp.names) == nlp.x.numel()
     assert len(set(nlp.constraint_names)) == len(nlp.constraint_names) == nlp.constraints.numel()
     # Only sections 2 to 4 of the five have two curved tubes, whose torsion needs points.
-    collocated = {name.split("section ")[1][0] for name in nlp.constraint_names if name.startswith(("torsion equation", "rotation equation"))}
+    collocated = {
+        name.split("section ")[1][0]
+        for name in nlp.constraint_names
+        if name.startswith(("torsion equation", "rotation equation"))
+    }
     assert collocated == {"2", "3", "4"}
 
 

@@ -176,8 +176,8 @@ class Derivatives:
         at = np.array(place)[:, None] + nudge
         lost = where(assembly.transition, assembly.end, assembly.curvature, at)
         moved = (table[column] * (2 * nudge) for table in (begins, ends))
-        after = (old + shift for old, shift in zip((assembly.transition, assembly.end), moved, strict=True))
-        gained = where(*after, assembly.curvature, at)
+        transition, end_ = (a + b for a, b in zip((assembly.transition, assembly.end), moved, strict=True))
+        gained = where(transition, end_, assembly.curvature, at)
         changed = np.flatnonzero((gained[0] != lost[0]).any(1) | (gained[1] != lost[1]).any(1))
         kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
         sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
@@ -238,7 +238,8 @@ class Derivatives:
             base[np.arange(n), first + np.arange(n)] = 1.0
         jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
         turned, gained, *_ = self._gains
-        np.add.at(jumps, (self.jumps.index, slice(None), self.jumps.column), np.concatenate([turned, gained], axis=1))
+        for k, (index, column) in enumerate(zip(self.jumps.index, self.jumps.column, strict=True)):
+            jumps[index, :, column] += np.concatenate([turned[k], gained[k]])
         return respond(arm, self.chain, base, self.data, jumps)
 
     @cached_property
@@ -374,7 +375,8 @@ class Derivatives:
     def twist_change(self) -> Array:
         """(P, K, n, Q) change of w at the points, by carriages."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
-        rate = at.rate_slope @ self.columns - (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
+        stiffer = (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
+        rate = at.rate_slope @ self.columns - stiffer
         gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
         return np.asarray(self.response.state[:-1, None, n:] + gained)
 

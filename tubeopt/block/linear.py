@@ -77,10 +77,9 @@ def slopes_at(arm: Arm, theta: Array) -> Slopes:
     """Cross-sections at theta (P, X, n), by CasADi."""
     pieces, count, n = theta.shape
     if not pieces:
-        nothing = [np.zeros((0, count, k)) for k in (n, n, 2)]
-        by = [np.zeros((0, count, k, 3 * n)) for k in (n, n, 2)]
-        parts = [part for pair in zip(nothing, by, strict=True) for part in pair]
-        return Slopes(*parts, np.zeros((0, count)), np.zeros((0, count, 3 * n)))
+        tubes, slopes = np.zeros((0, count, n)), np.zeros((0, count, n, 3 * n))
+        u, bend = np.zeros((0, count, 2)), np.zeros((0, count, 2, 3 * n))
+        return Slopes(tubes, slopes, tubes, slopes, u, bend, np.zeros((0, count)), np.zeros((0, count, 3 * n)))
     function = section_function("linear", pieces * count, n, bool(arm.place))
     kb, m = (np.repeat(table, count, axis=0) for table in (arm.stiffness, arm.moment))
     out = [part.copy() for part in function(theta.reshape(-1, n), kb, m, *arm.place)]
@@ -108,7 +107,8 @@ class Chain:
 @lru_cache(maxsize=32)
 def _kron_of(family: str, degree: int, n: int) -> tuple[Array, Array, Array]:
     t = tableau(family, degree)
-    return np.kron(t.matrix, np.eye(n)), np.kron(t.adjoint, np.eye(n)), np.kron(t.weights, np.eye(n))
+    matrix, adjoint, weights = (np.asarray(np.kron(part, np.eye(n))) for part in (t.matrix, t.adjoint, t.weights))
+    return matrix, adjoint, weights
 
 
 def _kron(t: Tableau, n: int) -> tuple[Array, Array, Array]:

@@ -95,7 +95,7 @@ class _Wave:
         function = section_function("mode", count, of.arm.n_tubes, True)
         values = []
         for kb, m in (jumps.gained, jumps.lost):
-            there = kb.any(1)
+            there = np.asarray(kb.any(axis=1), dtype=bool)
             solid = np.where(there[:, None], kb, 1.0)
             values.append(np.where(there, function(theta, solid, m, *of.arm.place, *weights)[0][:, 0], 0.0))
         return np.asarray(values[0] - values[1])

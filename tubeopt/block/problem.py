@@ -322,7 +322,8 @@ class Problem:
             f, constraints = whole.call(parts, True, False)
             problem = {"x": scaled, "p": p, "f": f, "g": constraints}
             self._solvers[key] = ca.nlpsol("program", "ipopt", problem, solver.options(warm=warm))
-        return self._solvers[key]
+        found: ca.Function = self._solvers[key]
+        return found
 
 
 class _Stacked:

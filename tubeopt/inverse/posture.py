@@ -67,7 +67,8 @@ class Posture:
     def _derivatives(self, side: int) -> Derivatives:
         assembly = self.space.robot.assembly(self.equilibrium.translations)
         arm = arm_of_equilibrium(self.equilibrium, assembly)
-        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=partial(problem_of, self.equilibrium))
+        own = partial(problem_of, self.equilibrium)
+        return Derivatives(arm, assembly, self.space.carriages, side=side, margin=self.margin, problem=own)
 
     @cached_property
     def jacobian(self) -> tuple[Array, Array, Array]:

@@ -189,7 +189,9 @@ def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> 
     lengthened = np.zeros(assembly.n_tubes)
     lengthened[tubes] = change
     # The transition stays where the straight part grows at a fixed translation, and moves with the translation.
-    straight, moved, curved = (lengthened * (name == part) for part in ("straight_length", "translation", "curved_length"))
+    straight, moved, curved = (
+        lengthened * (name == part) for part in ("straight_length", "translation", "curved_length")
+    )
     transition, end = assembly.transition + moved, assembly.end + moved + curved
     cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
     present, bent = where(transition, end, assembly.curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
@@ -213,7 +215,9 @@ def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -
     for name in PARAMETERS:
         for group in carriages:
             tubes = list(group)
-            size = float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
+            size = (
+                float(np.abs(getattr(assembly, name)[tubes[0]])) if hasattr(assembly, name) else assembly.total_length
+            )
             h = STEP * max(size, 1e-300)
             sides = [proof(_changed(assembly, name, tubes, side * h))[0] for side in (-1.0, 1.0)]
             known = [(side, value) for side, value in zip((-1.0, 1.0), sides, strict=True) if np.isfinite(value)]

@@ -64,7 +64,7 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
     if robot.assembly(np.array(shift)).eccentric:
         worst, searches = least_margin(robot, shift)
-        return WorstMargin(worst.margin, worst, searches)
+        return WorstMargin(worst.margin, worst, searches, np.empty((0, robot.n_tubes)))
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
@@ -185,7 +185,9 @@ def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:
                 tubes = ", ".join(str(i + 1) for i in group)
-                raise InputError(f"{name} differs between tubes {tubes}, which move together; it must be the same for them")
+                raise InputError(
+                    f"{name} differs between tubes {tubes}, which move together; it must be the same for them"
+                )
     return [group for group in robot.moving_together if high[group[0]] - low[group[0]] > 1e-12]
 
 

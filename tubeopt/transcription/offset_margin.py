@@ -84,7 +84,9 @@ def _present(assembly: Assembly, group: set[int]) -> set[int]:
     return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
 
 
-def make_blocks(assembly: Assembly, green: Array, section: NDArray[np.intp], integrals: tuple[Array, ...]) -> list[Block]:
+def make_blocks(
+    assembly: Assembly, green: Array, section: NDArray[np.intp], integrals: tuple[Array, ...]
+) -> list[Block]:
     """The blocks of an assembly whose N points lie on sections `section`, with min(s, r) (N, N), and P, W, weights."""
     up_to, beyond, weight = integrals
     blocks = []
@@ -134,7 +136,7 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
         yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
 
 
-def _real(values: NDArray[np.complexfloating[tuple[int, ...]]] | Array) -> Array:
+def _real(values: NDArray[np.complex128] | Array) -> Array:
     """The real ones of eigenvalues; the others as 0, the eigenvalue of what nothing couples."""
     return np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, 0.0)
 
