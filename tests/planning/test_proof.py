@@ -206,7 +206,7 @@ def test_what_is_not_shown_in_time_is_a_fault() -> None:
 
 
 def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
-    """Also where its nearest place, on the edge, is 0.3 um from a corner of the triangles that the surface is cut into."""
+    """Also where its nearest place, on the edge, is 0.3 um from a corner of the triangles of the cut surface."""
     pytest.importorskip("trimesh")
     from tubeopt.corridors import MeshObstacle
 
