@@ -47,7 +47,7 @@ def certificate_words(certificate: float | None) -> str:
     if certificate is None:
         return "certificate: …"
     if certificate > 0:
-        return f"certificate {certificate:.3f}: cannot snap at any rotation here"
+        return f"certificate {certificate:.3f}: cannot snap at any rotation here, unloaded"
     return f"certificate {_signed(certificate)}: not proved free of snaps"
 
 
