@@ -29,12 +29,12 @@ CONVEX = 1e-6
 def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
-    For up to three tubes with curved parts in front of the plate the search is systematic: the joint rotations are
-    computed for tip angles on a grid over one turn of each relative angle (the others follow by symmetry, see
-    `stability.shooting`), every cell that may hold a solution is solved, and the grid is refined until the set no
-    longer changes and its topological degree, the sum of (-1)^index, is 1, as it must be. For more tubes the starting
-    points are a Sobol sequence, and the degree is the only check. For tubes off the centreline the search is that of
-    the same tubes on it, and of folds nearby; each equilibrium is solved with the offsets, and the degree is theirs.
+    Where the certificate of tubes on the centreline is positive there is one, and no search. Else tubes that act on one
+    another are searched group by group (see `stability.groups`). For up to three tubes in a group, as in every segment
+    of an eccentric robot, the search is systematic: the joint rotations are tabulated over one turn of each tip angle,
+    every cell of a grid that may hold a solution is solved, and the grid is refined until the set no longer changes
+    and its topological degree, on the centreline the sum of (-1)^index, is 1, as it must be. For more tubes the
+    starting points are a Sobol sequence, and the degree is the only check.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.

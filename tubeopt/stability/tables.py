@@ -55,7 +55,7 @@ def joints(bundle: Bundle, tips: Array, steps: int, *, slopes: bool = False) -> 
     return Shot(shot.rotations[:, :k], shot.twist[:, :k], by_tip, shot.travel)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)
 def table_of(bundle: Bundle, k: int) -> Table:
     """The table of the first k tubes of a bundle, refined until its Fourier series ends."""
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.place else ())
