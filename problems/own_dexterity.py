@@ -1,7 +1,8 @@
 """Tubes for the most dexterous robot in three places: the least singular value of the tip's Jacobian, made large.
 
 The Jacobian J of the tip is a part of the program: how the arm answers to its joints is lifted into further unknowns.
-No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell.
+No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell; a
+logarithm of its determinant keeps the optimum off the kink where singular values are equal.
 
 One learns: a derivative of the equilibrium can be an objective, with exact second derivatives, and no eigenvalue needs
 to be differentiated.
@@ -25,6 +26,10 @@ NEAR = (([0.0, 0.8], [-0.01, -0.03]), ([1.2, 0.2], [0.0, -0.05]), ([-0.6, 0.9], 
 UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
 """1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
 
+BARRIER = 0.01
+"""Weight (cm^2) of the logarithms that keep the matrices definite, since at the best singular values tend to be equal,
+where the least one has a kink; of the least squared singular value they take 9 times this at most."""
+
 
 def minors(matrix: ca.MX) -> ca.MX:
     """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
@@ -40,8 +45,8 @@ def main(out: Path) -> list[Path]:
 
     problem = tubeopt.Problem("dexterity")
     curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=25.0, scale=10.0)
-    least = problem.variable("least squared singular value", guess=0.1)
-    blocks, jacobians = [], []
+    least = problem.variable("least squared singular value", guess=0.01)
+    blocks, jacobians, inside = [], [], 0.0
     for k, (near, target) in enumerate(zip(starts, TARGETS_MM, strict=True), start=1):
         rotations = problem.variable(f"rotations {k}", 2, guess=near.rotations, lower=-7.0, upper=7.0)
         moved = problem.variable(f"translations {k}", 2, guess=near.translations, lower=-0.1, upper=0.05, scale=0.1)
@@ -49,11 +54,13 @@ def main(out: Path) -> list[Path]:
         block = tubeopt.EquilibriumBlock(problem, near, rotations=rotations, translations=moved, tubes=tubes)
         block.margin_at_least(0.2)
         jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-        problem.subject_to(f"singular values {k}", minors(jacobian @ jacobian.T - least * ca.DM.eye(3)))
+        rest = minors(jacobian @ jacobian.T - least * ca.DM.eye(3))
+        problem.subject_to(f"singular values {k}", rest)
+        inside += ca.log(rest[2])
         problem.subject_to(f"tip {k}", block.tip_position == np.array(target) * 1e-3, scale=0.1)
         blocks.append(block)
         jacobians.append(jacobian)
-    problem.maximize(least)
+    problem.maximize(least + BARRIER * inside)
     solution = problem.solve()
 
     poses = [block.equilibrium(solution) for block in blocks]
