@@ -39,7 +39,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
-    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], translations=near.translations, tubes=tubes)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)
@@ -51,7 +51,9 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.01)):
         opti.set_initial(symbol, value)
     opti.minimize(-least - BARRIER * ca.log(rest[2]))
-    opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
+    opti.solver(
+        "ipopt", {"print_time": False, "expand": True, "show_eval_warnings": False}, {"print_level": 0, "sb": "yes"}
+    )
     solution = opti.solve()
     return block.equilibrium(solution), float(np.sqrt(solution.value(least)))
 

@@ -156,8 +156,8 @@ def test_wrong_input_is_named() -> None:
         problem.subject_to("nothing", 3.0)
     with pytest.raises(InputError, match="shape"):
         problem.minimize(x)
+    problem.minimize(ca.MX.sym("stranger"))
     with pytest.raises(InputError, match="symbols that are not the problem's: stranger"):
-        problem.minimize(ca.MX.sym("stranger"))
         problem.solve()
     with pytest.raises(InputError, match="no variable is called 'z'"):
         problem.set_guess("z", 1.0)

@@ -165,8 +165,8 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]
 def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tuple[Any, Any]:
     """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
 
-    The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where
-    w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
+    The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
+    where w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
     det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
