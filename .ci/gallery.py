@@ -24,6 +24,7 @@ GROUPS = {
     "inverse_": "Inverse kinematics",
     "plan_": "Motion planning",
     "design_": "Design",
+    "own_": "Your own problem",
     "mold_": "Fabrication",
     "heat": "Fabrication",
     "fabricat": "Fabrication",

@@ -21,6 +21,10 @@ ROOT = Path(__file__).resolve().parents[1]
 UNITS = np.array([1.0, 1.0, 0.05, 0.05]) / 0.01
 """1 rad of rotation counts as much as 50 mm of translation; the tip is counted in cm."""
 
+BARRIER = 0.01
+"""Weight (cm^2) of the logarithm that keeps the matrix definite, since at the best singular values tend to be equal,
+where the least one has a kink; of the least squared singular value it takes 3 times this at most."""
+
 
 def minors(matrix: ca.MX) -> ca.MX:
     """Leading principal minors (3,): a symmetric matrix is positive semidefinite as long as they stay at least 0."""
@@ -35,18 +39,21 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
-    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], translations=near.translations, tubes=tubes)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)
     jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-    opti.subject_to(minors(jacobian @ jacobian.T - least * ca.DM.eye(3)) >= 0)
+    rest = minors(jacobian @ jacobian.T - least * ca.DM.eye(3))
+    opti.subject_to(rest >= 0)
     opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
     opti.subject_to(opti.bounded(0, turn, np.pi))
-    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.1)):
+    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.01)):
         opti.set_initial(symbol, value)
-    opti.minimize(-least)
-    opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
+    opti.minimize(-least - BARRIER * ca.log(rest[2]))
+    opti.solver(
+        "ipopt", {"print_time": False, "expand": True, "show_eval_warnings": False}, {"print_level": 0, "sb": "yes"}
+    )
     solution = opti.solve()
     return block.equilibrium(solution), float(np.sqrt(solution.value(least)))
 

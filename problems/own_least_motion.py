@@ -10,6 +10,7 @@ One learns: the way around a snap leads through translations, and it is one sum 
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -49,7 +50,7 @@ def main(out: Path) -> list[Path]:
     weight = ca.DM([1, 1, PER_METRE, PER_METRE])
     problem.subject_to("start", joints[0] == begin)
     problem.subject_to("tip at the end", blocks[-1].tip_position == goal.tip_position)
-    problem.minimize(sum(ca.sumsqr(weight * (b - a)) for a, b in zip(joints, joints[1:], strict=False)))
+    problem.minimize(sum(ca.sumsqr(weight * (b - a)) for a, b in pairwise(joints)))
     solution = problem.solve()
 
     poses = [block.equilibrium(solution) for block in blocks]

@@ -3,7 +3,8 @@
 Three blocks share the curvatures and the zeros of the drives; the sum of squared distances is the objective. The
 measurement is made from tubes that the estimate does not know.
 
-One learns: points along the arm tell curvatures to about a percent and the zeros of the drives to fractions of a degree.
+One learns: points along the arm tell curvatures to about a percent and the zeros of the drives to fractions of a
+degree.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Which rotations make an arm the stiffest against a push from the side, with its tip at a given height?
 
-Castigliano's theorem gives the way of the tip per newton from bending alone, the integral of |m|^2 / K along the arm, with
-the moment m of the push across the arm and the bending stiffness K of the tubes that are there. The tubes' torsion is
-held: where it gives way too, the arm is softer than that, never stiffer.
+Castigliano's theorem gives the way of the tip per newton from bending alone, the integral of |m|^2 / K along the arm,
+with the moment m of the push across the arm and the bending stiffness K of the tubes that are there. The tubes' torsion
+is held: where it gives way too, the arm is softer than that, never stiffer.
 
 One learns: an objective that the library does not know is a sum over places along the arm.
 """
@@ -26,7 +26,7 @@ HEIGHT = 0.175
 def softness(block: tubeopt.EquilibriumBlock) -> ca.MX:
     """Way of the tip along the push by bending, m/N: three Gauss points on every stretch between ends of tubes."""
     robot, ends = block.robot, sorted(tube.curved_length for tube in block.robot.tubes)
-    total = ca.MX(0)
+    total = ca.MX(0.0)
     for low, high in zip([0.0, *ends], ends, strict=False):
         stiffness = sum(tube.bending_stiffness for tube in robot.tubes if tube.curved_length > low)
         for x, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):

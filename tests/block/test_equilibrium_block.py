@@ -22,7 +22,7 @@ ROBOTS = [
     (THESIS, [0.3, -0.8, 1.2], [0.01, 0.02, -0.03]),
     (CRL, [0.5, 1.5, 0.0], [-0.01, -0.005, 0.005]),
     (eccentric_robot(0.02), [0.3, 1.4, -0.9], [0.0, 0.0, 0.0]),
-    (SEGMENTED, list(np.linspace(-0.8, 0.9, 9)), None),
+    (SEGMENTED, list(np.linspace(-0.4, 0.5, 9)), None),
 ]
 
 
@@ -38,10 +38,10 @@ def test_square_program_is_forward_kinematics(robot: Robot, rotations: list[floa
     near = forward_kinematics(robot, np.array(rotations) + 0.05, shift)
     known = forward_kinematics(robot, rotations, shift)
     opti = ca.Opti()
-    block = EquilibriumBlock(opti, near, rotations=rotations, refinement=1)
+    block = EquilibriumBlock(opti, near, rotations=rotations)
     solution = solved(opti)
     length = known.arc_length[-1]
-    np.testing.assert_allclose(solution.value(block.tip_position), known.tip_position, atol=1e-8 * length)
+    np.testing.assert_allclose(solution.value(block.tip_position), known.tip_position, atol=1e-8)
     np.testing.assert_allclose(solution.value(block.tip_rotation), known.tip_rotation, atol=1e-7)
     assert solution.value(block.energy) == pytest.approx(known.energy, rel=1e-8)
     assert solution.value(block.length) == pytest.approx(length)
@@ -76,22 +76,20 @@ def test_hessians_are_exact_and_newton_is_quick() -> None:
 
 @pytest.mark.parametrize(
     ("robot", "rotations"),
-    [(THESIS, [0.0, np.pi / 2, np.pi]), (TWO_TUBE, [3.4, 0.0]), (eccentric_robot(0.02), [0.3, 2.2, -1.4])],
+    [(THESIS, [0.0, np.pi / 2, np.pi]), (TWO_TUBE, [3.3, 0.0]), (eccentric_robot(0.02), [0.3, 2.2, -1.4])],
 )
 def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotations: list[float]) -> None:
-    near = forward_kinematics(robot, rotations)
+    wound = forward_kinematics(robot, 0.7 * np.array(rotations))
+    near = forward_kinematics(robot, rotations, guess=wound)
     assert near.margin < 0.97
     problem = Problem()
-    least = problem.variable("margin", guess=near.margin - 0.1)
+    least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
     block = EquilibriumBlock(problem, near, refinement=1)
     block.margin_at_least(least)
     problem.maximize(least)
     margin = problem.solve(tubeopt.Ipopt(expand=True)).value("margin")
-    if block.model.place:
-        # On the eccentric equations: at the largest softening the determinant is 0 and the exact fold lies there.
-        assert abs(margin - near.margin) < 0.05
-    else:
-        assert margin == pytest.approx(near.margin, abs=1e-8)
+    # Of an eccentric robot `margin` leaves offsets out of the second variation; the block does not.
+    assert margin == pytest.approx(near.margin, abs=1e-3 if block.model.place else 1e-8)
 
 
 def test_margin_keeps_a_robot_from_the_snap() -> None:
@@ -109,27 +107,32 @@ def test_margin_keeps_a_robot_from_the_snap() -> None:
 
 @pytest.mark.parametrize("robot", [TWO_TUBE, CRL])
 def test_certificate_is_that_of_the_library(robot: Robot) -> None:
-    near = forward_kinematics(robot, np.zeros(robot.n_tubes), np.full(robot.n_tubes, -0.02))
+    """Shortened until the certificate is as demanded, from translations where it is larger."""
+    short = np.array([-0.06, -0.05, -0.03])[: robot.n_tubes]
+    near = forward_kinematics(robot, np.zeros(robot.n_tubes), short)
+    floor = tubeopt.snap_free_certificate(robot, short) - 0.1
     problem = Problem()
-    least = problem.variable("certificate", guess=-20.0, scale=1.0)
-    block = EquilibriumBlock(problem, near)
-    block.certificate_at_least(least)
-    problem.minimize((least - tubeopt.snap_free_certificate(robot, near.translations) + 1e-3) ** 2)
-    problem.subject_to("below", least <= 0.99)
-    assert problem.solve().status is tubeopt.ProblemStatus.SOLVED
-    value = problem.evaluate(problem._constraints["equilibrium 1: certificate"].expression, {}, {})
-    assert value.shape == (1, 1)
+    out = problem.variable("out", guess=0.0, scale=0.01)
+    block = EquilibriumBlock(problem, near, translations=ca.DM(short) + out)
+    block.certificate_at_least(floor)
+    problem.maximize(100 * out)
+    found = block.equilibrium(problem.solve())
+    assert tubeopt.snap_free_certificate(robot, found.translations) == pytest.approx(floor, abs=1e-7)
 
 
 @pytest.mark.parametrize(
-    ("robot", "translations"), [(TWO_TUBE, [-0.01, -0.03]), (eccentric_robot(0.02), [-0.01, -0.01, -0.01])]
+    ("robot", "translations", "wrt"),
+    [
+        (TWO_TUBE, [-0.01, -0.03], ["rotations", "translations"]),
+        (eccentric_robot(0.02), [-0.01, -0.01, -0.01], ["translations"]),
+    ],
 )
-def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]) -> None:
+def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float], wrt: list[str]) -> None:
     rotations = np.linspace(0.0, 1.2, robot.n_tubes)
     near = forward_kinematics(robot, rotations, translations)
     opti = ca.Opti()
     block = EquilibriumBlock(opti, near, rotations=rotations + 0.02)
-    jacobian = block.jacobian()
+    jacobian = block.jacobian(wrt)
     found = solved(opti).value(jacobian)
     columns = [np.eye(robot.n_tubes)[i] * 1e-5 for i in range(robot.n_tubes)]
     moved = [np.where(np.isin(range(robot.n_tubes), tubes), 1e-6, 0.0) for tubes in robot.moving_together]
@@ -139,9 +142,9 @@ def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]
         guess = forward_kinematics(robot, *at, tolerance=1e-12)
         return forward_kinematics(robot, at[0] + turn, at[1] + shift, guess=guess, tolerance=1e-12).tip_position
 
-    slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns]
+    slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns if "rotations" in wrt]
     slopes += [(tip(0, step) - tip(0, -step)) / 2e-6 for step in moved]
-    np.testing.assert_allclose(found, np.array(slopes).T, atol=2e-7)
+    np.testing.assert_allclose(np.reshape(found, (3, -1)), np.array(slopes).T, atol=2e-7)
 
 
 def test_outputs_follow_an_arm_whose_lengths_are_free() -> None:

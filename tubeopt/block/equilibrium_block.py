@@ -208,8 +208,8 @@ class EquilibriumBlock(Outputs):
         that is maximised; below 1.
 
         By Jacobi's condition on softened tubes, whose determinants are smooth where an eigenvalue is not; for eccentric
-        robots on their own equations. Collocated as the torsion is; `equilibrium` gives the margin itself, and says so where
-        the condition holds on another branch of it.
+        robots on their own equations. Collocated as the torsion is; `equilibrium` gives the margin itself, and says so
+        where the condition holds on another branch of it.
 
         Raises:
             InputError: a number that is not below 1.
@@ -217,8 +217,8 @@ class EquilibriumBlock(Outputs):
         add_margin(self, margin)
 
     def certificate_at_least(self, margin: Any) -> None:
-        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1: with 0
-        the robot cannot snap at any rotations. Concentric robots.
+        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1: with
+        0 the robot cannot snap at any rotations. Concentric robots.
 
         Raises:
             InputError: a number that is not below 1, or an eccentric robot.

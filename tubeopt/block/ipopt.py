@@ -66,7 +66,12 @@ class Ipopt:
                 1e-9,
             )
             own |= {"warm_start_init_point": "yes", "warm_start_mult_bound_push": 1e-9, "mu_init": 1e-9, **near}
-        return {"print_time": False, "expand": self.expand, **{f"ipopt.{key}": value for key, value in own.items()}}
+        return {
+            "print_time": False,
+            "show_eval_warnings": False,
+            "expand": self.expand,
+            **{f"ipopt.{key}": value for key, value in own.items()},
+        }
 
 
 class ProblemStatus(Enum):

@@ -322,8 +322,8 @@ class Problem:
             f, constraints = whole.call(parts, True, False)
             problem = {"x": scaled, "p": p, "f": f, "g": constraints}
             self._solvers[key] = ca.nlpsol("program", "ipopt", problem, solver.options(warm=warm))
-        found: ca.Function = self._solvers[key]
-        return found
+        function: ca.Function = self._solvers[key]
+        return function
 
 
 class _Stacked:
@@ -341,7 +341,7 @@ def _parted(column: Any, sizes: list[int]) -> list[Any]:
 
 
 def _function(symbols: list[Any], expressions: list[Any]) -> ca.Function:
-    function = ca.Function("program", symbols, expressions, {"allow_free": True})
+    function: ca.Function = ca.Function("program", symbols, expressions, {"allow_free": True})
     if function.has_free():
         raise InputError(f"an expression has symbols that are not the problem's: {', '.join(function.get_free())}")
     return function
