@@ -194,9 +194,10 @@ class EquilibriumBlock(Outputs):
         self.energy, self.length = model.energy, ca.sum1(model.lengths)
         if self._moving:
             self._demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
+        if self._given.free("translations", "straight_length"):
             held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
             self._demand("transmissions", model.transmission, scale=reach, entries=held)
-        else:
+        if not self._moving:
             gaps = self.layout.gap @ self._places(self._given.start)
             if gaps.min(initial=0.0) < -CLOSED * reach:
                 raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")
