@@ -40,7 +40,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
-    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)
@@ -49,7 +49,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     opti.subject_to(rest >= 0)
     opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
     opti.subject_to(opti.bounded(0, turn, np.pi))
-    for symbol, value in ((curvature, [12.0, 8.0]), (turn, near.rotations[0]), (least, 0.01)):
+    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.1)):
         opti.set_initial(symbol, value)
     opti.minimize(-least - BARRIER * ca.log(rest[2]))
     opti.solver(
@@ -62,7 +62,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
 def main(out: Path) -> list[Path]:
     """Design with and without the certificate, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
-    near = tubeopt.forward_kinematics(robot, [2.8, 0.0], [-0.01, -0.03])
+    near = tubeopt.forward_kinematics(robot, [1.2, 0.0], [-0.01, -0.03])
     poses, titles = [], []
     for name, floor in (("no certificate", None), ("certificate 0.1", 0.1)):
         pose, least = design(near, floor)

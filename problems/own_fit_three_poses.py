@@ -18,7 +18,7 @@ import tubeopt
 from tubeopt.plotting import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
-TARGETS_MM = ((10.0, -40.0, 80.0), (30.0, -30.0, 70.0), (12.0, -30.0, 68.0))
+TARGETS_MM = ((24.2, -45.8, 74.0), (41.0, -41.8, 80.6), (18.1, -36.1, 71.8))
 NEAR = (([0.0, 0.8], [-0.01, -0.03]), ([1.2, 0.2], [0.0, -0.05]), ([-0.6, 0.9], [-0.02, -0.04]))
 """Rotations to begin with (rad), and where the carriages stand (m)."""
 
