@@ -1,6 +1,7 @@
 """The most dexterous tubes that cannot snap: the least singular value of the Jacobian, under a certificate of 0.1.
 
 The certificate is a condition on tubes and translations alone: whatever the rotations, the energy has one minimum.
+Both searches are local, from the same tubes.
 
 One learns: what a guarantee costs. Without it the tubes bend as far as they may; with it dexterity ends where the
 certificate does.
@@ -39,7 +40,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
-    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)
@@ -48,7 +49,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     opti.subject_to(rest >= 0)
     opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
     opti.subject_to(opti.bounded(0, turn, np.pi))
-    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.01)):
+    for symbol, value in ((curvature, 8.0), (turn, near.rotations[0]), (least, 0.1)):
         opti.set_initial(symbol, value)
     opti.minimize(-least - BARRIER * ca.log(rest[2]))
     opti.solver(

@@ -307,3 +307,13 @@ def test_wrong_demands_are_named() -> None:
         block.strain(2)
     with pytest.raises(InputError, match="wrt is 'curvature'"):
         block.jacobian(["curvature"])
+
+
+def test_a_length_alone_may_be_free() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0], [-0.01, -0.03])
+    problem = Problem()
+    length = problem.variable("curved length", 2, guess=0.1, scale=0.1)
+    block = EquilibriumBlock(problem, near, tubes={"curved_length": length})
+    problem.subject_to("lengths", length == ca.DM([0.11, 0.105]), scale=0.1)
+    found = block.equilibrium(problem.solve())
+    assert [tube.curved_length for tube in found.robot.tubes] == pytest.approx([0.11, 0.105])

@@ -22,7 +22,7 @@ from ..robots.assembly import Array
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
 from .given import LENGTHS, assembly_at, given_of, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
-from .layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, swapped
+from .layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
 from .model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from .outputs import Outputs
 from .piece import Grid
@@ -194,9 +194,10 @@ class EquilibriumBlock(Outputs):
         self.energy, self.length = model.energy, ca.sum1(model.lengths)
         if self._moving:
             self._demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
+        if self._given.free("translations", "straight_length"):
             held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
             self._demand("transmissions", model.transmission, scale=reach, entries=held)
-        else:
+        if not self._moving:
             gaps = self.layout.gap @ self._places(self._given.start)
             if gaps.min(initial=0.0) < -CLOSED * reach:
                 raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")
@@ -281,7 +282,9 @@ class EquilibriumBlock(Outputs):
             return []
         gaps = np.array(solution.value(self.model.gaps)).ravel()
         rows = np.flatnonzero(np.abs(gaps) < CLOSED * self._reach).tolist()
-        return [row for row in rows if may_swap(self.layout.order, row)]
+        shifted, stretched = self._given.free("translations"), self._given.free("curved_length")
+        free = [shifted or (stretched and any(p.end for p in sides(self.layout.order, row))) for row in rows]
+        return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
 
     def reorder(self, solution: Any, row: int | None = None) -> None:
         """Let breakpoints that meet at a solution change places, and start the next solve there.

@@ -118,6 +118,14 @@ def gap_names(order: Order) -> list[str]:
     return names + [f"order of breakpoints: {point} is not in front of the plate" for point in order.behind]
 
 
+def sides(order: Order, row: int) -> tuple[Breakpoint, ...]:
+    """The breakpoints between which a row of the gaps lies; one alone where the other side is the plate."""
+    front = len(order.front)
+    if row >= front:
+        return (order.behind[row - front],)
+    return order.front[max(row - 1, 0) : row + 1]
+
+
 def may_swap(order: Order, row: int) -> bool:
     """Whether the breakpoint of a row of the gaps may change places with its neighbour, or with the plate: a tube's
     transition stays before its end, and some tube in front of the plate."""
