@@ -51,11 +51,13 @@ def margin_slope(
     wave = _Wave(problem, state.theta, mode)
     weights = (mode.y, wave.b, -mode.value * wave.a * wave.twist, -mode.value * wave.a * wave.v)
     count, place = len(theta), (problem.assembly.offset, problem.assembly.offset_angle)
-    slope = section_function("mode", count, n, True)(
-        state.theta, problem.stiffness, problem.moment, *place, *weights
-    )[1]
+    slope = section_function("mode", count, n, True)(state.theta, problem.stiffness, problem.moment, *place, *weights)[
+        1
+    ]
     out = np.einsum("a,ai,aic->c", problem.weight, slope, theta)
-    out -= mode.value * np.einsum("a,ai,ai,aic->c", problem.weight, wave.a, wave.stretched, wave.twist_change(theta, jumps, side))
+    out -= mode.value * np.einsum(
+        "a,ai,ai,aic->c", problem.weight, wave.a, wave.stretched, wave.twist_change(theta, jumps, side)
+    )
     for c, tubes in enumerate(carriages):
         out[n + c] += mode.value * float((wave.a_start * wave.v_start)[list(tubes)].sum())
     for jump in jumps:

@@ -75,11 +75,15 @@ class CertificationReport:
         proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
         found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
         if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricVerdict):
-            return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
+            return (
+                f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
+            )
         if verdict.finding is Finding.SNAP_FREE:
             return f"{verdict.finding} (margin {proved} proved; {found} found)"
         if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
-            return f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
+            return (
+                f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
+            )
         if verdict.snap is None or verdict.start is None or verdict.end is None:
             return f"not proved (certificate {proved}), and search found no snap (least margin found {found})"
         return (
@@ -217,11 +221,14 @@ def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
             "whose distance from the centreline is at most a quarter of the radius of precurvature."
         ]
     if verdict.finding is Finding.CAN_SNAP and verdict.untwisted < 0:
-        return [f"That it can snap is certain: an untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form."]
+        return [
+            "That it can snap is certain: in closed form, an untwisted equilibrium has the margin "
+            f"{verdict.untwisted:.3g}."
+        ]
     if verdict.finding is Finding.OPEN:
         return [
-            f"The softest untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form: only below 0 would "
-            "a snap be certain."
+            f"The softest untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form: only below 0 "
+            "would a snap be certain."
         ]
     return []
 

@@ -26,7 +26,8 @@ SAMPLES_LOG2 = 9
 LOCAL_SEARCHES = 6
 
 NOTHING_PROVED = -1e3
-"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the least."""
+"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
+least."""
 
 EVALUATIONS = 1500
 """Evaluations of the certificate by the global search over translations."""
@@ -176,7 +177,9 @@ def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:
                 tubes = ", ".join(str(i + 1) for i in group)
-                raise InputError(f"{name} differs between tubes {tubes}, which move together; it must be the same for them")
+                raise InputError(
+                    f"{name} differs between tubes {tubes}, which move together; it must be the same for them"
+                )
     return [group for group in robot.moving_together if high[group[0]] - low[group[0]] > 1e-12]
 
 

@@ -10,8 +10,8 @@ fraction mu, the fields
 keep det Y > 0 along the arm and det(Y(0) - |beta| Y'(0)) > 0 if and only if the margin is above mu. The determinants
 are smooth in all unknowns; the smallest eigenvalue is not where two of them cross, and is capped at 1 where nothing
 couples. For tubes off the centreline the fields are those of `offset_margin`, with the twist V in place of Y'; the last
-determinant is 0 where their margin is mu. Of more than MOST_STRETCHED tubes they are taken on the centreline, which changes
-the margin by hundredths at most: they only guide a search, whose answers are told by the margin itself.
+determinant is 0 where their margin is mu. Of more than MOST_STRETCHED tubes they are taken on the centreline, which
+changes the margin by hundredths at most: they only guide a search, whose answers are told by the margin itself.
 """
 
 from __future__ import annotations
@@ -362,15 +362,15 @@ Stage = tuple[Any, Any, Any]
 
 
 def stretched_stage(theta: Any, twist: Any, section: tuple[Any, ...], softened: Any) -> Stage:
-    """w g' (n, n), g (n, n) and M' / kt (n, n) of y' = w (g' y) + g v, v' = M' y / kt at a cross-section of tubes off the
-    centreline, given by stiffness, moment, offset and angle."""
+    """w g' (n, n), g (n, n) and M' / kt (n, n) of y' = w (g' y) + g v, v' = M' y / kt at a cross-section of tubes off
+    the centreline, given by stiffness, moment, offset and angle."""
     _, turned, _, stretch, stretched = section_functions(theta.shape[0], True)["balance"](theta, *section)
     return ca.diag(twist) @ stretched, ca.diag(stretch), ca.diag(1 / softened) @ turned
 
 
 def stretched_step(y: Any, v: Any, stages: list[Stage], h: Any) -> tuple[Any, Any]:
-    """One step of Runge and Kutta's method for fields of tubes off the centreline, from the far end of a length h to its
-    near end; stages (near, middle, far)."""
+    """One step of Runge and Kutta's method for fields of tubes off the centreline, from the far end of a length h to
+    its near end; stages (near, middle, far)."""
     near, middle, far = stages
 
     def rates(stage: Stage, a: Any, b: Any) -> tuple[Any, Any]:
