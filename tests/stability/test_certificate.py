@@ -14,7 +14,6 @@ from tests.stability.robots import random_robot, random_translations, unit_pair
 from tubeopt import ConcentricRobot, InputError, Tube, snap_free_certificate
 from tubeopt.mechanics.certificate import PARAMETERS
 from tubeopt.robots.assembly import Array
-from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.stability import certify, worst_certificate, worst_margin
 
 
@@ -225,12 +224,6 @@ def test_worst_over_a_box_without_extent() -> None:
     worst = worst_certificate(THESIS, shift, shift)
     assert worst.certificate.margin == snap_free_certificate(THESIS, shift)
     assert worst.evaluations == 1
-
-
-def test_tubes_off_the_centreline_have_the_certificate_of_those_on_it() -> None:
-    tube = Tube(1.92 * MM, 1.57 * MM, 0.0, 94.0 * MM, 1 / 0.12)
-    eccentric, concentric = EccentricRobot(tube), EccentricRobot(tube, offset=0.0)
-    assert snap_free_certificate(eccentric) == pytest.approx(snap_free_certificate(concentric), abs=1e-12)
 
 
 def test_messages() -> None:

@@ -257,12 +257,13 @@ def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
         ]
     if verdict.finding is Finding.CAN_SNAP and verdict.untwisted < 0:
         return [
-            f"That it can snap is certain: an untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form."
+            "That it can snap is certain: in closed form, an untwisted equilibrium has the margin "
+            f"{verdict.untwisted:.3g}."
         ]
     if verdict.finding is Finding.OPEN:
         return [
-            f"The softest untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form: only below 0 would "
-            "a snap be certain."
+            f"The softest untwisted equilibrium has the margin {verdict.untwisted:.3g} in closed form: only below 0 "
+            "would a snap be certain."
         ]
     return []
 

@@ -55,9 +55,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise.
 
-    For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of them
-    may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they cannot snap
-    either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
+    For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
+    them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
+    cannot snap either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
     Args:
         translations: (n,) m; default home.

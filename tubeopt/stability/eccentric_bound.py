@@ -1,28 +1,30 @@
 """How long a segment of three equal tubes off the centreline may be, so that no rotation whatsoever makes it snap.
 
-Three equal tubes at 0 and +-120 deg obey, in x = omega (L - s) with omega^2 = m^2 / (K kt) (m = kb kappa, K the sum of kb
-at one place), equations that know nothing but delta = d m / K:
+Three equal tubes at 0 and +-120 deg obey, in x = omega (L - s) with omega^2 = m^2 / (K kt) (m = kb kappa, K the sum of
+kb at one place), equations that know nothing but delta = d m / K:
 
     theta_x = g p,   p_x = M,   p(0) = 0;     linearised   y_x = g v + p (g' y),   v_x = M' y,   v(0) = 0,
 
-with g and M those of a cross-section with K = m = 1 and offset delta. Joint rotations, alpha = theta(X) + lam p(X), depend
-smoothly and one to one on those of the tips unless some y has y(X) + lam v(X) = 0. Multiplied by y and integrated, v_x =
-M' y says that such a y makes
+with g and M those of a cross-section with K = m = 1 and offset delta. Joint rotations, alpha = theta(X) + lam p(X),
+depend smoothly and one to one on those of the tips unless some y has y(X) + lam v(X) = 0. Multiplied by y and
+integrated, v_x = M' y says that such a y makes
 
-    Q[y] = y(X)' lam^-1 y(X) + int y_x' G^-1 y_x - y_x' B y + y' C y,   B_ij = p_i g'_ij / g_i,   C = sym M',   G = diag g,
+    Q[y] = y(X)' lam^-1 y(X) + int y_x' G^-1 y_x - y_x' B y + y' C y,   B_ij = p_i g'_ij / g_i,   C = sym M',   G = diag
+    g,
 
 zero. With R(0) = 0 and, for every theta and every p that is possible at x,
 
     R_x >= (R - B/2)' G (R - B/2) - C                                                                          (*)
 
 Q is at least y(X)' (lam^-1 - R(X)) y(X), and not 0. The right-hand side of (*) is convex in p, and p, an integral of M,
-lies in x times the convex hull of all M, which a polygon of twelve corners encloses. R = tan(phi(x)) P + delta x J, with J
-the projection on turns of all tubes alike and P the rest, fulfils (*) if phi_x is at least `steepest`.
+lies in x times the convex hull of all M, which a polygon of twelve corners encloses. R = tan(phi(x)) P + delta x J,
+with J the projection on turns of all tubes alike and P the rest, fulfils (*) if phi_x is at least `steepest`.
 
 The table that comes with the package, of the x at which phi reaches a given angle, for delta up to 0.2525, is made by
-`python -m tubeopt.stability.eccentric_bound`. Every number of it is on the safe side: phi_x is the largest of both ends of
-each step, at all corners of the polygon, on a grid of rotations whose largest value is raised by GRID_ROOM; what is read
-is lowered by TABLE_ROOM. The maximum over rotations is a search, not an enclosure by intervals.
+`python -m tubeopt.stability.eccentric_bound`. Every number of it is on the safe side: phi_x is the largest of both ends
+of each step, at all corners of the polygon, on a grid of rotations whose largest value is raised by GRID_ROOM; what is
+read is lowered by TABLE_ROOM; towards delta = 0, where phi = x is exact, all of that goes to 0. The maximum over
+rotations is a search, not an enclosure by intervals.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ GRID = 24
 """Rotations per turn and tube at which the slope of phi is maximised: every 15 deg."""
 
 GRID_ROOM = (1e-4, 4e-3)
-"""Share by which the slope is raised, and the same per delta: at least twice what lies between the rotations of GRID."""
+"""Share by which the slope is raised, and the same per delta: at least twice what lies between the rotations of
+GRID."""
 
 TABLE_ROOM = 5e-5
 """By how much the table's x is lowered for what linear interpolation in delta and phi may be off."""

@@ -1,19 +1,20 @@
-"""Whether segments of three equal tubes off the centreline can snap: a proof that not, and a closed form beyond which so.
+"""Whether segments of three equal tubes off the centreline can snap: a proof that not, and a closed form beyond which
+so.
 
-Each segment is one problem of three tubes (see `eccentric_bound`): inner segments do not act on it but by the stiffness of
-their straight tubes, and in front of its own curved part an outer segment only changes how long its tubes are. The robot
-cannot snap if no segment can.
+Each segment is one problem of three tubes (see `eccentric_bound`): inner segments do not act on it but by the stiffness
+of their straight tubes, and in front of its own curved part an outer segment only changes how long its tubes are. The
+robot cannot snap if no segment can.
 
-*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. The three lam_i differ
-by what the outer segments stretch them, at most D = sum delta omega L over these, and sum up to three times their mean lam:
-then tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam), is enough.
+*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. The three lam_i
+differ by what the outer segments stretch them, at most D = sum delta omega L over these, and sum up to three times
+their mean lam: then tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam), is enough.
 
 *Closed form.* Two tubes turned to c and the third to c + pi neither twist nor turn one another: an equilibrium at every
 length, whose linearisation has constant coefficients. Where one of these is unstable, with segments further out and in
 curving to one side, the joint rotations have more than one equilibrium, and the robot snaps on some way.
 
-Both are told as a number that is positive where the robot is stable: the share of torsional stiffness that all tubes could
-lose before the proof fails, or the untwisted shape is a fold.
+Both are told as a number that is positive where the robot is stable: the share of torsional stiffness that all tubes
+could lose before the proof fails, or the untwisted shape is a fold.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
 
 
 def _segment(assembly: Assembly, k: int) -> Segment | None:
-    """What is curved on section k, where that is three equal tubes around others, if any, that are alike at each place."""
+    """What is curved on section k, where that is three equal tubes around others, if any, that are alike at each
+    place."""
     tubes = np.flatnonzero(assembly.curved[k])
     if len(tubes) != 3:
         return None
@@ -116,7 +118,8 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
 
 
 def proved_margin(segment: Segment) -> float:
-    """Share of torsional stiffness that the tubes may lose with the proof still holding; above 0 it holds as they are."""
+    """Share of torsional stiffness that the tubes may lose with the proof still holding; above 0 it holds as they
+    are."""
 
     def excess(soft: float) -> float:
         x, lam, spread = (soft * part for part in (segment.length, segment.transmission, segment.spread))
@@ -134,8 +137,8 @@ def proved_margin(segment: Segment) -> float:
 
 @dataclass(frozen=True)
 class Untwisted:
-    """The softest untwisted shape of a segment: the margin of that equilibrium, its direction c, and that of the segments
-    further out, rad; of tubes that bend backwards, turned by pi."""
+    """The softest untwisted shape of a segment: the margin of that equilibrium, its direction c, and that of the
+    segments further out, rad; of tubes that bend backwards, turned by pi."""
 
     segment: Segment
     margin: float
@@ -208,8 +211,9 @@ def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> 
 
 
 def proof_gradient(assembly: Assembly, carriages: tuple[tuple[int, ...], ...]) -> dict[str, Array]:
-    """Change of `proof` with each of PARAMETERS, (n,), by differences: tubes that move together change together and share
-    the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the other."""
+    """Change of `proof` with each of PARAMETERS, (n,), by differences: tubes that move together change together and
+    share the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the
+    other."""
     here = proof(assembly)[0]
     out = {name: np.full(assembly.n_tubes, np.nan) for name in PARAMETERS}
     for name in PARAMETERS:

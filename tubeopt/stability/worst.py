@@ -26,7 +26,8 @@ SAMPLES_LOG2 = 9
 LOCAL_SEARCHES = 6
 
 NOTHING_PROVED = -1e3
-"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the least."""
+"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
+least."""
 
 EVALUATIONS = 1500
 """Evaluations of the certificate by the global search over translations."""

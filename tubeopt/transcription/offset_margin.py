@@ -1,21 +1,22 @@
 """The stability margin of tubes off the centreline: how far one equilibrium is from a fold.
 
-Their equations, theta' = g w and kt w' = M, are not those of an energy in the rotations alone. Linearised at a solution,
+Their equations, theta' = g w and kt w' = M, are not those of an energy in the rotations alone. Linearised at a
+solution,
 
     y' = g v + w (g' y),   kt v' = M' y,   v = 0 at the tip,   y(0) = |beta| v(0),
 
-and a y that fulfils them is a fold: the joint rotations no longer tell the shape. The margin mu is the fraction of their
-torsional stiffness that the tubes may lose, with the state held, before there is one: with the collocated integrals P from
-the base and W to the tip,
+and a y that fulfils them is a fold: the joint rotations no longer tell the shape. The margin mu is the fraction of
+their torsional stiffness that the tubes may lose, with the state held, before there is one: with the collocated
+integrals P from the base and W to the tip,
 
     (1 - mu) y = K y,   K = -(1 - P w g')^-1 [Gamma + P (g - 1) W / kt] M',
 
-and 1 - mu is the largest real eigenvalue of K, at most 1. K is the collocated equation itself, so the margin is 0 exactly
-where its Jacobian is singular. With d = 0 K is the symmetric -Gamma V'' in other coordinates, and the margin the smallest
-eigenvalue of the second variation.
+and 1 - mu is the largest real eigenvalue of K, at most 1. K is the collocated equation itself, so the margin is 0
+exactly where its Jacobian is singular. With d = 0 K is the symmetric -Gamma V'' in other coordinates, and the margin
+the smallest eigenvalue of the second variation.
 
-Tubes that are curved together make a block of their own: the tubes that run through an outer segment without being curved
-there feel it, but do not act on it, so that K is block triangular.
+Tubes that are curved together make a block of their own: the tubes that run through an outer segment without being
+curved there feel it, but do not act on it, so that K is block triangular.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ round-off. Only a real eigenvalue can be that of a fold."""
 class Block:
     """k tubes that are curved together, at the p points where they are.
 
-    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p): integrals
-    from the base to these points, and over them from every point to the tip.
+    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p):
+    integrals from the base to these points, and over them from every point to the tip.
     """
 
     tubes: NDArray[np.intp]

@@ -54,8 +54,8 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 solution, and that of the coarse points, which only tell where to start."""
 
 STRETCHED_ERROR, FAR_BELOW = 1e-9, 0.05
-"""Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far below
-0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
+"""Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
+below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""

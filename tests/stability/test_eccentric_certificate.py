@@ -1,0 +1,311 @@
+"""Eccentric robots: the proof that they cannot snap, the closed form beyond which they can, and verdicts from both."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tests.command_line import Run
+from tests.examples import MM, eccentric_robot
+from tubeopt import (
+    EccentricRobot,
+    Finding,
+    InputError,
+    SegmentedEccentricRobot,
+    Tube,
+    certify,
+    find_snap,
+    forward_kinematics,
+    judge,
+    snap_free_certificate,
+    worst_certificate,
+    worst_margin,
+)
+from tubeopt.robots.assembly import Array, Assembly
+from tubeopt.robots.robot import Robot
+from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.stability import EccentricVerdict, eccentric_bound
+from tubeopt.stability.eccentric_certificate import segments_of, softest_untwisted
+from tubeopt.stability.eccentric_worst import shoot, untwisted_tips
+from tubeopt.transcription.offset_margin import softenings
+
+PLACES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
+
+
+def on_the_edge(outer_diameter: float, tightness: float, certificate: float) -> EccentricRobot:
+    """A clamped segment with d kappa = `tightness` whose tubes have this certificate on the centreline."""
+    curvature = tightness / (outer_diameter / np.sqrt(3))
+    tube = Tube(outer_diameter, 0.8 * outer_diameter, 0.0, 1 * MM, curvature)
+    centred = snap_free_certificate(EccentricRobot(tube, offset=0.0))
+    return EccentricRobot(replace(tube, curved_length=np.sqrt((1 - certificate) / (1 - centred)) * MM))
+
+
+def longer(robot: EccentricRobot, factor: float) -> EccentricRobot:
+    tube = robot.tube
+    return replace(
+        robot,
+        tube=replace(tube, straight_length=factor * tube.straight_length, curved_length=factor * tube.curved_length),
+        transmission_length=factor * robot.transmission_length,
+    )
+
+
+def threshold(robot: EccentricRobot) -> float:
+    """By what factor it has to be longer for the closed form to say that it snaps."""
+
+    def least(factor: float) -> float:
+        segments = segments_of((scaled := longer(robot, factor)).assembly(scaled.home_translations))
+        assert segments is not None
+        return softest_untwisted(segments[0]).margin
+
+    return float(brentq(least, 0.05, 20.0))
+
+
+# --- the bound ------------------------------------------------------------------------------------------------------
+
+
+def sections(theta: Array, delta: float) -> tuple[Array, Array, Array, Array]:
+    """M (3,), M' , g and g' at rotations (3,) with K = m = 1, by iteration and differences, from the equations
+    alone."""
+
+    def at(angles: Array) -> Array:
+        pull, u = np.array([np.cos(angles).sum(), np.sin(angles).sum()]), np.zeros(2)
+        for _ in range(20):
+            g = 1 + delta * (u[0] * np.sin(PLACES) - u[1] * np.cos(PLACES))
+            u = pull / (1 / g).sum()
+        return np.concatenate([u[0] * np.sin(angles) - u[1] * np.cos(angles), g])
+
+    here, h = at(theta), 1e-6
+    slope = np.column_stack([(at(theta + h * e) - at(theta - h * e)) / (2 * h) for e in np.eye(3)])
+    return here[:3], slope[:3], here[3:], slope[3:]
+
+
+@pytest.mark.parametrize("delta", [0.004, 0.06, 0.173, 0.2525])
+def test_the_table_fulfils_the_inequality_at_random_states(delta: float) -> None:
+    random = np.random.default_rng(1)
+    x = np.array([eccentric_bound.longest(delta, angle) for angle in eccentric_bound.ANGLES])
+    turns = np.ones((3, 3)) / 3
+    for _ in range(60):
+        at = random.uniform(0.02, 0.98) * x[-1]
+        k = int(np.searchsorted(x, at))
+        rise = (eccentric_bound.ANGLES[k] - eccentric_bound.ANGLES[k - 1]) / (x[k] - x[k - 1])
+        phi = eccentric_bound.ANGLES[k - 1] + rise * (at - x[k - 1])
+        opposed = random.uniform(0, 2 * np.pi) + np.array([0.0, 0.0, np.pi]) + random.normal(0, 0.2, 3)
+        states = [random.uniform(0, 2 * np.pi, 3) if random.random() < 0.5 else opposed]
+        states += [random.uniform(0, 2 * np.pi, 3) for _ in range(2)]
+        p = at * sum(w * sections(s, delta)[0] for w, s in zip(random.dirichlet(np.ones(3)), states, strict=True))
+        _, moments, g, stretched = sections(states[0], delta)
+        bound = np.tan(phi) * (np.eye(3) - turns) + delta * at * turns
+        lean = bound - (p / g)[:, None] * stretched / 2
+        left = rise / np.cos(phi) ** 2 * (np.eye(3) - turns) + delta * turns
+        room = left - lean.T @ np.diag(g) @ lean + (moments + moments.T) / 2
+        assert np.linalg.eigvalsh(room)[0] > -1e-9 * np.linalg.norm(left)
+
+
+def test_all_moments_lie_in_the_polygon() -> None:
+    random = np.random.default_rng(0)
+    corners = eccentric_bound.corners()
+    assert corners.sum(1) == pytest.approx(np.zeros(12), abs=1e-12)
+    sides = np.roll(corners, -1, axis=0) - corners
+    outward = np.cross(sides, np.ones(3))
+    outward *= np.sign((outward * corners).sum(1))[:, None]
+    for delta in (0.0, 0.1, 0.25):
+        for _ in range(100):
+            moment = sections(random.uniform(0, 2 * np.pi, 3), delta)[0]
+            assert ((moment - corners) * outward).sum(1).max() <= 1e-9
+
+
+def test_the_table_is_what_its_script_makes() -> None:
+    coarse = eccentric_bound.length_curve(0.12, steps=200)
+    stored = np.array([eccentric_bound.longest(0.12, angle) for angle in eccentric_bound.ANGLES])
+    assert (np.abs(coarse - stored) < 4e-3 * eccentric_bound.ANGLES + 1e-4).all()
+    assert [eccentric_bound.longest(0.0, angle) for angle in (0.3, 1.2)] == pytest.approx([0.3, 1.2], abs=1e-12)
+    with pytest.raises(InputError, match=r"the bound holds from 0 to 0\.2525"):
+        eccentric_bound.longest(0.26, 1.0)
+
+
+# --- numbers --------------------------------------------------------------------------------------------------------
+
+
+def test_without_offset_it_is_the_certificate_of_concentric_tubes() -> None:
+    thin = Tube(1e-7, 0.8e-7, 0.01, 0.05, 26.0)
+    for transmission in (0.0, 0.03):
+        eccentric = EccentricRobot(thin, transmission_length=transmission)
+        centred = snap_free_certificate(replace(eccentric, offset=0.0))
+        assert snap_free_certificate(eccentric) == pytest.approx(centred, abs=1e-6)
+
+
+def test_a_bent_back_robot_is_as_free_of_snaps() -> None:
+    robot = eccentric_robot(0.01)
+    back = replace(robot, tube=replace(robot.tube, curvature=-robot.tube.curvature))
+    assert snap_free_certificate(back) == pytest.approx(snap_free_certificate(robot), abs=1e-12)
+
+
+@pytest.mark.parametrize("tightness", [0.01, 0.1, 0.22])
+@pytest.mark.parametrize("transmission", [0.0, 0.7])
+def test_the_closed_form_is_the_margin_of_an_equilibrium(tightness: float, transmission: float) -> None:
+    robot = on_the_edge(1.2 * MM, tightness, 0.1)
+    robot = replace(robot, transmission_length=transmission * robot.tube.curved_length)
+    segments = segments_of(robot.assembly(robot.home_translations))
+    assert segments is not None
+    shape = softest_untwisted(segments[0])
+    tips, _ = untwisted_tips(3, shape, np.ones(3))
+    problem = reduced_problem(robot, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
+    alpha, theta = (part[0] for part in shoot(problem, tips[None]))
+    assert alpha == pytest.approx(tips, abs=1e-9)
+    assert 1 - softenings(problem, theta).max() == pytest.approx(shape.margin, abs=1e-9)
+    assert certify(robot).margin <= shape.margin
+
+
+def test_the_gradient_against_differences() -> None:
+    robot = eccentric_robot(0.02)
+    gradient = certify(robot).gradient
+    for name in ("curvature", "curved_length", "straight_length"):
+        h = 1e-3 * abs(getattr(robot.tube, name))
+        values = [
+            snap_free_certificate(replace(robot, tube=replace(robot.tube, **{name: getattr(robot.tube, name) + s * h})))
+            for s in (1, -1)
+        ]
+        assert gradient[name].sum() == pytest.approx((values[0] - values[1]) / (2 * h), rel=5e-3)
+
+
+def test_boxes_move_carriages() -> None:
+    robot = eccentric_robot(0.02)
+    worst = worst_certificate(robot, np.full(3, -0.01), np.full(3, 0.01))
+    samples = [snap_free_certificate(robot, np.full(3, shift)) for shift in np.linspace(-0.01, 0.01, 9)]
+    assert worst.certificate.margin <= min(samples) + 1e-9
+    assert np.ptp(worst.certificate.translations) == 0
+    with pytest.raises(InputError, match="lower differs between tubes 1, 2, 3, which move together"):
+        worst_certificate(robot, [-0.01, 0.0, 0.0], np.zeros(3))
+
+
+# --- verdicts -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("outer_diameter", "tightness", "centred", "turn"),
+    [(1.92 * MM, 0.0092, 0.001, 180.0006), (1.5 * MM, 0.22, 0.02, 180.073)],
+)
+def test_robots_that_only_their_offset_makes_snap(
+    outer_diameter: float, tightness: float, centred: float, turn: float
+) -> None:
+    robot = on_the_edge(outer_diameter, tightness, centred)
+    assert snap_free_certificate(replace(robot, offset=0.0)) == pytest.approx(centred, abs=1e-9)
+    verdict = judge(robot)
+    assert isinstance(verdict, EccentricVerdict)
+    assert verdict.finding is Finding.CAN_SNAP
+    assert not verdict.certificate.snap_free
+    assert verdict.untwisted is not None
+    assert verdict.untwisted < 0
+    assert verdict.snap is not None
+    assert verdict.start is not None
+    assert np.degrees(np.ptp(verdict.snap.rotations - verdict.start)) == pytest.approx(turn, abs=1e-4)
+    assert abs(verdict.snap.before.margin) < 1e-8
+    # The way that was known before: tube 2 turned against the others at 30 deg.
+    snap = find_snap(robot, (np.radians([30, 30, 30]), None), (np.radians([30, 390, 30]), None))
+    assert snap is not None
+    assert abs(snap.before.margin) < 1e-8
+
+
+@pytest.mark.parametrize("tightness", [0.02, 0.1, 0.23])
+@pytest.mark.parametrize("transmission", [0.0, 1.0])
+def test_shorter_is_proved_longer_snaps_and_between_is_open(tightness: float, transmission: float) -> None:
+    robot = on_the_edge(1.0 * MM, tightness, 0.1)
+    robot = replace(robot, transmission_length=transmission * robot.tube.curved_length)
+    edge = threshold(robot)
+    assert snap_free_certificate(longer(robot, 0.97 * edge)) > 0
+    between = longer(robot, 0.99999 * edge)
+    assert snap_free_certificate(between) < 0
+    assert judge(longer(robot, 1.002 * edge)).snap is not None
+    if tightness == 0.1:
+        verdict = judge(between)
+        assert verdict.finding is Finding.OPEN
+        assert verdict.snap is None
+        assert verdict.worst is not None
+        assert 0 < verdict.worst.margin < 1e-4
+
+
+def segmented(factor: float) -> SegmentedEccentricRobot:
+    """Two segments of which the inner one, with its long way to the actuator, snaps first."""
+    outer = Tube(1.9 * MM, 1.5 * MM, 5 * MM * factor, 20 * MM * factor, 40.0)
+    inner = Tube(1.4 * MM, 1.1 * MM, 25 * MM * factor, 25 * MM * factor, -35.0)
+    return SegmentedEccentricRobot((inner, outer))
+
+
+def test_segmented_robots() -> None:
+    def least(factor: float) -> float:
+        robot = segmented(factor)
+        segments = segments_of(robot.assembly(robot.home_translations))
+        assert segments is not None
+        return min(softest_untwisted(segment).margin for segment in segments)
+
+    edge = float(brentq(least, 0.2, 5.0))
+    assert snap_free_certificate(segmented(0.95 * edge)) > 0
+    robot = segmented(1.003 * edge)
+    assert snap_free_certificate(robot) < 0
+    verdict = judge(robot)
+    assert verdict.finding is Finding.CAN_SNAP
+    assert verdict.snap is not None
+    assert abs(verdict.snap.before.margin) < 1e-8
+    assert worst_margin(robot).margin <= least(1.003 * edge) + 1e-7
+
+
+def test_no_way_of_a_robot_that_is_proved_snaps() -> None:
+    random = np.random.default_rng(5)
+    robot = on_the_edge(1.3 * MM, 0.12, 0.06)
+    assert snap_free_certificate(robot) > 0
+    for k in range(6):
+        start = np.full(3, np.pi / 6 * (2 * k + 1)) + random.normal(0, 1e-3, 3)
+        end = start + 2 * np.pi * np.eye(3)[k % 3]
+        assert find_snap(robot, (start, None), (end, None)) is None
+
+
+@dataclass(frozen=True)
+class Uneven(EccentricRobot):
+    """Three tubes that do not stand at 120 deg from one another."""
+
+    def assembly(self, translations: Array) -> Assembly:
+        return replace(super().assembly(translations), offset_angle=np.array([0.0, 2.0, -2.0]))
+
+
+@dataclass(frozen=True)
+class OfTwo(EccentricRobot):
+    """One of the three tubes is straight."""
+
+    def assembly(self, translations: Array) -> Assembly:
+        bundle = super().assembly(translations)
+        return replace(bundle, curved=bundle.curved & np.array([True, True, False]))
+
+
+@dataclass(frozen=True)
+class Unequal(EccentricRobot):
+    """One of the three tubes is stiffer."""
+
+    def assembly(self, translations: Array) -> Assembly:
+        bundle = super().assembly(translations)
+        return replace(bundle, bending_stiffness=bundle.bending_stiffness * np.array([1.0, 1.0, 1.001]))
+
+
+@pytest.mark.parametrize("kind", [Uneven, OfTwo, Unequal])
+def test_nothing_is_proved_of_other_arrangements(kind: type[EccentricRobot]) -> None:
+    robot: Robot = kind(Tube(1.92 * MM, 1.57 * MM, 0.0, 30 * MM, 1 / 0.12))
+    assert snap_free_certificate(robot) == -np.inf
+    assert not certify(robot).snap_free
+    assert forward_kinematics(robot, np.zeros(3)).margin > 0.9
+    assert judge(robot).finding is Finding.OPEN
+
+
+def test_the_command_says_that_the_robot_snaps(run: Run, tmp_path: object) -> None:
+    robot = replace(on_the_edge(1.92 * MM, 0.0092, 0.001), name="edge")
+    file = f"{tmp_path}/edge.yaml"
+    robot.save(file)
+    data = json.loads(run("certify", file, "--json").out)
+    assert data["finding"] == "CAN_SNAP"
+    assert data["certificate"] < 0
+    assert -0.01 < data["untwisted_margin"] < 0
+    text = " ".join(run("certify", file).out.split())
+    assert "edge can snap: from rotations" in text
+    assert "That it can snap is certain" in text
