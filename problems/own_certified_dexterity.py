@@ -1,4 +1,4 @@
-"""The most dexterous tubes that cannot snap: the least singular value of the Jacobian, under a certificate of 0.1.
+"""Dexterous tubes that cannot snap: the least singular value of the Jacobian made large, under a certificate of 0.1.
 
 The certificate is a condition on tubes and translations alone: whatever the rotations, the energy has one minimum.
 Both searches are local, from the same tubes.

@@ -1,4 +1,5 @@
-"""Tubes for the most dexterous robot with its carriages in three places: the least singular value of the tip's Jacobian, made large.
+"""Tubes for a dexterous robot with its carriages in three places: the least singular value of the tip's Jacobian, made
+large.
 
 The Jacobian J of the tip is a part of the program: how the arm answers to its joints is lifted into further unknowns.
 No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell; a

@@ -218,8 +218,8 @@ class EquilibriumBlock(Outputs):
         add_margin(self, margin)
 
     def certificate_at_least(self, margin: Any) -> None:
-        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1: with
-        0 the robot cannot snap at any rotations. Concentric robots.
+        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, below 1:
+        with 0 the robot cannot snap at any rotations. Concentric robots.
 
         Raises:
             InputError: a number that is not below 1, or an eccentric robot.
