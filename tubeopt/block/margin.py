@@ -141,7 +141,8 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     of its vectors is asked for."""
     size = len(matrix)
     shifted = matrix.copy()
-    shifted.ravel()[:: size + 1] -= value
+    # A shift that is the eigenvalue to the last digit would leave nothing to divide by.
+    shifted.ravel()[:: size + 1] -= value * (1 + 1e-11)
     factors = dgetrf(shifted)[:2]
     start = np.cos(np.arange(size, dtype=float))
     right, left = start, start
