@@ -20,7 +20,7 @@ from ..solvers.least_squares import constrained_least_squares
 from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
 from .order import apart, beyond, breakpoint_order
-from .posture import Posture
+from .posture import MOST_CONTACTS, Posture
 
 CONVERGED = 1e-8
 """What a step must promise to bring the tip closer, as a share of the robot's length."""
@@ -37,8 +37,11 @@ AGREE = 4
 SAME_END = 1e-3
 """Ends closer than this in every joint, in units of their scales, are one."""
 
-MOST_STEPS, MOST_RETURNS = 60, 12
-"""Steps of a search, and of the way back to what is allowed."""
+MOST_STEPS, MOST_RETURNS, MOST_CROSSINGS = 60, 12, 6
+"""Steps of a search, and of the way back to what is allowed; changes of order on the way."""
+
+MOST_SOLVES = 150
+"""Postures tried in a search; far fewer do but where bodies hold the arm in several places."""
 
 ROOM = 1e-9
 """Margin aimed at beyond its bound on the way back."""
@@ -56,8 +59,8 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     first = restored(goal, apart(goal, first)) or first
     descent = _Descent(goal)
     here = descent.minimum(first)
-    for _ in range(MOST_STEPS):
-        there = descent.across(here)
+    for _ in range(MOST_CROSSINGS):
+        there = descent.across(here) if descent.solves < MOST_SOLVES else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -119,21 +122,25 @@ def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | 
 
 
 def _demands(goal: Goal, at: Posture) -> tuple[Array, Array]:
-    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, and all clearances."""
+    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, and clearances, of every
+    obstacle as many rows, so that those of two postures can be compared."""
     rows, bounds = goal.space.inequalities(at.q)
     slope = at.margin_slope()
     rows = np.vstack([rows, slope])
     bounds = np.append(bounds, goal.floor + ROOM - at.margin if slope.any() else -np.inf)
     for obstacle in goal.obstacles:
         values, changes = at.clearance_rows(obstacle, goal.gap + NEAR * goal.space.length)
-        rows, bounds = np.vstack([rows, changes]), np.concatenate([bounds, goal.gap - values])
+        idle = MOST_CONTACTS - len(values)
+        rows = np.vstack([rows, changes, np.zeros((idle, len(at.q)))])
+        bounds = np.concatenate([bounds, goal.gap - values, np.full(idle, -np.inf)])
     return rows, bounds
 
 
 @dataclass(frozen=True, eq=False)
 class _Model:
     """An allowed posture with derivatives in units of the joints' scales: `slope` (m,) of half the square of what is
-    left; rows, bounds (c, m), (c,) of what is to be kept, in joint values."""
+    left; rows, bounds (c, m), (c,) of what is to be kept, in joint values: `demands` of them, then those of the order
+    of breakpoints."""
 
     at: Posture
     value: float
@@ -141,6 +148,7 @@ class _Model:
     square: Array
     rows: Array
     bounds: Array
+    demands: int
 
 
 class _Descent:
@@ -154,6 +162,8 @@ class _Descent:
         here, size, side = self._model(start), FIRST_STEP, 1
         hessian = here.square
         for _ in range(MOST_STEPS):
+            if self.solves >= MOST_SOLVES:
+                break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:
                 # Breakpoints may coincide: what holds forwards may not hold backwards.
@@ -174,10 +184,11 @@ class _Descent:
         residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
         rows, bounds = _demands(goal, at)
         kept, gap = breakpoint_order(goal, at).steps(at.q)
+        demands = len(rows)
         rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
         square = slope.T @ slope
         square += (SMALLEST + 1e-3 * float(residual @ residual)) * np.eye(len(square))
-        return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds)
+        return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, demands)
 
     def _step(self, here: _Model, hessian: Array, size: float) -> tuple[Posture | None, float, Array]:
         """The posture after a step that brings the tip closer, None without one; the size that the next may have; and
@@ -236,9 +247,8 @@ def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
 def _updated(hessian: Array, before: _Model, after: _Model, force: Array, scale: Array) -> Array:
     """Powell's damped BFGS update with the change of the Lagrangian's gradient."""
     step = (after.at.q - before.at.q) / scale
-    change = after.slope - before.slope
-    if after.rows.shape == before.rows.shape:
-        change = change - force @ ((after.rows - before.rows) * scale)
+    count = before.demands
+    change = after.slope - before.slope - force[:count] @ ((after.rows[:count] - before.rows[:count]) * scale)
     bent = hessian @ step
     curved, own = float(step @ bent), float(step @ change)
     if curved <= 1e-16:
