@@ -226,6 +226,20 @@ def test_eccentric_robot_whose_tubes_move_together(side: int) -> None:
     assert exact.position[:, 3:] == pytest.approx(np.tile(exact.position[:, 3:4], 3))
 
 
+@fine
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_eccentric_robot_that_is_soft(side: int) -> None:
+    robot: Robot = eccentric_robot(transmission=0.02)
+    solved = solve(robot, np.radians([20.0, 175.0, 10.0]), np.full(3, -0.01))
+    assert 0.1 < solved.margin < 0.8
+    motions = np.zeros((6, 4))
+    motions[:3, :3] = np.eye(3)
+    motions[3:, 3] = 1.0
+    exact = check(solved, side, motions)
+    # Off the centreline, turning all tubes alike is not turning the arm.
+    assert abs(exact.margin[:3].sum()) > 1e-6
+
+
 def test_turning_all_tubes_turns_tip_and_frame() -> None:
     solved = forward_kinematics(CRL, (1.0, 0.0, -1.2), np.array([-10.0, -5.0, 5.0]) * MM)
     exact = solved.jacobian()

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
         yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
 
 
-def _real(values: NDArray[np.complex128] | Array) -> Array:
+def _real(values: NDArray[Any]) -> Array:
     """The real ones of eigenvalues; the others as 0, the eigenvalue of what nothing couples."""
     return np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, 0.0)
 

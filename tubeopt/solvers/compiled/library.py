@@ -53,7 +53,7 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 """Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
-STRETCHED_ERROR, FAR_BELOW = 1e-9, 0.05
+STRETCHED_ERROR, FAR_BELOW = 3e-8, 0.05
 """Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
 below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
 

@@ -146,7 +146,7 @@ static void stiffness_left(const Unknowns *q, const Stretch *e, const double *ja
    sign of the determinant exclude it. */
 static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
-    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 8;
+    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 7;
     if (!n) return 1;
     stretched_jacobian(q, state, e, h);
     if (!lu(h, n, STRIDE, e->pivots)) return -1;
@@ -172,7 +172,7 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
         } while (beside * beside < 1e-2 * whole && beside > 1e-13);
         int last = m + 1 == steps || beside < 1e-13;
         if (last || m == check) {
-            check += 4;
+            check += 3;
             value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > 0)) return -1;
             double residual = beside * fabs(y[m]);
