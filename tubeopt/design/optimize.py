@@ -14,7 +14,7 @@ from ..stability import snap_free_certificate
 from .checks import whole
 from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .multistart import Ranking, multistart, rank
-from .objectives import KINDS
+from .objectives import key_of
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
@@ -49,7 +49,7 @@ class DesignSolution:
             home.
         equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
         objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
-        objectives: value of each, by kind, SI.
+        objectives: value of each, by kind (own ones by their words), SI.
         dimensions: every free dimension before and after.
         sensitivities: limits that bind, and what easing them would buy, the dearest first.
         ranking: designs of all starts.
@@ -182,7 +182,7 @@ def _solution(
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
     state = state_at(program, x)
-    values = {one.kind: objective_value(program, state, one)[0] for one in task.objectives}
+    values = {key_of(one): objective_value(program, state, one)[0] for one in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
@@ -219,9 +219,3 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
             before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
             out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))
     return tuple(out)
-
-
-def objective_words(kind: str, value: float) -> str:
-    """An objective with its unit."""
-    name, unit, factor, _ = KINDS[kind]
-    return f"{name} {value * factor:.6g} {unit}".strip()

@@ -9,10 +9,9 @@ from scipy.optimize import nnls
 
 from ..robots.assembly import Array
 from .cells import cell_at, cell_rows
-from .objectives import KINDS
+from .limit import Limit
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
-from .rows import Limit
 from .solve_one import Attempt, rows_at
 
 NEAR_ROW = 1e-3
@@ -108,7 +107,8 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
     objectives = found.program.task.objectives
     sign = 1.0 if limit.most else -1.0
     if len(objectives) == 1 and objectives[0].weight == 1.0:
-        name, unit, factor, direction = KINDS[objectives[0].kind]
+        one = objectives[0]
+        name, unit, factor, direction = one.words, one.unit, one.factor, one.sign
     else:
         name, unit, factor, direction = "weighted objective", "", 1.0, 1
     derivative = -direction * price * sign
