@@ -142,7 +142,7 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     size = len(matrix)
     shifted = matrix.copy()
     shifted.ravel()[:: size + 1] -= value
-    factors = dgetrf(shifted)[:2]
+    factors = _regular(*dgetrf(shifted)[:2])
     start = np.cos(np.arange(size, dtype=float))
     right, left = start, start
     for _ in range(2):
@@ -156,6 +156,15 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     grown = dgetrs(*factors, other)[0]
     grown -= right * ((left @ grown) / (left @ right))
     return None if np.abs(grown).max() * DOUBLE > np.abs(other).max() else np.asarray(right)
+
+
+def _regular(factors: Array, pivots: Array) -> tuple[Array, Array]:
+    """Factors whose pivots are not 0: at an eigenvalue exact to round-off one may be, and inverse iteration divides by
+    it."""
+    diagonal = np.einsum("ii->i", factors)
+    least = np.finfo(float).eps * np.abs(diagonal).max()
+    diagonal[np.abs(diagonal) < least] = least
+    return factors, pivots
 
 
 def _gains(of: Derivatives, variation: Variation, y: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 from ..errors import InputError, finite, positive
@@ -60,9 +60,11 @@ class OwnRequirement(Own):
 
     def relaxed(self, amount: float) -> Self | None:
         """The requirement eased by `amount` > 0, SI; None where it cannot be eased: where `limit` is no field."""
-        if not is_dataclass(self) or all(field.name != "limit" for field in fields(self)):
+        if "limit" not in getattr(self, "__dataclass_fields__", ()):
             return None
-        return replace(self, limit=self.limit + (amount if self.most else -amount))
+        given: Any = self
+        eased: Self = replace(given, limit=self.limit + (amount if self.most else -amount))
+        return eased
 
     def checked(self) -> None:
         """Raise InputError where its words or numbers make no sense."""

@@ -73,6 +73,8 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
     slope = total_objective(program, state)[1] * program.scale
+    if not matrix.size:
+        return None  # nothing is near
     price, gap = nnls(matrix, slope)
     if gap > OPTIMAL * float(np.linalg.norm(slope)):
         return None
