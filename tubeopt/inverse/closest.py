@@ -127,6 +127,9 @@ def _demands(goal: Goal, at: Posture) -> tuple[Array, Array]:
     for obstacle in goal.obstacles:
         values, changes = at.clearance_rows(obstacle, goal.gap + NEAR * goal.space.length)
         rows, bounds = np.vstack([rows, changes]), np.concatenate([bounds, goal.gap - values])
+    if goal.extras.constraints:
+        rows = np.vstack([rows, goal.extras.slopes(at)])
+        bounds = np.concatenate([bounds, -goal.extras.room(at)])
     return rows, bounds
 
 
