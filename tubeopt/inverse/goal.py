@@ -167,11 +167,11 @@ class Goal:
         """What is made small among all answers; 0 where nothing was asked for."""
         value = self.extras.price(at)
         if self.objective == "nearest":
-            value = 0.5 * float(np.sum((self.weights * (at.q - self.reference)) ** 2))
+            value += 0.5 * float(np.sum((self.weights * (at.q - self.reference)) ** 2))
         elif self.objective == "margin":
-            value = -at.margin
+            value -= at.margin
         elif self.objective == "curvature":
-            value = 0.5 * at.bend * self.space.length
+            value += 0.5 * at.bend * self.space.length
         if self.direction is not None and self.direction_weight is not None:
             value += 0.5 * self.direction_weight * float(np.sum((at.direction - self.direction) ** 2))
         return value
