@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from .errors import InputError, finite, positive
 from .materials import NITINOL, Material
+
+
+def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
+    """I = pi/64 (OD^4 - ID^4), m^4, of numbers, arrays or expressions."""
+    return math.pi / 64 * (outer_diameter**4 - inner_diameter**4)
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class Tube:
     @property
     def second_moment(self) -> float:
         """I = pi/64 (OD^4 - ID^4), m^4."""
-        return math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
+        return float(second_moment(self.outer_diameter, self.inner_diameter))
 
     @property
     def polar_moment(self) -> float:

@@ -21,21 +21,12 @@ def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
     """The same equilibrium with its `verification` filled in."""
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     n = assembly.n_tubes
-    theta, torsion = equilibrium.rotation[:, 0], equilibrium.torsion[:, 0]
-    base = theta - assembly.transmission * torsion / _stretch(assembly, 0, theta) - equilibrium.rotations
-    state = np.concatenate([theta, torsion / _stretch(assembly, 0, theta), np.eye(3).ravel(), np.zeros(3)])
+    state = _base(equilibrium, assembly)
+    base = state[:n] - assembly.transmission * state[n : 2 * n] - equilibrium.rotations
     worst, loose = 0.0, 0.0
     for k in range(assembly.n_sections):
         stop = assembly.start[k] + assembly.length[k]
-        run = solve_ivp(
-            lambda s, y, k=k: _right_hand_side(assembly, k, y),
-            (assembly.start[k], stop),
-            state,
-            method="DOP853",
-            rtol=TOLERANCE,
-            atol=TOLERANCE,
-        )
-        state = run.y[:, -1]
+        state = _integrated(assembly, k, stop, state)
         solved = equilibrium.rotation[:, np.argmin(np.abs(equilibrium.arc_length - stop))]
         worst = max(worst, float(np.abs(state[:n] - solved).max()))
         ends = np.abs(assembly.end - stop) < 1e-12
@@ -53,6 +44,38 @@ def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
             base_rotation=float(np.abs(base).max(initial=0.0)),
         ),
     )
+
+
+def point_at(equilibrium: Equilibrium, arc_length: float) -> tuple[Array, Array]:
+    """Position (3,), m, and curvature (2,) in the Bishop frame, 1/m, at an arc length, by the same integration."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    state, u = _base(equilibrium, assembly), np.zeros(2)
+    for k in range(assembly.n_sections):
+        stop = min(assembly.start[k] + assembly.length[k], arc_length)
+        if k and stop <= assembly.start[k]:
+            break
+        state = _integrated(assembly, k, stop, state)
+        u = _curvature(assembly, k, state[: assembly.n_tubes])
+    return state[-3:], u
+
+
+def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:
+    """(theta, w, R, p) at the plate."""
+    theta, torsion = equilibrium.rotation[:, 0], equilibrium.torsion[:, 0]
+    return np.concatenate([theta, torsion / _stretch(assembly, 0, theta), np.eye(3).ravel(), np.zeros(3)])
+
+
+def _integrated(assembly: Assembly, section: int, stop: float, state: Array) -> Array:
+    """The state at an arc length on a section, from that at its beginning."""
+    run = solve_ivp(
+        lambda s, y: _right_hand_side(assembly, section, y),
+        (assembly.start[section], stop),
+        state,
+        method="DOP853",
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+    )
+    return np.asarray(run.y[:, -1])
 
 
 def _curvature(assembly: Assembly, section: int, theta: Array) -> Array:

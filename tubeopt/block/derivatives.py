@@ -286,14 +286,14 @@ class Derivatives:
         weighted = rate * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
         turn = weighted.sum((0, 1))
         lever = self.arm.position[-1] - position
-        moved = _cross(weighted, lever).sum((0, 1)) + self._pushed
+        moved = _cross(weighted, lever).sum((0, 1)) + self.pushed
         behind = self.arm.position[-1] - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
         np.add.at(turn.T, self.jumps.column, jumps)
         np.add.at(moved.T, self.jumps.column, _cross(jumps[..., None], behind)[..., 0])
         return moved, turn
 
     @property
-    def _pushed(self) -> Array:
+    def pushed(self) -> Array:
         """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
         out = np.zeros((3, self.size))
         longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF

@@ -12,8 +12,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..design.objectives import KINDS
-from ..design.optimize import objective_words
+from ..design.objectives import AnyObjective, key_of, shown
 from ..design.pareto import front_label
 from ..design.stock import objective_label
 from ..study.design_study import DesignAnswer
@@ -42,7 +41,7 @@ class DesignReport:
             "task": s.task.name,
             "robot": s.robot.name,
             "certificate": s.certificate,
-            "objectives": {_key(kind): value * KINDS[kind][2] for kind, value in s.objectives.items()},
+            "objectives": {_key(one): s.objectives[key_of(one)] * one.factor for one in s.task.objectives},
             "dimensions": [
                 {"name": d.name, "unit": d.unit, "before": d.before, "after": d.after, "bound": d.bound or None}
                 for d in s.dimensions
@@ -116,7 +115,7 @@ class DesignReport:
         """The answer in short."""
         s = self.answer.solution
         failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
-        rows = [(_name(kind), objective_words(kind, value)) for kind, value in s.objectives.items()]
+        rows = [("objective", shown(one, s.objectives[key_of(one)])) for one in s.task.objectives]
         rows.append(("certificate", f"{s.certificate:.6f}, a lower bound of the margin at all rotations"))
         if s.equilibria:
             rows.append(("task poses", f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}"))
@@ -252,13 +251,9 @@ class DesignReport:
         return list(paths.values())
 
 
-def _key(kind: str) -> str:
-    unit = {"1/m": "_per_m", "mm": "_mm", "%": "_percent"}.get(KINDS[kind][1], "")
-    return f"{kind}{unit}"
-
-
-def _name(kind: str) -> str:
-    return "objective" if kind in KINDS else kind
+def _key(one: AnyObjective) -> str:
+    unit = {"1/m": "_per_m", "mm": "_mm", "%": "_percent"}.get(one.unit, "")
+    return f"{key_of(one)}{unit}"
 
 
 def _table(title: str, head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:

@@ -1,5 +1,7 @@
 """Tube design: robots that cannot snap, as nonlinear programs over tubes and task poses."""
 
+from ..block.own import OwnObjective, OwnRequirement
+from ..block.quantities import Quantities
 from .objectives import Objective
 from .optimize import DesignSolution, Dimension, optimize_design
 from .parameters import Free
@@ -42,8 +44,11 @@ __all__ = [
     "Length",
     "Nesting",
     "Objective",
+    "OwnObjective",
+    "OwnRequirement",
     "ParetoFront",
     "Poses",
+    "Quantities",
     "Reach",
     "Relaxation",
     "Sensitivity",

@@ -8,14 +8,16 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import qmc
 
+from ..block.own import OwnRequirement
+from ..block.quantities import recorded
 from ..equilibrium import Equilibrium
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import find_equilibria, follow, worst_certificate
 from .parameters import Free
 from .program import Added, Program, compile_task, corners, state_at
-from .requirements import Coverage, Reach, SnapFree, SnapFreeInUse, Target, of_kind
+from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve_one import to_feasibility, violation
 from .solved import Twist
 from .starts import with_joints
@@ -188,7 +190,7 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
     keep = tuple(
         replace(one, paths=False) if isinstance(one, SnapFreeInUse) else one
         for one in program.task.requirements
-        if not isinstance(one, Coverage | Reach | SnapFree)
+        if not isinstance(one, Coverage | Reach | SnapFree) and _of_one_pose(one, program.task.robot.n_tubes)
     )
     alone = compile_task(DesignTask(program.task.robot, fixed, (Reach((target,)), *keep), ordered=False))
     best = np.inf
@@ -200,6 +202,14 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
         if best <= 1e-3:
             break
     return best
+
+
+def _of_one_pose(one: Requirement, n: int) -> bool:
+    """Whether a requirement can be asked of any pose: an own one that speaks of poses by number says nothing of it."""
+    try:
+        return not isinstance(one, OwnRequirement) or bool(recorded(one.expression, n, 1, one.words).quantities)
+    except InputError:
+        return False
 
 
 def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program, Array]:

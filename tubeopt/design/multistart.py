@@ -39,10 +39,10 @@ class Ranking:
         return sum(self.found) + sum(self.failures.values())
 
 
-def solve_from(program: Program, start: Array, report: Report | None = None) -> Attempt:
+def solve_from(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
     """`solve` on a copy of the program that remembers no poses of other starts."""
     fresh = Program(**{**program.__dict__, "guesses": {}})
-    return solve(fresh, start, report)
+    return solve(fresh, start, report, method)
 
 
 def rank(attempts: Sequence[Attempt]) -> Ranking:
@@ -75,6 +75,7 @@ def multistart(
     workers: int = 1,
     progress: Progress | None = None,
     report: Report | None = None,
+    method: str = "reduced",
 ) -> Ranking:
     """Solve from the task's own dimensions and from `starts` - 1 others.
 
@@ -82,6 +83,7 @@ def multistart(
         seed: of the other dimensions and of the first joint values.
         workers: processes.
         report: told of every iteration; with one worker only.
+        method: one of `solve.METHODS`.
 
     Raises:
         InputError: fewer than one start or worker.
@@ -90,5 +92,6 @@ def multistart(
         raise InputError(f"starts is {starts}; it must be at least 1")
     begin = start_values(program, seed, starts)
     with executor(min(workers, starts)) as pool:
-        attempts = run_all(partial(solve_from, program, report=report if pool is None else None), begin, pool, progress)
+        one = partial(solve_from, program, report=report if pool is None else None, method=method)
+        attempts = run_all(one, begin, pool, progress)
     return rank(attempts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..block.own import OwnObjective
 from ..errors import InputError, choice, finite, positive
 from .checks import row
 
@@ -50,6 +51,35 @@ class Objective:
             object.__setattr__(self, "translations", row("translations of the objective", self.translations))
 
     @property
+    def words(self) -> str:
+        """What it is called."""
+        return KINDS[self.kind][0]
+
+    @property
+    def unit(self) -> str:
+        """Unit in which it is shown."""
+        return KINDS[self.kind][1]
+
+    @property
+    def factor(self) -> float:
+        """What turns SI into that unit."""
+        return KINDS[self.kind][2]
+
+    @property
     def sign(self) -> int:
         """1 where less is better, -1 where more is better."""
         return KINDS[self.kind][3]
+
+
+AnyObjective = Objective | OwnObjective
+"""A built-in aim or an own one."""
+
+
+def key_of(one: AnyObjective) -> str:
+    """By what an objective is known among those of its task: its kind, or the words of an own one."""
+    return one.kind if isinstance(one, Objective) else one.words
+
+
+def shown(one: AnyObjective, value: float) -> str:
+    """An objective's value with its name and unit."""
+    return f"{one.words} {value * one.factor:.6g} {one.unit}".strip()

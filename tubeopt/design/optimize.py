@@ -7,19 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from ..equilibrium import Equilibrium
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, choice
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
 from .checks import whole
+from .collocation import check_collocation
 from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .multistart import Ranking, multistart, rank
-from .objectives import KINDS
+from .objectives import key_of
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
 from .sensitivities import Sensitivity, sensitivities
-from .solve import Attempt, Report, solve
+from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
 
@@ -49,7 +50,7 @@ class DesignSolution:
             home.
         equilibria: of the task poses, solved again by forward kinematics, in the order of the requirements.
         objective: value in its own sign, SI; with several objectives their weighted sum as minimised.
-        objectives: value of each, by kind, SI.
+        objectives: value of each, by kind (own ones by their words), SI.
         dimensions: every free dimension before and after.
         sensitivities: limits that bind, and what easing them would buy, the dearest first.
         ranking: designs of all starts.
@@ -81,6 +82,7 @@ class DesignSolution:
 def optimize_design(
     task: DesignTask,
     *,
+    method: str = "reduced",
     starts: int = 1,
     seed: int = 0,
     workers: int = 1,
@@ -97,6 +99,10 @@ def optimize_design(
     added one by one where they are violated. At the end everything is checked again by independent code.
 
     Args:
+        method: "reduced", as above, or "collocation": from the feasible design on, one program in which the equilibria
+            of all poses are unknowns too, blocks with exact second derivatives. It takes requirements on tubes,
+            certificates, margins at poses, targets, and own ones; it keeps the order of breakpoints of its start, and
+            is there to confirm and to compose: the reduced program is faster.
         starts: from the task's own dimensions, and from so many less one random others; where none leads to a feasible
             design, up to 4 are tried.
         seed: of random starts.
@@ -107,7 +113,8 @@ def optimize_design(
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
 
     Raises:
-        InputError: no task, fewer than one start or worker, a seed or turns below 0.
+        InputError: no task, fewer than one start or worker, a seed or turns below 0; a requirement that the method does
+            not take; an own requirement or objective whose expression makes no sense.
         InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
             have to move.
         SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
@@ -116,20 +123,24 @@ def optimize_design(
         raise InputError(f"task is {task!r}; it must be a DesignTask")
     for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, value, least)
+    if choice("method", method, METHODS) == "collocation":
+        check_collocation(task)
     began = time.perf_counter()
     program = compile_task(task) if begin is None else _recompiled(task, begin)
     if begin is not None:
-        ranking = rank([solve(program, begin.x, report)])
+        ranking = rank([solve(program, begin.x, report, method)])
     else:
-        ranking = multistart(program, starts=starts, seed=seed, workers=workers, progress=progress, report=report)
+        ranking = multistart(
+            program, starts=starts, seed=seed, workers=workers, progress=progress, report=report, method=method
+        )
     if not ranking.designs and starts < RETRIES:
         ranking = multistart(
             compile_task(task, program.added), starts=RETRIES, seed=seed, workers=workers, progress=progress,
-            report=report,
+            report=report, method=method,
         )  # fmt: skip
     if not ranking.designs:
         raise infeasible(ranking)
-    best, rounds = settle(ranking.designs[0], report)
+    best, rounds = settle(ranking.designs[0], report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     ranking = replace(ranking, designs=(best, *(others or ranking.designs[1:])))
     return _solution(task, best, ranking, rounds, turns, began)
@@ -141,7 +152,7 @@ def _recompiled(task: DesignTask, begin: Attempt) -> Program:
     return program
 
 
-def settle(found: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
+def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
     """A design for which all cases hold, and how many rounds of adding the worst of them that took.
 
     Raises:
@@ -156,7 +167,7 @@ def settle(found: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
         check_rounds(rounds, why)
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
-        following = solve(program, start, report)
+        following = solve(program, start, report, method)
         if not following.feasible:
             raise infeasible(rank([following]))
         found = following
@@ -182,7 +193,7 @@ def _solution(
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
     state = state_at(program, x)
-    values = {one.kind: objective_value(program, state, one)[0] for one in task.objectives}
+    values = {key_of(one): objective_value(program, state, one)[0] for one in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
@@ -219,9 +230,3 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
             before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
             out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))
     return tuple(out)
-
-
-def objective_words(kind: str, value: float) -> str:
-    """An objective with its unit."""
-    name, unit, factor, _ = KINDS[kind]
-    return f"{name} {value * factor:.6g} {unit}".strip()

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import InputError
 from ..robots.assembly import Array
 from ..tubes import Tube
+from .objectives import Objective
 from .requirements import Poses, SnapFree
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def ordered_places(task: DesignTask) -> tuple[Place, ...]:
             case _:
                 pass
     for aim in task.objectives:
-        if aim.translations is not None:
+        if isinstance(aim, Objective) and aim.translations is not None:
             found.append(Place(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2))
     return tuple({(place.low, place.high): place for place in reversed(found)}.values())[::-1]
 

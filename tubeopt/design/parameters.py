@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice, finite
 from ..robots.assembly import Array
-from ..tubes import Tube
+from ..tubes import Tube, second_moment
 from .checks import items, whole
 
 FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
@@ -97,6 +99,24 @@ class DesignSpace:
             replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
             for tube, changes in zip(self.robot_tubes, values, strict=True)
         )
+
+    def expressions(self, x: Any) -> dict[str, Any]:
+        """Every one of GRADED (n,) as an expression of x (D,); what x does not move are numbers."""
+        out: dict[str, Any] = {}
+        for name in GRADED:
+            column = ca.MX([getattr(tube, name) for tube in self.robot_tubes])
+            for k, (field, chosen, scaled) in enumerate(self.unknowns):
+                for i in chosen if field == name else ():
+                    column[i] = x[k] * (getattr(self.robot_tubes[i], field) if scaled else 1.0)
+            out[name] = column
+        if any(field in ("outer_diameter", "inner_diameter") for field, _, _ in self.unknowns):
+            second = second_moment(out["outer_diameter"], out["inner_diameter"])
+            moduli = [(tube.material.youngs_modulus, 2 * tube.material.shear_modulus) for tube in self.robot_tubes]
+            for name, column in zip(
+                ("bending_stiffness", "torsional_stiffness"), zip(*moduli, strict=True), strict=True
+            ):
+                out[name] = ca.DM(column) * second
+        return out
 
     def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
         """Change (n, D) of every one of GRADED with x, at these tubes."""

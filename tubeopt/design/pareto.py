@@ -9,7 +9,7 @@ from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from .exchange import robot_at
 from .multistart import multistart
-from .objectives import KINDS
+from .objectives import key_of
 from .optimize import infeasible, settle
 from .pool import Progress
 from .program import compile_task, objective_value, state_at
@@ -57,7 +57,7 @@ def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float,
     """
     if not len(margins):
         raise InputError("margins is empty; a front needs at least one")
-    if len(task.objectives) > 1 or task.objectives[0].kind == "margin":
+    if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
         raise InputError("a front needs one objective, and that other than the margin itself")
     if not any(isinstance(one, SnapFree | SnapFreeInUse) for one in task.requirements):
         raise InputError("a front needs a certificate or a margin in use among the requirements")
@@ -104,16 +104,16 @@ def pareto_front(
         except SolveError:
             if not points:
                 raise
-            return ParetoFront(task, one.kind, tuple(points), margin)
+            return ParetoFront(task, key_of(one), tuple(points), margin)
         value = objective_value(found.program, state_at(found.program, found.x), one)[0]
         points.append(FrontPoint(margin, value, robot_at(found.program, found.x)))
         here = found
         if progress is not None:
             progress(k + 1, len(tasks))
-    return ParetoFront(task, one.kind, tuple(points), None)
+    return ParetoFront(task, key_of(one), tuple(points), None)
 
 
 def front_label(front: ParetoFront) -> tuple[str, str, float]:
     """Name, unit and factor of the front's objective."""
-    name, unit, factor, _ = KINDS[front.objective]
-    return name, unit, factor
+    (one,) = front.task.objectives
+    return one.words, one.unit, one.factor

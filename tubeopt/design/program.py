@@ -12,27 +12,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..block.own import OwnObjective
+from ..block.quantities import Expression, recorded
 from ..errors import InputError, SolveError
 from ..robots.assembly import Array, assemble
 from ..solvers.smooth import Values
-from .objectives import Objective
+from .lookup import at_state
+from .objectives import AnyObjective, Objective
 from .order import ordered_places
-from .requirements import (
-    Avoid,
-    Corridor,
-    Coverage,
-    Poses,
-    Reach,
-    Requirement,
-    SnapFree,
-    SnapFreeInUse,
-    Strain,
-    Stroke,
-    of_kind,
-)
-from .rows import Rows, coverage_rows, joint_rows, order_rows, rows, straightened, via_points
+from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
+from .rows import Rows, joint_rows, order_rows, rows, stated_rows, straightened, via_points
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
+from .statements import Statement, statements
 from .task import DesignTask
 
 STABLE = SnapFreeInUse(0.05, paths=False)
@@ -63,6 +55,7 @@ class Program:
     """A task with what exchange has added, laid out as unknowns and rows.
 
     own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
+    stated: for every one of `requirements`, what of it is stated as expressions; aims: own objectives as expressions.
     elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
     """
 
@@ -70,6 +63,8 @@ class Program:
     added: Added
     layout: Layout
     own: tuple[tuple[int, ...], ...]
+    stated: tuple[tuple[Statement, ...], ...]
+    aims: dict[OwnObjective, Expression]
     depth_pose: int | None
     lower: Array
     upper: Array
@@ -85,13 +80,21 @@ class Program:
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """Those of the task, and that poses be stable where nothing else says so."""
-        given = self.task.requirements
-        speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
-        return given if speaks or not self.task_poses else (*given, STABLE)
+        return _all_requirements(self.task)
+
+
+def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
+    given = task.requirements
+    speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
+    return given if speaks or not task.has_poses else (*given, STABLE)
 
 
 def compile_task(task: DesignTask, added: Added | None = None) -> Program:
-    """Lay out the unknowns of a task."""
+    """Lay out the unknowns of a task, and record what is stated as expressions.
+
+    Raises:
+        InputError: the expression of an own requirement or objective makes no sense.
+    """
     added = Added() if added is None else added
     poses: list[PoseKind] = []
     own: list[tuple[int, ...]] = []
@@ -114,14 +117,40 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
                 poses.extend(FixedPose(*pair) for pair in zip(rotations, translations, strict=True))
             case _:
                 own.append(())
-    deep = [one for one in task.objectives if one.kind == "reach_radius"]
+    deep = [one for one in built_in(task.objectives) if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
+    stated, aims = _recorded(task, added, own, len(poses))
     poses.extend(Via(*via) for via in added.vias)
-    kinds = [one.kind for one in task.objectives]
+    kinds = [one.kind for one in built_in(task.objectives)]
     auxiliary = tuple(kind for kind in ("strain", "margin") if kind in kinds)
     layout = Layout(task.space, tuple(poses), _certified(task, added), auxiliary)
     lower, upper, scale = _bounds(task, layout)
-    return Program(task, added, layout, tuple(own), depth_pose, lower, upper, scale)
+    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, lower, upper, scale)
+
+
+def built_in(objectives: Sequence[AnyObjective]) -> list[Objective]:
+    """The objectives that are no own ones."""
+    return [one for one in objectives if isinstance(one, Objective)]
+
+
+def _recorded(
+    task: DesignTask, added: Added, own: Sequence[tuple[int, ...]], count: int
+) -> tuple[tuple[tuple[Statement, ...], ...], dict[OwnObjective, Expression]]:
+    """What requirements state as expressions, and own objectives, of `count` task poses."""
+    n, everywhere = task.robot.n_tubes, tuple(range(count))
+    boxes = iter(added.points)
+    stated = []
+    for number, one in enumerate(_all_requirements(task)):
+        points = list(next(boxes, corners(one))) if isinstance(one, Coverage) else []
+        mine = own[number] if isinstance(one, Coverage | Reach) else everywhere
+        stated.append(statements(one, n, mine, points))
+    aims = {}
+    for aim in task.objectives:
+        if isinstance(aim, OwnObjective):
+            aims[aim] = recorded(aim.expression, n, count, aim.words)
+            if aims[aim].value.numel_out() != 1:
+                raise InputError(f"the objective {aim.words} has {aims[aim].value.numel_out()} numbers; it must be one")
+    return tuple(stated), aims
 
 
 def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
@@ -183,23 +212,16 @@ def groups(program: Program, state: State) -> list[Rows]:
     """All groups of rows that can be relaxed."""
     task_poses = program.task_poses
     out: list[Rows] = []
-    boxes = iter(program.added.points)
-    for number, one in enumerate(program.requirements):
-        match one:
-            case Coverage():
-                points = list(next(boxes, corners(one)))
-                out += coverage_rows(one, number, state, program.own[number], points)
-            case SnapFreeInUse():
-                out += rows(one, number, state, (*task_poses, *via_points(state)))
-            case Strain() | Stroke() | Corridor() | Avoid():
-                out += rows(one, number, state, task_poses)
-            case Reach() | Poses():
-                out += rows(one, number, state, program.own[number])
-            case _:
-                out += rows(one, number, state, ())
+    for number, (one, stated) in enumerate(zip(program.requirements, program.stated, strict=True)):
+        about = (*task_poses, *via_points(state)) if isinstance(one, SnapFreeInUse) else task_poses
+        out += stated_rows(stated, number, state) or rows(one, number, state, about)
     # A limit on dimensions that are not free, and is kept, is no constraint.
-    out = [group for group in out if group.jacobian.any() or group.values.min() < 0 or group.limit.words in POSED]
+    out = [group for group in out if _matters(group)]
     return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
+
+
+def _matters(group: Rows) -> bool:
+    return bool(group.always or group.jacobian.any() or group.values.min() < 0 or group.limit.words in POSED)
 
 
 def slack_name(k: int) -> str:
@@ -236,7 +258,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     strain and margin."""
     jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, ordered_places(program.task))
     parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
-    for one in program.task.objectives:
+    for one in built_in(program.task.objectives):
         if one.kind == "reach_radius" and program.depth_pose is not None and one.depth is not None:
             index = program.depth_pose
             height = state.pose(index).position[-1, 2] - one.depth
@@ -264,8 +286,11 @@ def _bounded(program: Program, state: State, one: Objective) -> tuple[list[tuple
     return [(state.pose(k).margin, state.pose(k).margin_slope @ state.chain(k)) for k in poses], 0.1
 
 
-def objective_value(program: Program, state: State, one: Objective) -> tuple[float, Array]:
+def objective_value(program: Program, state: State, one: AnyObjective) -> tuple[float, Array]:
     """An objective in its own sign, SI, and its change (X,)."""
+    if isinstance(one, OwnObjective):
+        values, changes = program.aims[one].linear(at_state(state))
+        return float(values[0]), changes[0]
     tubes, size = state.tubes, program.layout.size
     match one.kind:
         case "strain" | "margin":

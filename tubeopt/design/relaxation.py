@@ -9,8 +9,9 @@ import numpy as np
 
 from ..errors import SolveError
 from ..robots.assembly import Array
+from .limit import Limit
 from .program import Program, compile_task, elastic, evaluate
-from .rows import Limit, Rows, relaxed
+from .rows import Rows, relaxed
 from .solve import NEAR, best_from
 from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
 from .task import DesignTask
@@ -81,8 +82,8 @@ def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relax
     sums: list[tuple[float, Program, Array, Array]] = []
     for one in failed[:STARTS]:
         if evaluate(one.program, one.x) is not None:
-            everything = np.ones(len(rows_at(one.program, one.x)[0]), dtype=bool)
-            eased = _elastic(one.program, one.x, everything)
+            movable = np.array([group.limit.movable for group in rows_at(one.program, one.x)[0]], dtype=bool)
+            eased = _elastic(one.program, one.x, movable)
             sums += [] if eased is None else [(float(eased[1].sum()), one.program, *eased)]
     if not sums:
         return []
@@ -90,8 +91,9 @@ def smallest_relaxations(failed: Sequence[Attempt], most: int = 3) -> list[Relax
     together = _apply(program, x, slack)
     out = [] if together is None else [together]
     moved = np.flatnonzero(slack > LEAST)
-    values = [float(group.values.min()) for group in rows_at(program, x)[0]]
-    near = np.argsort(values)
+    found = rows_at(program, x)[0]
+    values = [float(group.values.min()) for group in found]
+    near = [k for k in np.argsort(values) if found[k].limit.movable]
     candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
     for k in candidates[:most]:
         single = _elastic(program, x, np.arange(len(values)) == k)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..block.own import OwnRequirement
 from ..errors import InputError, finite, positive
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
@@ -238,7 +239,19 @@ class Avoid:
 
 
 Requirement = (
-    SnapFree | SnapFreeInUse | Strain | Nesting | Wall | Length | Stroke | Reach | Coverage | Poses | Corridor | Avoid
+    SnapFree
+    | SnapFreeInUse
+    | Strain
+    | Nesting
+    | Wall
+    | Length
+    | Stroke
+    | Reach
+    | Coverage
+    | Poses
+    | Corridor
+    | Avoid
+    | OwnRequirement
 )
 """Anything that a design may have to keep."""
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
-from itertools import pairwise
 
 import numpy as np
 
+from ..block.own import OwnRequirement
 from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from .anatomy import arm_rows
+from .limit import Limit
+from .lookup import at_state
 from .order import Place, order_gaps
 from .requirements import (
     Avoid,
@@ -19,49 +21,24 @@ from .requirements import (
     Coverage,
     Length,
     Nesting,
-    Poses,
     Reach,
     Requirement,
     SnapFree,
     SnapFreeInUse,
     Strain,
     Stroke,
-    Target,
     Wall,
     corridor_distance,
     obstacle_distance,
 )
 from .state import FreePose, State, Via
+from .statements import Statement, reach_parts, straightened_strain
 
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
 
 ORDERED = 9e-8
 """The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off."""
-
-SOFT = 0.03
-"""Part of a target's tolerance within which the distance from it is rounded off, to be smooth at the target itself."""
-
-
-@dataclass(frozen=True)
-class Limit:
-    """What a group of rows is about.
-
-    words: what is limited.  value: the limit, SI.  most: whether the limit is an upper one.  unit, factor: how it is
-    shown.  size: SI change that counts as one step when limits are relaxed against each other.
-    """
-
-    words: str
-    value: float
-    most: bool
-    unit: str
-    factor: float
-    size: float
-
-    def shown(self, value: float | None = None) -> str:
-        """The limit, or another value of the same kind, with its unit."""
-        number = f"{(self.value if value is None else value) * self.factor:.4g}"
-        return f"{number} {self.unit}".strip()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +47,7 @@ class Rows:
     `requirement` is the number of the requirement in the task, `part` tells its groups apart. Rows that limit the
     length of a vector tell it too: `vector` (K, 3) and its change (K, 3, X), in the same units, which leads least
     squares to 0 from far away faster than its length does. `slack`: steps by which the limit is eased, and
-    their column."""
+    their column. `always`: the rows stay where no unknown moves them for a while."""
 
     requirement: int
     part: int
@@ -79,24 +56,32 @@ class Rows:
     jacobian: Array
     vector: tuple[Array, Array] | None = None
     slack: tuple[float, int] | None = None
+    always: bool = False
 
 
 def _rows(number: int, part: int, limit: Limit, values: Array, jacobian: Array) -> Rows:
     return Rows(number, part, limit, np.atleast_1d(values) / limit.size - HELD, np.atleast_2d(jacobian) / limit.size)
 
 
-def _tip(state: State, index: int) -> tuple[Array, Array]:
-    pose = state.pose(index)
-    return pose.position[-1], pose.shape_slopes[0][-1] @ state.chain(index)
+def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[Rows]:
+    """Groups of rows of what a requirement, the `number`-th of its task, states as expressions."""
+    look, out = at_state(state), []
+    for one in found:
+        group = _rows(number, one.part, one.limit, *one.expression.linear(look))
+        if one.vector is not None:
+            gap, slope = (part / one.limit.size for part in one.vector.linear(look))
+            group = replace(group, vector=(gap.reshape(-1, 3), slope.reshape(len(gap) // 3, 3, -1)))
+        out.append(replace(group, always=one.always))
+    return out
 
 
 @singledispatch
 def rows(requirement: Requirement, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    """Groups of rows of a requirement, the `number`-th of its task, at a state.
+    """Groups of rows of a requirement that is not stated as expressions, the `number`-th of its task, at a state.
 
-    `poses` are those that the requirement is about: its own for Reach, Coverage and Poses, via points for margins.
+    `poses` are those that the requirement is about: via points too for margins.
     """
-    raise TypeError(f"{type(requirement).__name__} is no requirement")
+    return []
 
 
 @rows.register
@@ -115,13 +100,9 @@ def _(requirement: SnapFreeInUse, number: int, state: State, poses: tuple[int, .
 
 
 def straightened(state: State, tube: int) -> tuple[float, Array]:
-    """Strain of a tube held straight, r kappa / (1 - r kappa), and its change (X,)."""
-    shape = state.tubes[tube]
-    radius, kappa = shape.outer_diameter / 2, abs(shape.curvature)
-    bend = radius * kappa
-    slope = radius * np.sign(shape.curvature) * state.slopes["curvature"][tube]
-    slope = slope + 0.5 * kappa * state.slopes["outer_diameter"][tube]
-    return bend / (1 - bend), slope / (1 - bend) ** 2
+    """Strain of a tube held straight, and its change (X,)."""
+    value, slope = straightened_strain(tube, state.layout.n).linear(at_state(state))
+    return float(value[0]), slope[0]
 
 
 def pose_strain(state: State, index: int, tube: int) -> tuple[float, Array]:
@@ -168,98 +149,6 @@ def _(requirement: Strain, number: int, state: State, poses: tuple[int, ...]) ->
 
 
 @rows.register
-def _(requirement: Nesting, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("clearance of the diameters", requirement.clearance, False, "mm", 1e3, 1e-4)
-    bores, walls = state.slopes["inner_diameter"], state.slopes["outer_diameter"]
-    gaps = [outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(state.tubes)]
-    return [_rows(number, 0, limit, np.array(gaps) - requirement.clearance, bores[1:] - walls[:-1])] if gaps else []
-
-
-@rows.register
-def _(requirement: Wall, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("wall thickness", requirement.thickness, False, "mm", 1e3, 1e-4)
-    walls = np.array([(tube.outer_diameter - tube.inner_diameter) / 2 for tube in state.tubes])
-    slope = (state.slopes["outer_diameter"] - state.slopes["inner_diameter"]) / 2
-    return [_rows(number, 0, limit, walls - requirement.thickness, slope)]
-
-
-@rows.register
-def _(requirement: Length, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    field, i = requirement.field, requirement.tube
-    words = f"{'overall length' if field == 'length' else field.replace('_', ' ')} of tube {i + 1}"
-    limit = Limit(words, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
-    parts = ("straight_length", "curved_length") if field == "length" else (field,)
-    slope = np.asarray(sum(state.slopes[part][i] for part in parts))
-    value = getattr(state.tubes[i], field) - requirement.limit
-    sign = 1.0 if requirement.least else -1.0
-    return [_rows(number, 0, limit, np.array([sign * value]), sign * slope)]
-
-
-@rows.register
-def _(requirement: Stroke, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("stroke of a carriage", requirement.limit, True, "mm", 1e3, 1e-2)
-    values, slopes = [], []
-    for a in poses:
-        for b in poses:
-            if a != b:
-                gap = state.joint_values(a)[1] - state.joint_values(b)[1]
-                values.append(requirement.limit - gap)
-                slopes.append(state.joint_slopes(b)[1] - state.joint_slopes(a)[1])
-    return [_rows(number, 0, limit, np.concatenate(values), np.concatenate(slopes))] if values else []
-
-
-def _near_points(
-    number: int, part: int, limit: Limit, state: State, aims: Sequence[tuple[int, tuple[float, ...]]]
-) -> Rows:
-    """Rows that keep the tip of poses within the limit's value of points, and the way from the points to the tips."""
-    tips = [_tip(state, index) for index, _ in aims]
-    gap = np.array([tip for tip, _ in tips]) - np.array([point for _, point in aims])
-    slope = np.array([change for _, change in tips])
-    soft = SOFT * limit.value
-    distance = np.sqrt((gap**2).sum(1) + soft**2)
-    values = np.sqrt(limit.value**2 + soft**2) - distance
-    jacobian = -np.einsum("kc,kcx->kx", gap / distance[:, None], slope)
-    return replace(_rows(number, part, limit, values, jacobian), vector=(gap / limit.size, slope / limit.size))
-
-
-def _along(state: State, index: int, target: Target) -> tuple[float, Array]:
-    """What is left of the direction's tolerance, rad, and its change (X,)."""
-    pose = state.pose(index)
-    heading, wanted = pose.frame[-1][:, 2], np.array(target.direction)
-    angle = float(np.arctan2(np.linalg.norm(np.cross(heading, wanted)), heading @ wanted))
-    turn = pose.shape_slopes[1][-1] @ state.chain(index)
-    slope = np.cross(heading, wanted) @ turn / max(np.sin(angle), 1e-6)
-    return target.direction_tolerance - angle, slope
-
-
-@rows.register
-def _(requirement: Reach, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    out = []
-    for k, (index, target) in enumerate(zip(poses, requirement.targets, strict=True)):
-        limit = Limit(f"tolerance of target {k + 1}", target.tolerance, True, "mm", 1e3, 1e-3)
-        out.append(_near_points(number, 2 * k, limit, state, [(index, target.position)]))
-        if target.direction is not None:
-            words = f"tolerance of the direction at target {k + 1}"
-            limit = Limit(words, target.direction_tolerance, True, "deg", 180 / np.pi, np.radians(5.0))
-            value, slope = _along(state, index, target)
-            out.append(_rows(number, 2 * k + 1, limit, np.array([value]), slope))
-    return out
-
-
-def coverage_rows(
-    requirement: Coverage, number: int, state: State, poses: tuple[int, ...], points: list[tuple[float, ...]]
-) -> list[Rows]:
-    """Rows of a workspace box at the points of it that are in the program."""
-    limit = Limit("tolerance of the workspace box", requirement.tolerance, True, "mm", 1e3, 1e-3)
-    return [_near_points(number, 0, limit, state, list(zip(poses, points, strict=True)))]
-
-
-@rows.register
-def _(requirement: Poses, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    return []
-
-
-@rows.register
 def _(requirement: Corridor, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
     limit = Limit("radius of the corridor", requirement.radius, True, "mm", 1e3, 1e-3)
     values, slopes = arm_rows(state, poses, lambda points: corridor_distance(requirement, points), -1.0)
@@ -290,16 +179,17 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
         case Stroke():
             return replace(requirement, limit=requirement.limit + amount)
         case Reach(targets=targets):
-            target = targets[part // 2]
-            field = "direction_tolerance" if part % 2 else "tolerance"
-            eased = replace(target, **{field: getattr(target, field) + amount})
-            return replace(requirement, targets=(*targets[: part // 2], eased, *targets[part // 2 + 1 :]))
+            k, field = reach_parts(requirement)[part]
+            eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
+            return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
         case Coverage():
             return replace(requirement, tolerance=requirement.tolerance + amount)
         case Corridor():
             return replace(requirement, radius=requirement.radius + amount)
         case Avoid():
             return replace(requirement, clearance=requirement.clearance - amount)
+        case OwnRequirement():
+            return requirement.relaxed(amount) or requirement
         case _:
             return requirement
 

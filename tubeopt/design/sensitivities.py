@@ -9,10 +9,9 @@ from scipy.optimize import nnls
 
 from ..robots.assembly import Array
 from .cells import cell_at, cell_rows
-from .objectives import KINDS
+from .limit import Limit
 from .parameters import UNITS
 from .program import stack, state_at, total_objective
-from .rows import Limit
 from .solve_one import Attempt, rows_at
 
 NEAR_ROW = 1e-3
@@ -74,6 +73,8 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
     slope = total_objective(program, state)[1] * program.scale
+    if not matrix.size:
+        return None  # nothing is near
     price, gap = nnls(matrix, slope)
     if gap > OPTIMAL * float(np.linalg.norm(slope)):
         return None
@@ -108,7 +109,8 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
     objectives = found.program.task.objectives
     sign = 1.0 if limit.most else -1.0
     if len(objectives) == 1 and objectives[0].weight == 1.0:
-        name, unit, factor, direction = KINDS[objectives[0].kind]
+        one = objectives[0]
+        name, unit, factor, direction = one.words, one.unit, one.factor, one.sign
     else:
         name, unit, factor, direction = "weighted objective", "", 1.0, 1
     derivative = -direction * price * sign

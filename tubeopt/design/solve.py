@@ -6,6 +6,7 @@ import numpy as np
 
 from ..robots.assembly import Array
 from .cells import GAIN, improve_by_cells
+from .collocation import collocate
 from .program import Program
 from .solve_one import FEASIBLE, Attempt, Report, attempt, cubed, improve, rows_at, to_feasibility, violation
 from .starts import with_joints
@@ -30,8 +31,12 @@ FREE_ITERATIONS = 150
 """Iterations of IPOPT before it counts as stuck on a kink."""
 
 
-def solve(program: Program, start: Array, report: Report | None = None) -> Attempt:
-    """The best design from a start (X,), SI."""
+METHODS = ("reduced", "collocation")
+"""Ways to the optimum: with the equilibria solved inside, or as unknowns of one program of blocks."""
+
+
+def solve(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
+    """The best design from a start (X,), SI, by one of METHODS."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     missed = violation(program, x)[0]
     for kick in range(KICKS if program.layout.free_poses else 0):
@@ -41,7 +46,9 @@ def solve(program: Program, start: Array, report: Report | None = None) -> Attem
         other = to_feasibility(program, with_joints(program, x[: program.layout.designs], random), report)
         if violation(program, other)[0] < missed:
             x, missed = other, violation(program, other)[0]
-    return attempt(program, x, None) if missed > NEAR else best_from(program, x, report)
+    if missed > NEAR:
+        return attempt(program, x, None)
+    return collocate(program, x) if method == "collocation" else best_from(program, x, report)
 
 
 def best_from(program: Program, x: Array, report: Report | None = None) -> Attempt:

@@ -12,7 +12,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..tubes import Tube
 from .pose import Pose
-from .program import Program, corners
+from .program import Program, built_in, corners
 from .requirements import Avoid, Corridor, Coverage, Reach, corridor_distance, obstacle_distance
 from .solved import solve_pose
 from .state import FreePose
@@ -87,7 +87,7 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
             out |= dict(zip(own, (target.position for target in one.targets), strict=True))
         if isinstance(one, Coverage):
             out |= dict(zip(own, next(boxes, corners(one)), strict=True))
-    for aim in program.task.objectives:
+    for aim in built_in(program.task.objectives):
         if aim.depth is not None and program.depth_pose is not None:
             out[program.depth_pose] = (aim.depth,)
     return out

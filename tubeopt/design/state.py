@@ -100,7 +100,7 @@ class State:
         self.x = x
         self._guesses = {} if guesses is None else guesses
         self._poses: dict[int, Pose] = {}
-        self._certified: dict[int, Pose] = {}
+        self._certified: dict[tuple[float, ...], Pose] = {}
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:
@@ -159,10 +159,13 @@ class State:
 
     def certificate(self, k: int) -> tuple[float, Array]:
         """mu_cert at the k-th translations of the certificate, and its change (X,)."""
-        if k not in self._certified:
-            shift = np.array(self.layout.certified[k])
-            self._certified[k] = Pose(without_solving(self.tubes, shift))
-        value, slope = self._certified[k].certificate
+        return self.certificate_at(self.layout.certified[k])
+
+    def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
+        """mu_cert at translations (n,), m, and its change (X,)."""
+        if translations not in self._certified:
+            self._certified[translations] = Pose(without_solving(self.tubes, np.array(translations)))
+        value, slope = self._certified[translations].certificate
         n = self.layout.n
         still = np.zeros((2 * n, self.layout.size))
         return value, slope @ np.concatenate([still, *(self.slopes[name] for name in DIMENSIONS)])

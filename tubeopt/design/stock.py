@@ -15,7 +15,7 @@ from ..robots.concentric import ConcentricRobot
 from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart
-from .objectives import KINDS
+from .objectives import key_of
 from .optimize import settle
 from .pool import Progress, executor, run_all
 from .program import compile_task, objective_value, state_at
@@ -172,7 +172,7 @@ def with_sizes(task: DesignTask, sizes: Sequence[StockTube]) -> DesignTask:
 def _bound(task: DesignTask) -> float:
     """The best objective, as minimised, under the requirements on dimensions alone."""
     one = task.objectives[0]
-    if one.kind not in BOUNDED:
+    if key_of(one) not in BOUNDED:
         return -np.inf
     kept = tuple(
         replace(r, in_poses=False) if isinstance(r, Strain) else r
@@ -205,5 +205,5 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
 
 def objective_label(task: DesignTask) -> tuple[str, str, float]:
     """Name, unit and factor of the objective that candidates are ranked by."""
-    name, unit, factor, _ = KINDS[task.objectives[0].kind]
-    return name, unit, factor
+    one = task.objectives[0]
+    return one.words, one.unit, one.factor

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..block.own import OwnObjective, OwnRequirement
 from ..errors import InputError
 from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from .checks import items
-from .objectives import Objective
+from .objectives import KINDS, AnyObjective, Objective, key_of
 from .order import check_order
 from .parameters import DesignSpace, Free, design_space
 from .requirements import (
@@ -49,7 +50,7 @@ class DesignTask:
     robot: ConcentricRobot
     free: tuple[Free, ...]
     requirements: tuple[Requirement, ...] = ()
-    objective: Objective | tuple[Objective, ...] = field(default_factory=lambda: Objective("change"))
+    objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
     name: str = ""
     ordered: bool = True
 
@@ -58,8 +59,8 @@ class DesignTask:
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
-        if not isinstance(self.objective, Objective):
-            object.__setattr__(self, "objective", items("objective", self.objective, Objective, "Objective"))
+        if not isinstance(self.objective, AnyObjective):
+            object.__setattr__(self, "objective", items("objective", self.objective, AnyObjective, "Objective"))
         n = self.robot.n_tubes
         spread = [
             replace(one, limits=one.limits * n) if isinstance(one, Strain) and len(one.limits) == 1 else one
@@ -74,9 +75,9 @@ class DesignTask:
         check_order(self, *(extreme_lengths(self, side) for side in ("lower", "upper")))
 
     @property
-    def objectives(self) -> tuple[Objective, ...]:
+    def objectives(self) -> tuple[AnyObjective, ...]:
         """All objectives."""
-        return (self.objective,) if isinstance(self.objective, Objective) else tuple(self.objective)
+        return (self.objective,) if isinstance(self.objective, AnyObjective) else tuple(self.objective)
 
     @property
     def space(self) -> DesignSpace:
@@ -88,7 +89,7 @@ class DesignTask:
         """Whether there are task poses."""
         kinds = (Reach, Poses, Coverage)
         posed = any(isinstance(one, kinds) for one in self.requirements)
-        return posed or any(one.kind == "reach_radius" for one in self.objectives)
+        return posed or any(one.kind == "reach_radius" for one in self.objectives if isinstance(one, Objective))
 
 
 def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
@@ -146,6 +147,8 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(
                     f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
                 )
+            case OwnRequirement():
+                one.checked()
             case _:
                 pass
     for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, Corridor):
@@ -156,10 +159,15 @@ def _check_requirements(task: DesignTask) -> None:
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
     for one in task.objectives:
+        if isinstance(one, OwnObjective):
+            one.checked()
+            if one.words in KINDS:
+                raise InputError(f"an own objective is called {one.words!r} like a built-in one; it needs other words")
+            continue
         if one.translations is not None:
             _per_tube("translations of the objective", one.translations, task.robot.n_tubes)
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
-    if len({one.kind for one in task.objectives}) < len(task.objectives):
+    if len({key_of(one) for one in task.objectives}) < len(task.objectives):
         raise InputError("an objective is given twice; each must be given once")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.own import OwnRequirement
 from ..equilibrium import Equilibrium
 from ..errors import SolveError
 from ..kinematics import forward_kinematics
@@ -28,6 +29,7 @@ from .requirements import (
     obstacle_distance,
     of_kind,
 )
+from .verify_own import check_own
 from .verify_tubes import check_tubes
 
 SLACK = 1e-6
@@ -105,7 +107,7 @@ def verify(
     program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
 ) -> Verification:
     """Check a design again: certificates against search and against random full turns, poses by forward kinematics,
-    tubes by what they are and by the strain in their poses."""
+    tubes by what they are and by the strain in their poses, own requirements by their expressions at all of that."""
     checks: list[Check] = []
     for one in program.task.requirements:
         if isinstance(one, SnapFree):
@@ -117,6 +119,8 @@ def verify(
                 checks.append(_paths(program, robot, x, one))
         elif isinstance(one, Corridor | Avoid):
             checks.append(_anatomy(one, robot, equilibria))
+        elif isinstance(one, OwnRequirement):
+            checks.append(Check(*check_own(one, robot, equilibria)))
         checks += [Check(*found) for found in check_tubes(one, robot, equilibria)]
     checks += _order(program, robot, equilibria)
     checks += _tips(program, equilibria)

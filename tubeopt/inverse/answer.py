@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from ..block.own import OwnObjective, OwnRequirement
 from ..equilibrium import Equilibrium
 from ..errors import InputError, choice, finite, positive
 from ..robots.assembly import Array
@@ -121,6 +122,9 @@ class InverseOptions:
         method: "auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone.
         starts: most starting configurations.
         distinct: answers of `all_solutions` differ somewhere along the arm by this share of its length.
+        extra_cost: an own objective, added to `objective`: its expression of the quantities of the one pose,
+            `q.poses[0]`, times its weight.
+        extra_constraints: own requirements that every answer keeps. With either, the fast path searches alone.
         time_limit: s, after which no further start, polishing of a miss or way is begun; infinite by default.
 
     Raises:
@@ -136,6 +140,8 @@ class InverseOptions:
     starts: int = 48
     distinct: float = 0.05
     time_limit: float = math.inf
+    extra_cost: OwnObjective | None = None
+    extra_constraints: tuple[OwnRequirement, ...] = ()
 
     def __post_init__(self) -> None:
         if self.objective is not None:
@@ -148,6 +154,13 @@ class InverseOptions:
             positive("time_limit", self.time_limit)
         if self.direction_weight is not None:
             positive("direction_weight", self.direction_weight)
+        if not isinstance(self.extra_constraints, (list, tuple)):
+            raise InputError(
+                f"extra_constraints is {self.extra_constraints!r}; it must be a sequence of OwnRequirement"
+            )
+        object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
+        if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):
+            raise InputError("method 'nlp' takes no extra_cost and no extra_constraints; use 'auto' or 'gauss_newton'")
         count = finite("starts", self.starts)
         if isinstance(self.starts, bool) or count != int(count) or count < 1:
             raise InputError(f"starts is {self.starts!r}; it must be a whole number of at least 1")

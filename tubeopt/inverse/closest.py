@@ -133,6 +133,9 @@ def _demands(goal: Goal, at: Posture) -> tuple[Array, Array]:
         idle = MOST_CONTACTS - len(values)
         rows = np.vstack([rows, changes, np.zeros((idle, len(at.q)))])
         bounds = np.concatenate([bounds, goal.gap - values, np.full(idle, -np.inf)])
+    if goal.extras.constraints:
+        rows = np.vstack([rows, goal.extras.slopes(at)])
+        bounds = np.concatenate([bounds, -goal.extras.room(at)])
     return rows, bounds
 
 

@@ -286,4 +286,4 @@ def held_by(goal: Goal, at: Posture) -> list[str]:
     for k, obstacle in enumerate(goal.obstacles):
         if at.clearance(obstacle) - goal.gap < 1e-5:
             words.append(f"arm at obstacle {k + 1} ({type(obstacle).__name__.lower()})")
-    return words
+    return words + goal.extras.broken(at)

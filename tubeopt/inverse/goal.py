@@ -9,6 +9,7 @@ import numpy as np
 
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
+from .extra import NOTHING, Extras
 from .joints import JointSpace
 from .posture import Posture
 
@@ -32,7 +33,7 @@ class Goal:
     position (3,) m; direction (3,) unit vector or None; direction_weight: None holds the tip to the direction, a number
     makes |t - direction|^2 a cost of that weight.
     min_margin, clearance (m), obstacles: what must hold.
-    objective, reference (m,), weights (m,): what is best.
+    objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
     """
 
     space: JointSpace
@@ -45,6 +46,7 @@ class Goal:
     objective: str | None
     reference: Array
     weights: Array
+    extras: Extras = NOTHING
 
     @property
     def pointed(self) -> bool:
@@ -54,7 +56,13 @@ class Goal:
     @property
     def ranked(self) -> bool:
         """Whether one answer can be better than another."""
-        return self.objective is not None or (self.direction is not None and self.direction_weight is not None)
+        aimed = self.direction is not None and self.direction_weight is not None
+        return self.objective is not None or aimed or self.extras.cost is not None
+
+    @property
+    def hindered(self) -> bool:
+        """Whether obstacles or own constraints are in the way."""
+        return bool(self.obstacles) or bool(self.extras.constraints)
 
     @property
     def overdetermined(self) -> bool:
@@ -115,12 +123,19 @@ class Goal:
         return self.space.admissible(at.q) and at.margin >= self.floor and self.violation(at) <= slack
 
     def violation(self, at: Posture) -> float:
-        """By how much the arm is too close to the obstacle that it violates most, m; 0 where it is clear."""
-        return max(0.0, self.gap - self.least_clearance(at))
+        """By how much the arm is too close to the obstacle that it violates most, m, or steps of an own constraint are
+        missing, as lengths of the robot; 0 where it is clear."""
+        missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
+        return max(0.0, self.gap - self.least_clearance(at), missing)
 
     def collisions(self, at: Posture) -> tuple[Array, Array]:
-        """(v,) clearances that are missing, over length, and their slopes (v, m): what a search has to make 0."""
+        """(v,) clearances that are missing, over length, steps of own constraints that are, and their slopes (v, m):
+        what a search has to make 0."""
         values, rows = [np.zeros(0)], [np.zeros((0, len(at.q)))]
+        if self.extras.constraints:
+            room = self.extras.room(at)
+            values.append(-room[room < 0])
+            rows.append(-self.extras.slopes(at)[room < 0])
         for obstacle in self.obstacles:
             distance, changes = at.clearance_rows(obstacle, self.gap)
             values.append((self.gap - distance) / self.space.length)
@@ -142,17 +157,21 @@ class Goal:
             clear = values >= self.gap
             rows = np.vstack([rows, changes[clear]])
             bounds = np.concatenate([bounds, (self.gap - values)[clear]])
+        if self.extras.constraints:
+            room = self.extras.room(at)
+            rows = np.vstack([rows, self.extras.slopes(at)[room >= 0]])
+            bounds = np.concatenate([bounds, -room[room >= 0]])
         return rows, bounds
 
     def cost(self, at: Posture) -> float:
         """What is made small among all answers; 0 where nothing was asked for."""
-        value = 0.0
+        value = self.extras.price(at)
         if self.objective == "nearest":
-            value = 0.5 * float(np.sum((self.weights * (at.q - self.reference)) ** 2))
+            value += 0.5 * float(np.sum((self.weights * (at.q - self.reference)) ** 2))
         elif self.objective == "margin":
-            value = -at.margin
+            value -= at.margin
         elif self.objective == "curvature":
-            value = 0.5 * at.bend * self.space.length
+            value += 0.5 * at.bend * self.space.length
         if self.direction is not None and self.direction_weight is not None:
             value += 0.5 * self.direction_weight * float(np.sum((at.direction - self.direction) ** 2))
         return value
@@ -165,16 +184,15 @@ class Goal:
         """
         steep = np.zeros(len(at.q))
         rows, right = [np.diag(np.maximum(damping, 1e-6) / self.space.scale)], [steep]
+        gradient = self.extras.price_slope(at)
         if self.objective == "nearest":
             rows.append(np.diag(self.weights))
             right.append(self.weights * (self.reference - at.q))
-        else:
-            gradient = np.zeros(len(at.q))
-            if self.objective == "margin":
-                gradient = -at.margin_slope()
-            elif self.objective == "curvature":
-                gradient = 0.5 * self.space.length * at.bend_slope
-            right[0] = -gradient * self.space.scale / np.maximum(damping, 1e-6)
+        elif self.objective == "margin":
+            gradient = gradient - at.margin_slope()
+        elif self.objective == "curvature":
+            gradient = gradient + 0.5 * self.space.length * at.bend_slope
+        right[0] = -gradient * self.space.scale / np.maximum(damping, 1e-6)
         if self.direction is not None and self.direction_weight is not None:
             root = np.sqrt(self.direction_weight)
             rows.append(root * self.turning(at))

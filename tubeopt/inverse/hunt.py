@@ -180,7 +180,7 @@ class Hunt:
 
     def _by_clear_starts(self) -> Iterator[InverseSolution]:
         """Answers from starts clear of the obstacles: others may all end in one, these stay clear."""
-        if not self.goal.obstacles:
+        if not self.goal.hindered:
             return
         self.ends.append([])
         clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)

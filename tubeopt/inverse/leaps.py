@@ -44,13 +44,13 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
         here = there
         if k < count:
             aside = max(aside, _aside(here.tip, before.tip, after.tip))
-            margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.obstacles else 0.0)
+            margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.hindered else 0.0)
     if aside > ASIDE * float(np.linalg.norm(after.tip - before.tip)) + ASIDE_AT_LEAST:
         words.append(f"the tip leaves the line between the targets by {aside * 1e3:.3g} mm")
     if margin < min(goal.floor, before.margin, after.margin) - MARGIN_ROOM:
         words.append(f"the margin falls to {margin:.4g}")
     if gap > SLACK + max(goal.gap - goal.clearance, 0.0):
-        words.append("the arm comes too close to an obstacle")
+        words.append("the arm comes too close to an obstacle" if goal.obstacles else "an own constraint is not kept")
     return ", ".join(words), True
 
 

@@ -64,6 +64,11 @@ class Posture:
         """Derivatives for translations that grow, where they differ to either side."""
         return self._derivatives(1)
 
+    @property
+    def derivatives(self) -> Derivatives:
+        """Those by rotations and translations, which grow."""
+        return self._forward
+
     def _derivatives(self, side: int) -> Derivatives:
         assembly = self.space.robot.assembly(self.equilibrium.translations)
         arm = arm_of_equilibrium(self.equilibrium, assembly)

@@ -30,7 +30,9 @@ MARGIN_ROOM = 1e-4
 
 
 def programmable(goal: Goal) -> bool:
-    """Whether the program can be written: enough joints for the target, and a formula for every obstacle."""
+    """Whether the program can be written: enough joints for the target, a formula for every obstacle, nothing own."""
+    if goal.extras.constraints or goal.extras.cost is not None:
+        return False
     return not goal.overdetermined and all(has_formula(obstacle) for obstacle in goal.obstacles)
 
 

@@ -17,6 +17,7 @@ from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .answer import InverseOptions
+from .extra import extras
 from .goal import Goal
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
 from .posture import Posture, posture_of
@@ -67,6 +68,7 @@ def pose_question(
         objective=options.objective or ("nearest" if named else None),
         reference=centre,
         weights=scaled_weights(space, weights),
+        extras=extras(options.extra_cost, options.extra_constraints, robot.n_tubes),
     )
 
 

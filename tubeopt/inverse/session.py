@@ -226,7 +226,7 @@ class IkSession:
         """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
         the equilibria solved."""
         goal, last = goals
-        if here.margin < goal.floor + CAREFUL or goal.obstacles or (near is not None and near.age >= MOST_STEPS):
+        if here.margin < goal.floor + CAREFUL or goal.hindered or (near is not None and near.age >= MOST_STEPS):
             near = None
         solves = 0
         for start, slopes, order in _attempts(goal, here, near):
@@ -326,7 +326,7 @@ def _servo(goal: Goal, here: Posture, near: _Slopes, order: Order | None) -> tup
     if goal.reached(here, ON_TARGET, ON_TARGET):
         return here, near, 0
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + CAREFUL or goal.obstacles:
+    if here.margin < goal.floor + CAREFUL or goal.hindered:
         rows, bounds = goal.inequalities(here)
     if order is not None:
         kept, gap = order.steps(here.q)

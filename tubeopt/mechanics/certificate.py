@@ -91,14 +91,8 @@ Rows = tuple[tuple[int, ...], ...]
 Pattern = tuple[tuple[int, ...], Rows, Rows]
 
 
-@lru_cache(maxsize=128)
-def certificate_function(pattern: Pattern) -> Any:
-    """(lambda, PARAMETERS...) -> (mu, gradient of mu with respect to each of PARAMETERS).
-
-    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
-    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6: a
-    Newton step on D makes mu exact to round-off, and its derivatives those of the implicit function.
-    """
+def _posed(pattern: Pattern) -> tuple[Any, dict[str, Any], Any]:
+    """lambda, PARAMETERS (n,), and D(lambda)."""
     ends, present, curved = pattern
     n = len(present[0])
     symbols = {name: ca.SX.sym(name, n) for name in PARAMETERS}
@@ -115,7 +109,25 @@ def certificate_function(pattern: Pattern) -> Any:
         "moment": masks[1] * (symbols["bending_stiffness"] * symbols["curvature"]),
     }
     eigenvalue = ca.SX.sym("lambda")
-    determinant = base_determinant(eigenvalue, given)
+    return eigenvalue, symbols, base_determinant(eigenvalue, given)
+
+
+@lru_cache(maxsize=128)
+def determinant_function(pattern: Pattern) -> Any:
+    """(lambda, PARAMETERS...) -> D(lambda), of which 1 - mu_cert is the largest root."""
+    eigenvalue, symbols, determinant = _posed(pattern)
+    return ca.Function("determinant", [eigenvalue, *symbols.values()], [determinant], {"cse": True})
+
+
+@lru_cache(maxsize=128)
+def certificate_function(pattern: Pattern) -> Any:
+    """(lambda, PARAMETERS...) -> (mu, gradient of mu with respect to each of PARAMETERS).
+
+    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
+    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6: a
+    Newton step on D makes mu exact to round-off, and its derivatives those of the implicit function.
+    """
+    eigenvalue, symbols, determinant = _posed(pattern)
     margin = 1 - (eigenvalue - determinant / ca.jacobian(determinant, eigenvalue))
     # The Newton step has the right derivatives only where D = 0; written out, they hold at any lambda close by.
     gradient = [ca.gradient(determinant, s) / ca.jacobian(determinant, eigenvalue) for s in symbols.values()]

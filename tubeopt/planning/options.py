@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.own import OwnObjective
 from ..errors import InputError, choice, positive
 from .search import SEARCHES
 from .smooth import OBJECTIVES
@@ -20,6 +21,9 @@ class PlanOptions:
             "optimal": what "auto" finds, after which BIT* (OMPL) has `search_seconds` to find a shorter way.
         objective: of smoothing: "length" (of the path in joint space), "time", "effort" (int of the squares of the
             accelerations), "margin" (largest least margin), or "none".
+        extra_cost: of smoothing, an own objective of the joint values and the tip of one pose, `q.poses[0]`: its mean
+            along the path, times its weight, is added to the objective, in which the length counts relative to that of
+            the way that was found, as 1.
         time_limit: s, for everything.   search_seconds: of "optimal", s.
         clearance: least distance of the surface of the arm from obstacles, m.
         carriage_gap, section_length: as in `InverseOptions`, m.
@@ -39,10 +43,16 @@ class PlanOptions:
     section_length: float = 0.0
     modulo_turns: bool = False
     seed: int = 0
+    extra_cost: OwnObjective | None = None
 
     def __post_init__(self) -> None:
         choice("search", self.search, SEARCHES)
         choice("objective", self.objective, (*OBJECTIVES, "none"))
+        extra: object = self.extra_cost
+        if extra is not None and not isinstance(extra, OwnObjective):
+            raise InputError(f"extra_cost is {extra!r}; it must be an OwnObjective")
+        if extra is not None and self.objective == "none":
+            raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         positive("time_limit", self.time_limit)
         positive("search_seconds", self.search_seconds)
         for name in ("clearance", "carriage_gap", "section_length"):

@@ -149,7 +149,7 @@ def _make(
     motions: list[tuple[Motion, str, int, int]] = []
     own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock)
     if options.objective != "none" and own.left > LEAST_SMOOTHING and raw > 1e-9:
-        best = smooth(task, first, points, rates[1], objective=options.objective, clock=own)
+        best = smooth(task, first, points, rates[1], objective=options.objective, extra=options.extra_cost, clock=own)
         if best is not None:
             motions.append((best.motion, options.objective, best.iterations, len(best.points)))
     motions.append((stopping_at(joint_curves(task, points), *rates[1]), "", 0, len(points)))

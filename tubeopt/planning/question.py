@@ -15,6 +15,7 @@ from .chart import Chart
 from .clock import Clock
 from .motion import RateLimits
 from .options import PlanOptions
+from .smooth import path_cost
 from .task import Task
 
 
@@ -36,6 +37,8 @@ def asked(
     check_robot(robot, limits)
     kind_of("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
+    if options.extra_cost is not None:
+        path_cost(options.extra_cost, robot.n_tubes)
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")

@@ -7,10 +7,20 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..block.own import OwnObjective
+from ..block.quantities import Expression, recorded
 from ..corridors import MeshObstacle
 from ..equilibrium import Equilibrium
+from ..errors import InputError
 from ..robots.assembly import Array, Mask
-from ..transcription.path_program import PathProgram, PathQuestion, parameter_values, path_program
+from ..transcription.path_program import (
+    PATH_QUANTITIES,
+    PathProgram,
+    PathQuestion,
+    parameter_values,
+    path_program,
+    path_quantities,
+)
 from .clock import Clock
 from .motion import Motion
 from .task import Task
@@ -114,19 +124,21 @@ def smooth(
     limits: tuple[Array, Array],
     *,
     objective: str = "length",
+    extra: OwnObjective | None = None,
     clock: Clock | None = None,
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over."""
+    the clock is over. `extra` is an own cost, of which the mean along the path counts beside the objective."""
     clock = clock or Clock(20.0)
     if task.chart.size > LARGEST or clock.left < clock.crowding * building(task):
         return None
+    own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     z = resample(task, points, INTERVALS + 1)
     share = np.full(INTERVALS, 1 / INTERVALS)
     iterations = 0
     room = np.array([task.margin_room + EXTRA, task.clearance_room])
     for _ in range(REFINEMENTS + 1):
-        solved = _solve(task, z, share, limits, objective, (float(room[0]), float(room[1])), clock)
+        solved = _solve(task, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
         if solved is None:
             return None
         motion, found, count = solved
@@ -141,23 +153,42 @@ def smooth(
     return None
 
 
+def path_cost(extra: OwnObjective, n: int) -> Expression:
+    """An own cost on the path as an expression of one of its poses.
+
+    Raises:
+        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
+    """
+    extra.checked()
+    found = recorded(extra.expression, n, 1, extra.words)
+    for one in found.quantities:
+        if not path_quantities(one):
+            known = ", ".join(PATH_QUANTITIES)
+            raise InputError(f"the cost {extra.words} speaks of {one.name}; on a path it may speak of {known}")
+    if found.value.numel_out() != 1:
+        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
+    return found
+
+
 def _solve(
     task: Task,
     z: Array,
     share: Array,
     limits: tuple[Array, Array],
-    objective: str,
+    aim: tuple[str, tuple[Expression, float] | None],
     room: tuple[float, float],
     clock: Clock,
 ) -> tuple[Motion, Array, int] | None:
     """The program's solution from knots (K, m) in the chart: motion, knots, iterations.
 
-    `room`: above the margin and the clearance (m) to keep, at knots.
+    `aim`: the objective, and an own cost with its weight.  `room`: above the margin and the clearance (m) to keep, at
+    knots.
     """
+    objective, extra = aim
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
     question = PathQuestion(
-        n, space.carriages, task.chart.eccentric, len(share), len(space.least), task.obstacles, space.length
+        n, space.carriages, task.chart.eccentric, len(share), len(space.least), task.obstacles, space.length, extra
     )
     program = path_program(question)
     q = task.chart.joints(z, task.arms(z))

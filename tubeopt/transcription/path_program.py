@@ -24,6 +24,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.quantities import Expression, Quantity
 from ..corridors import MeshObstacle
 from ..obstacles import Obstacle
 from ..robots.assembly import Array
@@ -76,7 +77,8 @@ class PathQuestion:
     """What makes two programs the same but for numbers.
 
     n tubes, carriages (groups of tubes, from 0), eccentric; intervals between knots; rows of the order of the joints;
-    obstacles; length (m) of the robot.
+    obstacles; length (m) of the robot; an own cost: its expression of the quantities of one pose, and its weight, which
+    is negative where more of it is better.
     """
 
     n: int
@@ -86,6 +88,7 @@ class PathQuestion:
     rows: int
     obstacles: tuple[Obstacle, ...]
     length: float
+    extra: tuple[Expression, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +149,10 @@ def path_program(question: PathQuestion) -> PathProgram:
         "force": ca.vertcat(ca.vec(accelerations), -ca.vec(accelerations)) - square,
         "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
     }
-    if question.obstacles:
+    arm = None
+    if question.obstacles or question.extra is not None:
         arm = explicit_arm(n, question.eccentric).map(knots)(tip, shift, ca.DM.zeros(1, knots), robots)
+    if question.obstacles:
         distance = _distance(question).map("distance", "serial", knots, [5], [])
         least = distance(arm[2], arm[3], arm[4], shift, robots, p["radius"])
         parts["clearance"] = (ca.vec(least) - p["clearance"]) / question.length
@@ -163,8 +168,37 @@ def path_program(question: PathQuestion) -> PathProgram:
     given = ca.vertcat(*p.values())
     g = ca.vertcat(*parts.values())
     problem = {"x": x, "f": objective, "g": g, "p": given}
+    bent: Any = 0
+    if question.extra is not None:
+        extra, bent = _extra(question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x)
+        problem["f"] = objective + extra
     rows = {name: part.numel() for name, part in parts.items()}
-    return PathProgram(problem, _hessian(problem, rows), rows)
+    return PathProgram(problem, _hessian({**problem, "f": objective}, rows, bent), rows)
+
+
+PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
+"""What an own cost on the path may speak of, at every knot."""
+
+
+def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> tuple[Any, Any]:
+    """The mean of an own cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
+    assert question.extra is not None
+    (expression, weight), knots = question.extra, question.intervals + 1
+    last = [known["arm"][2].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
+    known = {**known, "tip_position": known["arm"][2][:, last], "tip_direction": known["arm"][3][:, last]}
+    given = ca.vertcat(*(known[one.name] for one in expression.quantities))
+    share = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
+    y, factor = ca.SX.sym("y", given.shape[0]), ca.SX.sym("share")
+    bent = ca.densify(ca.hessian(factor * expression.value(y), y)[0])
+    blocks = ca.Function("bent", [y, factor], [bent]).map(knots)(given, share.T)
+    slope = ca.jacobian(ca.vec(given), x)
+    mean = ca.dot(expression.value.map(knots)(given), share.T)
+    return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, given.shape[0])) @ slope
+
+
+def path_quantities(one: Quantity) -> bool:
+    """Whether an own cost on the path may speak of a quantity."""
+    return one.pose is not None and one.name in PATH_QUANTITIES
 
 
 def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
@@ -173,14 +207,15 @@ def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
     return (6 * delta - 4 * a - 2 * b) / h, 3 * delta - a - b, (2 * a + 4 * b - 6 * delta) / h
 
 
-def _hessian(problem: dict[str, Any], rows: dict[str, int]) -> ca.Function:
-    """Hessian of the objective and of the bounds on rates, in the form that CasADi's interface to IPOPT wants."""
+def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
+    """Hessian of the objective, of an own cost (given) and of the bounds on rates, in the form that CasADi's interface to
+    IPOPT wants."""
     x, p = problem["x"], problem["p"]
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
     first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
     pressing = ca.sum1(multipliers[first : first + rows["speed"]])
     square = x[x.numel() - 2]
-    table = factor * ca.hessian(problem["f"], x)[0]
+    table = factor * (ca.hessian(problem["f"], x)[0] + extra)
     bend = ca.MX(
         ca.Sparsity.triplet(x.numel(), x.numel(), [x.numel() - 2], [x.numel() - 2]), pressing / 4 / square**1.5
     )

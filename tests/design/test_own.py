@@ -1,0 +1,230 @@
+"""Own requirements and objectives do what built-in ones do: optimise, verify, relax, report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.design.tasks import equal_pair, snap_free_thesis, tightest, two_tubes
+from tubeopt import DesignTask, InputError, forward_kinematics, optimize_design, snap_free_certificate
+from tubeopt.block.quantities import Expression, recorded
+from tubeopt.design import (
+    Free,
+    InfeasibleDesignError,
+    Length,
+    Objective,
+    OwnObjective,
+    OwnRequirement,
+    Poses,
+    Quantities,
+    Reach,
+    SnapFree,
+    Target,
+)
+from tubeopt.design.lookup import at_state
+from tubeopt.design.program import compile_task, state_at
+from tubeopt.design.verify_own import check_own, numbers_of
+from tubeopt.robots.assembly import Array
+
+MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Certified(OwnRequirement):
+    """The certificate at home, as an own requirement."""
+
+    limit: float
+    words, size = "certificate at home", 0.1
+
+    def expression(self, q: Quantities) -> Any:
+        return q.certificate() - self.limit
+
+
+@dataclass(frozen=True)
+class Longest(OwnRequirement):
+    """Length of all tubes."""
+
+    limit: float
+    words, unit, factor, size, most = "length of every tube", "mm", 1e3, 1e-2, True
+
+    def expression(self, q: Quantities) -> Any:
+        return self.limit - q.tubes["straight_length"] - q.tubes["curved_length"]
+
+
+@dataclass(frozen=True)
+class Height(OwnRequirement):
+    """Height of the tip in every pose."""
+
+    limit: float
+    words, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
+
+    def expression(self, q: Quantities) -> Any:
+        return ca.vertcat(*(pose.tip_position[2] for pose in q.poses)) - self.limit
+
+
+@dataclass(frozen=True)
+class Changed(OwnObjective):
+    """The built-in objective "change", of the curvatures of a robot."""
+
+    curvature: tuple[float, ...]
+    words = "change of the curvatures"
+
+    def expression(self, q: Quantities) -> Any:
+        return ca.sumsqr(q.tubes["curvature"] / ca.DM(self.curvature) - 1)
+
+
+def everything(q: Quantities) -> Any:
+    """All quantities that there are."""
+    poses = [
+        part
+        for pose in q.poses
+        for part in (
+            pose.rotations, pose.translations, pose.tip_position, pose.tip_direction, pose.margin,
+            pose.position(0.37), pose.position(0.93), pose.curvature(0.37), pose.curvature(0.93),
+        )
+    ]  # fmt: skip
+    return ca.vertcat(*q.tubes.values(), *poses, q.certificate(), q.certificate([-0.01] * q.n_tubes))
+
+
+def posed_task() -> DesignTask:
+    """A given pose and a free one of two tubes, all dimensions free."""
+    fields = {"curvature": 30.0, "straight_length": 0.2, "curved_length": 0.2}
+    free = [Free(name, (0, 1), 0.0, most) for name, most in fields.items()]
+    free += [Free("outer_diameter", (0,), 0.9 * MM, 1.05 * MM), Free("inner_diameter", (1,), 1.06 * MM, 1.2 * MM)]
+    poses = Poses(((0.0, 2.0),), ((-0.01, -0.005),))
+    return DesignTask(two_tubes(), tuple(free), (poses, Reach((Target((0.02, -0.03, 0.11)),))))
+
+
+def at(task: DesignTask, expression: Expression, x: Array) -> tuple[Array, Array]:
+    return expression.linear(at_state(state_at(compile_task(task), x)))
+
+
+def test_quantities_are_those_of_solved_equilibria_and_their_slopes_those_of_differences() -> None:
+    task = posed_task()
+    program = compile_task(task)
+    expression = recorded(everything, 2, 2, "everything")
+    x = np.concatenate([program.layout.space.start, [0.3, 1.6, -0.11, -0.06]])
+    value, slope = at(task, expression, x)
+    state = state_at(program, x)
+    robot = replace(task.robot, tubes=state.tubes)
+    equilibria = [forward_kinematics(robot, *state.joint_values(k)) for k in range(2)]
+    assert value == pytest.approx(expression(numbers_of(robot, equilibria)), rel=1e-6, abs=2e-8)
+    for j, size in enumerate(1e-6 * program.scale):
+        step = size * np.eye(len(x))[j]
+        change = (at(task, expression, x + step)[0] - at(task, expression, x - step)[0]) / (2 * size)
+        assert slope[:, j] * program.scale[j] == pytest.approx(change * program.scale[j], rel=1e-4, abs=1e-5)
+
+
+def test_own_requirement_and_objective_give_the_optimum_of_the_built_in_ones() -> None:
+    built_in = optimize_design(snap_free_thesis(0.05), turns=0)
+    change = Changed(tuple(tube.curvature for tube in built_in.task.robot.tubes))
+    task = replace(built_in.task, requirements=(Certified(0.05),), objective=change)
+    design = optimize_design(task, turns=0)
+    for tube, other in zip(design.robot.tubes, built_in.robot.tubes, strict=True):
+        assert tube.curvature == pytest.approx(other.curvature, rel=1e-6)
+    assert design.objective == pytest.approx(built_in.objective, rel=1e-6)
+    assert design.objectives == {"change of the curvatures": design.objective}
+    sentences = [one.sensitivities[0].sentence for one in (design, built_in)]
+    assert sentences[0] == sentences[1].replace("certified margin", "certificate at home").replace(
+        "robot", "curvatures"
+    )
+    assert any(check.what == "certificate at home" and check.kept for check in design.verification.checks)
+
+
+def test_own_requirement_on_poses_is_kept_and_verified() -> None:
+    reach = Reach((Target((0.02, -0.03, 0.11), 5e-3), Target((0.0, -0.03, 0.11), 5e-3)))
+    free = (Free("curvature", (0, 1), 5.0, 25.0),)
+    task = DesignTask(two_tubes(), free, (SnapFree(0.1), reach, Height(0.113)), Objective("change"))
+    design = optimize_design(task, turns=0)
+    assert min(e.tip_position[2] for e in design.equilibria) >= 0.113 - 1e-8
+    without = optimize_design(replace(task, requirements=task.requirements[:2]), turns=0)
+    assert min(e.tip_position[2] for e in without.equilibria) < 0.113
+    what, found, kept = check_own(Height(0.113), without.robot, without.equilibria)
+    assert not kept
+    assert found == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
+    assert what == "height of the tips"
+
+
+def test_infeasible_own_requirement_is_relaxed_in_words() -> None:
+    task = DesignTask(
+        two_tubes(), (Free("curved_length", (0,), 0.07, 0.1),), (Longest(0.15),), Objective("length"), ordered=False
+    )
+    with pytest.raises(InfeasibleDesignError) as caught:
+        optimize_design(task)
+    assert "length of every tube must rise from 150 mm to 190 mm" in str(caught.value)
+    assert caught.value.relaxations[0].task.requirements == (Longest(0.19),)
+    assert optimize_design(caught.value.relaxations[0].task).objective == pytest.approx(0.19, abs=1e-8)
+
+
+class Fixed(OwnRequirement):
+    """A certificate that may not be eased: it has no field `limit`."""
+
+    words, limit, size = "fixed certificate", 0.5, 0.1
+
+    def expression(self, q: Quantities) -> Any:
+        return q.certificate() - self.limit
+
+
+def test_what_cannot_be_relaxed_is_kept_while_the_rest_is() -> None:
+    pair = equal_pair(0.1, 0.05)
+    free = (Free("curvature", (0, 1), 1.0, 30.0, "equal"),)
+    task = DesignTask(pair, free, (Fixed(), Length("length", 0, 0.12)), Objective("tip_curvature"))
+    with pytest.raises(InfeasibleDesignError) as caught:
+        optimize_design(task)
+    (way,) = caught.value.relaxations
+    assert [change.limit.words for change in way.changes] == ["overall length of tube 1"]
+    found = optimize_design(way.task)
+    assert snap_free_certificate(found.robot) == pytest.approx(0.5, abs=1e-4)
+    assert found.objective == pytest.approx(optimize_design(tightest(pair, 0.5, 30.0), turns=0).objective, rel=1e-4)
+
+
+@dataclass(frozen=True)
+class Odd(OwnRequirement):
+    """An own requirement of which something is wrong."""
+
+    name: str
+    words = "odd"
+
+    def expression(self, q: Quantities) -> Any:
+        match self.name:
+            case "pose":
+                return q.poses[3].margin
+            case "tubes":
+                return q.tubes["colour"]
+            case "fraction":
+                return q.poses[0].position(1.5)
+            case "certificate":
+                return q.certificate([0.0])
+            case _:
+                return 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("pose", "the expression of odd speaks of a pose or tube that is not there"),
+        ("tubes", "tubes have no 'colour'"),
+        ("number", "the expression of odd is 1.0; it must be an expression"),
+        ("fraction", "fraction is 1.5; it must lie between 0, the plate, and 1, the tip"),
+        ("certificate", "translations of a certificate"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(name: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        optimize_design(replace(posed_task(), requirements=(*posed_task().requirements, Odd(name))))
+
+
+class Nameless(OwnObjective):
+    """It does not say what it is."""
+
+    def expression(self, q: Quantities) -> Any:
+        return q.certificate()
+
+
+def test_own_objective_says_what_it_is() -> None:
+    with pytest.raises(InputError, match="words of Nameless is ''"):
+        replace(posed_task(), objective=Nameless())

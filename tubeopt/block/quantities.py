@@ -1,0 +1,207 @@
+"""What an own requirement or objective may speak of: tubes, poses and certificates, as expressions.
+
+An expression is written once, in these quantities. Recorded on symbols, it gives values and derivatives with respect to
+whatever the quantities depend on: where equilibria are solved inside, by the chain rule; in a program of equilibrium
+blocks, as an expression of that; on the numbers of solved equilibria, the value alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError, finite, vector
+from ..robots.assembly import Array
+
+TUBES = (
+    "outer_diameter",
+    "inner_diameter",
+    "straight_length",
+    "curved_length",
+    "curvature",
+    "bending_stiffness",
+    "torsional_stiffness",
+)
+"""Dimensions and stiffnesses of the tubes, (n,) each, SI."""
+
+SIZES = {"tip_position": 3, "tip_direction": 3, "margin": 1, "position": 3, "curvature": 2, "certificate": 1}
+"""Numbers that a quantity has; the others have one per tube."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length, or
+    the translations (n,) of a certificate."""
+
+    name: str
+    pose: int | None = None
+    at: tuple[float, ...] = ()
+
+    def size(self, n: int) -> int:
+        """Numbers that it has, for n tubes."""
+        return n if self.pose is None and self.name in TUBES else SIZES.get(self.name, n)
+
+
+Look = Callable[[Quantity], Any]
+"""Gives a quantity as an expression or as numbers."""
+
+
+class Tubes(Mapping[str, Any]):
+    """Every one of TUBES by its name, (n,) inner to outer."""
+
+    def __init__(self, look: Look) -> None:
+        self._look = look
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in TUBES:
+            raise InputError(f"tubes have no {name!r}; they have {', '.join(TUBES)}")
+        return self._look(Quantity(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(TUBES)
+
+    def __len__(self) -> int:
+        return len(TUBES)
+
+
+class PoseQuantities:
+    """One solved pose: SI units, plate frame."""
+
+    def __init__(self, look: Look, number: int) -> None:
+        self._look, self._number = look, number
+
+    def _of(self, name: str, *at: float) -> Any:
+        return self._look(Quantity(name, self._number, at))
+
+    @property
+    def rotations(self) -> Any:
+        """(n,) rad."""
+        return self._of("rotations")
+
+    @property
+    def translations(self) -> Any:
+        """(n,) m."""
+        return self._of("translations")
+
+    @property
+    def tip_position(self) -> Any:
+        """(3,) m."""
+        return self._of("tip_position")
+
+    @property
+    def tip_direction(self) -> Any:
+        """(3,) unit vector along which the tip points."""
+        return self._of("tip_direction")
+
+    @property
+    def margin(self) -> Any:
+        """Stability margin."""
+        return self._of("margin")
+
+    def position(self, fraction: float) -> Any:
+        """(3,) m, at a fraction of the arm's length in front of the plate: 0 the plate, 1 the tip."""
+        return self._of("position", _fraction(fraction))
+
+    def curvature(self, fraction: float) -> Any:
+        """(2,) of the arm in its Bishop frame, 1/m, at a fraction of its length."""
+        return self._of("curvature", _fraction(fraction))
+
+
+def _fraction(value: float) -> float:
+    if not 0 <= finite("fraction", value) <= 1:
+        raise InputError(f"fraction is {value:g}; it must lie between 0, the plate, and 1, the tip")
+    return float(value)
+
+
+class Quantities:
+    """Everything that an expression may speak of.
+
+    Attributes:
+        n_tubes: number of tubes n.  tubes: every one of TUBES by name, (n,).  poses: in order.
+    """
+
+    def __init__(self, look: Look, n_tubes: int, n_poses: int) -> None:
+        self._look, self.n_tubes = look, n_tubes
+        self.tubes = Tubes(look)
+        self.poses = tuple(PoseQuantities(look, k) for k in range(n_poses))
+
+    def certificate(self, translations: Any = None) -> Any:
+        """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is home."""
+        given = np.zeros(self.n_tubes) if translations is None else translations
+        if isinstance(given, (ca.SX, ca.MX)):
+            raise InputError("translations of a certificate must be numbers")
+        row = vector("translations of a certificate", given, self.n_tubes)
+        return self._look(Quantity("certificate", at=tuple(row.tolist())))
+
+
+@dataclass(frozen=True, eq=False)
+class Expression:
+    """A recorded expression of K numbers.
+
+    quantities: what it speaks of, Q numbers in this order.  value: function (Q,) -> (K,).  slope: -> (K, Q).
+    """
+
+    quantities: tuple[Quantity, ...]
+    value: Any
+    slope: Any
+
+    def __call__(self, look: Look) -> Any:
+        """Its value in terms of the given quantities: expressions give an expression, arrays an array (K,).
+
+        Raises:
+            FloatingPointError: it is not finite at these numbers.
+        """
+        given = [look(one) for one in self.quantities]
+        if any(isinstance(one, (ca.SX, ca.MX)) for one in given):
+            return self.value(ca.vertcat(*given))
+        return _checked(self.value(np.concatenate([np.ravel(one) for one in given])))[:, 0]
+
+    def linear(self, look: Callable[[Quantity], tuple[Array, Array]]) -> tuple[Array, Array]:
+        """Value (K,) and change (K, X), from the values and the change (.., X) of the quantities.
+
+        Raises:
+            FloatingPointError: one of them is not finite.
+        """
+        given = [look(one) for one in self.quantities]
+        at = np.concatenate([np.ravel(value) for value, _ in given])
+        change = np.concatenate([np.atleast_2d(slope) for _, slope in given])
+        return _checked(self.value(at))[:, 0], _checked(self.slope(at)) @ change
+
+
+def _checked(value: Any) -> Array:
+    found = np.asarray(value.full(), dtype=float)
+    if not np.isfinite(found).all():
+        raise FloatingPointError("an expression is not finite")
+    return found
+
+
+def recorded(function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, words: str) -> Expression:
+    """An expression of quantities; `words` say whose it is where it makes no sense.
+
+    Raises:
+        InputError: it is no expression, speaks of nothing or of a pose that is not there.
+    """
+    symbols: dict[Quantity, Any] = {}
+
+    def look(one: Quantity) -> Any:
+        if one not in symbols:
+            symbols[one] = ca.SX.sym(one.name, one.size(n_tubes))
+        return symbols[one]
+
+    try:
+        found = function(Quantities(look, n_tubes, n_poses))
+        column = ca.vertcat(*found) if isinstance(found, (list, tuple)) else found
+    except IndexError as error:
+        raise InputError(f"the expression of {words} speaks of a pose or tube that is not there ({error})") from None
+    if not isinstance(column, ca.SX) or not symbols or not column.numel():
+        raise InputError(
+            f"the expression of {words} is {found!r}; it must be an expression of the quantities it is given"
+        )
+    column, x = ca.densify(ca.vec(column)), ca.vertcat(*symbols.values())
+    slope = ca.densify(ca.jacobian(column, x))
+    functions = [ca.Function(name, [x], [part], {"cse": True}) for name, part in (("value", column), ("slope", slope))]
+    return Expression(tuple(symbols), *functions)

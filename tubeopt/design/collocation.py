@@ -1,0 +1,257 @@
+"""A design task as one nonlinear program of equilibrium blocks, with exact second derivatives, solved by IPOPT.
+
+The equilibria of all poses are unknowns beside the dimensions and the joint values. It answers the same question as the
+reduced program, in another way: the order of the breakpoints is that of the start, and requirements that no block
+expresses are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..block.equilibrium_block import EquilibriumBlock
+from ..block.own import OwnObjective, OwnRequirement
+from ..block.quantities import Quantity
+from ..errors import InputError
+from ..kinematics import forward_kinematics
+from ..mechanics.certificate import determinant_function
+from ..robots.assembly import Array, assemble
+from ..robots.breakpoints import DIMENSIONS
+from ..robots.concentric import ConcentricRobot
+from ..stability.certificate import breakpoint_pattern
+from .objectives import AnyObjective, Objective
+from .order import ordered_places
+from .program import Program, state_at, total_objective
+from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
+from .rows import joint_rows, order_rows
+from .solve_one import Attempt, attempt
+from .state import Via
+from .statements import straightened_strain
+from .task import DesignTask
+
+TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
+"""Requirements that the program takes."""
+
+HELD = 2e-6
+"""Part of a step by which limits are held inside: more than blocks and the reduced program differ."""
+
+MOST_MARGIN = 0.999
+"""Greatest margin that a block can be asked for."""
+
+DEEPEST = 1e-7
+"""How exactly (m) the pose of the objective reach_radius keeps its depth."""
+
+OPTIONS: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "max_iter": 300,
+    "tol": 1e-8,
+    "constr_viol_tol": 1e-10,
+    "bound_relax_factor": 0.0,
+    "honor_original_bounds": "yes",
+}
+"""Of IPOPT."""
+
+
+def check_collocation(task: DesignTask) -> None:
+    """Raise InputError where a task holds a requirement that no block expresses."""
+    for one in task.requirements:
+        if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):
+            what = "Strain in poses" if isinstance(one, Strain) else type(one).__name__
+            raise InputError(f"method 'collocation' does not take the requirement {what}; method 'reduced' does")
+
+
+def collocate(program: Program, x: Array) -> Attempt:
+    """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria.
+
+    Raises:
+        InputError: a requirement that no block expresses; a margin at points on joint paths.
+    """
+    check_collocation(program.task)
+    if any(isinstance(pose, Via) for pose in program.layout.poses):
+        raise InputError("method 'collocation' does not take margins on joint paths; method 'reduced' does")
+    posed = _Collocated(program, x)
+    found, words = posed.solved()
+    reached = attempt(program, np.clip(found, program.lower, program.upper), None)
+    if not words:
+        return reached
+    return replace(reached, violation=np.inf, worst=f"convergence of the collocated program ({words})")
+
+
+class _Collocated:
+    """The program: unknowns as in the layout of the reduced one, and blocks near the equilibria at x."""
+
+    def __init__(self, program: Program, x: Array) -> None:
+        self.program, self.opti = program, ca.Opti()
+        self.state = state_at(program, x)
+        scaled = self.opti.variable(len(x))
+        self.opti.set_initial(scaled, x / program.scale)
+        self.opti.subject_to(self.opti.bounded(program.lower / program.scale, scaled, program.upper / program.scale))
+        self.x = scaled * ca.DM(program.scale)
+        layout = program.layout
+        self.dimensions = layout.space.expressions(self.x[: layout.designs])
+        self.robot = ConcentricRobot(self.state.tubes)
+        self.blocks = [self._block(k) for k in range(len(layout.poses))]
+        self._known: dict[Quantity, Any] = {}
+        self._linear()
+        self._requirements()
+        size = max(abs(total_objective(program, self.state)[0]), 1e-3)
+        aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
+        self.opti.minimize(sum(aims) / size)
+
+    def _block(self, k: int) -> EquilibriumBlock:
+        joints = self.state.joint_values(k)
+        slopes = self.state.joint_slopes(k)
+        near = forward_kinematics(self.robot, *joints)
+        moved = self.x - ca.DM(self.state.x)
+        # Joint values are linear in the unknowns.
+        given = [
+            ca.DM(value) + ca.DM(slope) @ moved if slope.any() else value
+            for value, slope in zip(joints, slopes, strict=True)
+        ]
+        free = {name: self.dimensions[name] for name in DIMENSIONS if self.state.slopes[name].any()}
+        return EquilibriumBlock(self.opti, near, rotations=given[0], translations=given[1], tubes=free)
+
+    def _at_least(self, expression: Any, size: float = 1.0) -> None:
+        self.opti.subject_to(ca.vec(expression) / size >= 0)
+
+    # --- quantities ---------------------------------------------------------------------------------------------------
+
+    def look(self, one: Quantity) -> Any:
+        """A quantity as an expression of the program."""
+        if one not in self._known:
+            self._known[one] = self._quantity(one)
+        return self._known[one]
+
+    def _quantity(self, one: Quantity) -> Any:
+        if one.name == "certificate":
+            return self._certificate(one.at)
+        if one.pose is None:
+            return self.dimensions[one.name]
+        block = self.blocks[one.pose]
+        match one.name:
+            case "tip_direction":
+                return block.tip_rotation[:, 2]
+            case "margin":
+                return self._margin(one.pose)
+            case "position" | "curvature":
+                return getattr(block, one.name)(one.at[0])
+            case name:
+                return ca.MX(getattr(block, name))
+
+    def _margin(self, pose: int) -> Any:
+        """An unknown that the margin of a pose is not below: as good as the margin itself where more of it is better."""
+        margin = self.opti.variable()
+        self.opti.set_initial(margin, min(max(self.state.pose(pose).margin - 0.01, 0.0), 0.9))
+        self.opti.subject_to(margin <= MOST_MARGIN)
+        self.blocks[pose].margin_at_least(margin)
+        return margin
+
+    def _certificate(self, translations: tuple[float, ...]) -> Any:
+        """mu_cert = 1 - lambda, with lambda an unknown: the root of D nearest to that of the start."""
+        shift = np.array(translations)
+        assembly = assemble(self.state.tubes, shift)
+        function = determinant_function(breakpoint_pattern(assembly))
+        root = self.opti.variable()
+        self.opti.set_initial(root, 1 - self.state.certificate_at(translations)[0])
+        names = ("bending_stiffness", "torsional_stiffness", "curvature", "straight_length", "curved_length")
+        self.opti.subject_to(function(root, *(self.dimensions[name] for name in names), shift) == 0)
+        return 1 - root
+
+    # --- what is posed ------------------------------------------------------------------------------------------------
+
+    def _linear(self) -> None:
+        """Order of the tubes and limits of the joints, which are linear in the unknowns."""
+        task = self.program.task
+        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, ordered_places(task))
+        for values, slopes in parts:
+            if len(values):
+                self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
+
+    def _requirements(self) -> None:
+        for one, stated in zip(self.program.requirements, self.program.stated, strict=True):
+            for statement in stated:
+                self._at_least(statement.expression(self.look) / statement.limit.size - HELD)
+            match one:
+                case SnapFree(margin=margin):
+                    for row in self.program.layout.certified:
+                        self._at_least(self.look(Quantity("certificate", at=row)) - margin, 0.1)
+                case SnapFreeInUse(margin=margin):
+                    for block in self.blocks:
+                        block.margin_at_least(margin + HELD)
+                case Strain(limits=limits, straightened=True):
+                    for i, limit in enumerate(limits):
+                        self._at_least(limit - self._strain(i), 1e-3)
+                case _:
+                    pass
+
+    def _strain(self, tube: int) -> Any:
+        return straightened_strain(tube, self.program.layout.n)(self.look)
+
+    def _aim(self, one: AnyObjective) -> Any:
+        """An objective in its own sign, SI."""
+        if isinstance(one, OwnObjective):
+            return self.program.aims[one](self.look)
+        space = self.program.layout.space
+        match one.kind:
+            case "change":
+                base = np.where(np.abs(space.start) > 0, space.start, space.scale)
+                return ca.sumsqr((self.x[: len(base)] - ca.DM(space.start)) / ca.DM(base))
+            case "length":
+                lengths = self.dimensions["straight_length"] + self.dimensions["curved_length"]
+                longest = self.opti.variable()
+                self.opti.set_initial(longest, max(tube.length for tube in self.state.tubes))
+                self._at_least(longest - lengths)
+                return longest
+            case "strain" | "margin":
+                return self._bounded(one.kind)
+            case "reach_radius":
+                return self._radius(one)
+            case _:
+                curvature = self._tip_curvature(one)
+                return curvature if one.kind == "tip_curvature" else 1 / curvature
+
+    def _bounded(self, kind: str) -> Any:
+        """The largest strain, or the least margin."""
+        layout = self.program.layout
+        bound = self.x[layout.column(kind)]
+        if kind == "strain":
+            for i in range(layout.n):
+                self._at_least(bound - self._strain(i), 1e-2)
+        elif layout.certified:
+            for row in layout.certified:
+                self._at_least(self.look(Quantity("certificate", at=row)) - bound, 0.1)
+        else:
+            self.opti.subject_to(bound <= MOST_MARGIN)
+            for block in self.blocks:
+                block.margin_at_least(bound)
+        return bound
+
+    def _radius(self, one: Objective) -> Any:
+        assert self.program.depth_pose is not None
+        assert one.depth is not None
+        tip = self.blocks[self.program.depth_pose].tip_position
+        self.opti.subject_to(self.opti.bounded(-DEEPEST / 1e-2, (tip[2] - one.depth) / 1e-2, DEEPEST / 1e-2))
+        return ca.norm_2(tip[:2])
+
+    def _tip_curvature(self, one: Objective) -> Any:
+        shift = np.zeros(self.program.layout.n) if one.translations is None else np.array(one.translations)
+        assembly = assemble(self.state.tubes, shift)
+        kb = self.dimensions["bending_stiffness"]
+        pull = kb * ca.fabs(self.dimensions["curvature"])
+        return ca.dot(pull, ca.DM(assembly.curved[-1])) / ca.dot(kb, ca.DM(assembly.present[-1]))
+
+    def solved(self) -> tuple[Array, str]:
+        """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""
+        self.opti.solver("ipopt", {"print_time": False, "show_eval_warnings": False}, OPTIONS)
+        try:
+            solution = self.opti.solve()
+        except RuntimeError:
+            solution = self.opti.debug
+        stats = self.opti.stats()
+        words = "" if stats["success"] else str(stats["return_status"]).replace("_", " ").lower()
+        return np.array(solution.value(self.x)).ravel(), words

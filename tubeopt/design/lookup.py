@@ -1,0 +1,50 @@
+"""Quantities of a design, where equilibria are solved inside: values, and their change with the unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..block.along import curvature_at, position_at
+from ..block.quantities import Quantity
+from ..robots.assembly import Array
+from .state import State
+
+Linear = Callable[[Quantity], tuple[Array, Array]]
+"""Value and change (.., X) of a quantity."""
+
+
+def at_state(state: State) -> Linear:
+    """Quantities at a state; poses are numbered as in its layout."""
+
+    def look(one: Quantity) -> tuple[Array, Array]:
+        if one.name == "certificate":
+            certificate, slope = state.certificate_at(one.at)
+            return np.array([certificate]), slope[None]
+        if one.pose is None:
+            return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
+        if one.name in ("rotations", "translations"):
+            part = ("rotations", "translations").index(one.name)
+            return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
+        value, change = _of_pose(state, one, one.pose)
+        return value, change @ state.chain(one.pose)
+
+    return look
+
+
+def _of_pose(state: State, one: Quantity, index: int) -> tuple[Array, Array]:
+    """Value and change (.., 7 n) by what a pose is differentiated by."""
+    pose = state.pose(index)
+    match one.name:
+        case "tip_position":
+            return pose.position[-1], pose.shape_slopes[0][-1]
+        case "tip_direction":
+            heading = pose.frame[-1][:, 2]
+            return heading, np.cross(pose.shape_slopes[1][-1], heading[:, None], axis=0)
+        case "margin":
+            return np.array([pose.margin]), pose.margin_slope[None]
+        case "position":
+            return position_at(pose.derivatives, one.at[0])
+        case _:
+            return curvature_at(pose.derivatives, one.at[0])

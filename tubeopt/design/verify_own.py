@@ -1,0 +1,52 @@
+"""Own requirements, checked again: their expressions at the numbers of a robot and of its solved equilibria."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..block.own import OwnRequirement
+from ..block.quantities import Look, Quantity, recorded
+from ..equilibrium import Equilibrium
+from ..robots.assembly import Array
+from ..robots.concentric import ConcentricRobot
+from ..stability import snap_free_certificate
+from ..verification import point_at
+
+MISSED = 1e-6
+"""Part of a step by which an own requirement may be missed."""
+
+
+def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Look:
+    """Quantities as numbers: of the robot, and of its equilibria by forward kinematics; along the arm by adaptive
+    integration."""
+
+    def look(one: Quantity) -> Array:
+        if one.name == "certificate":
+            return np.array([snap_free_certificate(robot, np.array(one.at))])
+        if one.pose is None:
+            return np.array([getattr(tube, one.name) for tube in robot.tubes])
+        found = equilibria[one.pose]
+        match one.name:
+            case "tip_direction":
+                return np.asarray(found.tip_rotation[:, 2])
+            case "position" | "curvature":
+                place, bend = point_at(found, one.at[0] * float(found.arc_length[-1]))
+                return place if one.name == "position" else bend
+            case name:
+                return np.atleast_1d(getattr(found, name))
+
+    return look
+
+
+def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> tuple[str, str, bool]:
+    """An own requirement: what it is, what was found, and whether it is kept."""
+    expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words)
+    try:
+        least = float(expression(numbers_of(robot, equilibria)).min())
+    except FloatingPointError:
+        return one.words, "not a finite number", False
+    value = one.limit - least if one.most else one.limit + least
+    kept = least >= -MISSED * one.size
+    return one.words, f"{value * one.factor:.6g} {one.unit}".strip(), kept
