@@ -18,10 +18,11 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from ..errors import InputError, choice, finite
+from ..mechanics.heat import LEAD, Resolution
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import COUNTS, Rig
-from .thermal import LEAD, Resolution, ThermalModel, stack, thermal_model
+from .thermal import ThermalModel, stack, thermal_model
 from .thermal_rates import State, at_rest, current
 from .thermal_simulation import advance
 

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
+from ..mechanics.heat import GRIP
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .schedule import Counts
-from .thermal import GRIP, ThermalModel, cross_section, leak_resistance, thermal_data
+from .thermal import ThermalModel, cross_section, leak_resistance, thermal_data
 from .thermal_rates import State, at_rest, current, rates
 from .thermal_simulation import advance
 

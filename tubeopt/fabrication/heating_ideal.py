@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import SolveError
 from ..materials import ZERO_CELSIUS
+from ..mechanics.heat import GRIP, LEAD
 from ..robots.assembly import Array
 from ..transcription.tableau import tableau
 from ..tubes import Tube
@@ -18,7 +19,7 @@ from .heating_instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE,
 from .heating_program import WINDOW, WISHES, Program, Structure, program
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
-from .thermal import GRIP, LEAD, PROGRAM, ThermalModel, thermal_model, vent_profile
+from .thermal import PROGRAM, ThermalModel, thermal_model, vent_profile
 from .thermal_rates import CHARGE as USED
 from .thermal_rates import CLAMP, State, current, rates
 from .thermal_rates import SAG as SAGGED

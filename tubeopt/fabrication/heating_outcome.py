@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from ..materials import ZERO_CELSIUS
+from ..mechanics.heat import GRIP
 from .heating_ideal import joined
 from .heating_spec import HeatingSpec
 from .rig import Rig
-from .thermal import GRIP, ThermalModel
+from .thermal import ThermalModel
 from .thermal_rates import CHARGE
 from .thermal_simulation import History
 

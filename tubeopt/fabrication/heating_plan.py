@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..materials import ZERO_CELSIUS
+from ..mechanics.heat import GRIP, LEAD
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .heating_cures import Cure
@@ -17,7 +18,7 @@ from .heating_outcome import hold_slots, outcome_of, remarks
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .schedule import Counts
-from .thermal import GRIP, LEAD, ThermalModel, cross_section, thermal_data
+from .thermal import ThermalModel, cross_section, thermal_data
 from .thermal_rates import CHARGE, DRAWN, stored
 from .thermal_simulation import History, clamp_temperature
 

@@ -16,10 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..mechanics.heat import Resolution
 from ..robots.assembly import Array
 from ..transcription.tableau import tableau
 from .heating_instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
-from .thermal import Resolution
 
 WISHES = (
     "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",

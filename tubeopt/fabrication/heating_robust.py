@@ -10,6 +10,7 @@ from scipy.stats import qmc
 
 from ..errors import InputError, positive
 from ..materials import ZERO_CELSIUS
+from ..mechanics.heat import Resolution
 from ..robots.assembly import Array
 from .heating_counts import guarded_counts
 from .heating_ideal import joined
@@ -17,7 +18,7 @@ from .heating_outcome import hold_slots
 from .heating_plan import HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts, sum_up_rounding
-from .thermal import FINE, Resolution, ThermalModel, stack, thermal_model
+from .thermal import FINE, ThermalModel, stack, thermal_model
 from .thermal_rates import State, current
 from .thermal_simulation import integrate, simulate, simulate_feedback
 

@@ -14,11 +14,12 @@ from scipy.stats import norm
 
 from ..errors import InputError, choice, positive
 from ..materials import ZERO_CELSIUS
+from ..mechanics.heat import Resolution
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
-from .thermal import Resolution, stack, thermal_model
+from .thermal import stack, thermal_model
 from .thermal_simulation import simulate
 
 RESULTS = ("under", "good", "over")

@@ -1,33 +1,36 @@
-"""Temperature along a tube that is heated by its own resistance in a mold: finite volumes in space.
+"""The numbers of the thermal model for tubes on rigs: grids, properties, and batches of perturbed rigs.
 
-Along the tube, from the outer end of a clamp to the middle of the curved part (the rig is the same at both ends):
-
-    rho c(T) A T_t = (k(T) A T_x)_x + d I^2 rho_e(T) / A - q
-
-with q the heat that leaves per length: into the clamp where the tube is gripped, to the air (convection and radiation)
-where it is bare, through the gap into the mold where it is covered, and to the air through vents. Around every covered
-cell lie shells of mold, conducting to one another in radius and along the tube; the outermost cools in air. The clamps
-are lumps. d is the duty, I the current while the MOSFET conducts:
-
-    I (R_battery + R_series + R) = V(charge) - V_sag,   charge' = -d I / capacity,   tau V_sag' = d I R_sag - V_sag
-
-and R the tube's resistance, beside that of a mold which conducts. The PWM period is far below every time constant of
-the tube, so the duty counts as a mean power; `HeatingPlan.pwm_ripple` says how far that is true.
+The physics is that of `mechanics.heat`. The PWM period is far below every time constant of the tube, so the duty counts
+as a mean power; `HeatingPlan.pwm_ripple` says how far that is true.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ..errors import InputError
 from ..materials import ThermalData
+from ..mechanics.heat import (
+    CLEARANCE,
+    CURVED,
+    GRIP,
+    LEAD,
+    PROPERTIES,
+    Properties,
+    Resolution,
+    Volumes,
+    volume_shapes,
+    volumes,
+    zones,
+)
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import HOT, Rig, gap_conductance, natural_convection
@@ -44,30 +47,6 @@ GRADED = 12e-3
 
 DECAYS = 3.0
 """Decay lengths in which the clamp gets as many cells as it would if it were no longer."""
-
-GRIP, CLEARANCE, LEAD, CURVED = range(4)
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """Number of cells in a clamp, in the clearance, in the lead and in half of the curved part, and of shells."""
-
-    grip: int = 2
-    clearance: int = 3
-    lead: int = 7
-    curved: int = 9
-    shells: int = 7
-
-    @property
-    def counts(self) -> tuple[int, int, int, int]:
-        """Cells of each zone, from the clamp to the middle."""
-        return self.grip, self.clearance, self.lead, self.curved
-
-    def refined(self, factor: int, shells: int | None = None) -> Resolution:
-        """Every cell split into `factor`; the number of shells multiplied too, or as given."""
-        grip, clearance, lead, curved = (factor * n for n in self.counts)
-        return Resolution(grip, clearance, lead, curved, shells or factor * self.shells)
-
 
 COARSE = Resolution()
 PROGRAM = Resolution(2, 3, 4, 6, 4)
@@ -106,11 +85,6 @@ def contact_decay(tube: Tube, rig: Rig) -> float:
     return math.sqrt(thermal_data(tube).conductivity * cross_section(tube) / per_length)
 
 
-def zones(resolution: Resolution) -> NDArray[np.intp]:
-    """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED."""
-    return np.repeat(np.arange(4), resolution.counts)
-
-
 def thermal_data(tube: Tube) -> ThermalData:
     """The tube's thermal data; raises InputError where its material has none."""
     if tube.material.thermal is None:
@@ -122,78 +96,58 @@ def thermal_data(tube: Tube) -> ThermalData:
 
 @dataclass(frozen=True, eq=False)
 class ThermalModel:
-    """The numbers of the finite-volume model of half a tube, for B members at once; n cells, M shells.
+    """The numbers of the finite-volume model of half a tube, for B members at once; n cells.
 
     Attributes:
-        position, width: (n,) middle of each cell from the outer end of the clamp, and its width, m. half_length: m.
-        zone: (n,) GRIP, CLEARANCE, LEAD or CURVED.
-        heat: (B, n) rho c A w at the reference temperature, J/K; heat_slope, reference: 1/K, K.
-        conduction: (B, n-1) k A / distance between neighbours at the reference, W/K; conduction_slope: 1/K.
-        resistance: (B, n) of each cell at the reference, 0 in the clamp, ohm; resistance_slope: 1/K.
-        to_clamp, to_air, radiating: (B, n) W/K, W/K, W/K^4.
-        to_mold: (B, n) into the first shell, W/K.
-        shell_heat: (B, n, M) J/K, 1 where there is no mold. radial: (B, n, M-1) W/K. outer: (B, n) W/K.
-        axial: (B, n-1, M) W/K between shells of neighbouring cells.
-        leak: (B,) resistance of the mold beside the tube, ohm, infinite for an insulator.
-        series: (B,) resistance in series with the tube, without the battery's, ohm; contact: (B,) clamps' part of it.
-        clamp_heat, clamp_loss: (B,) of one clamp, J/K and W/K.
-        voltage, voltage_slope, internal, sag, capacity: (B,) of the battery; sag_time: (B,) s.
-        ambient: K.
+        resolution: the grid. position, width: (n,) middle of each cell from the outer end of the clamp, and its width,
+            m. half_length: m.
+        properties: (B, P) by the names of `mechanics.heat.PROPERTIES`.
+        volumes: (B, V) columns of `mechanics.heat.Volumes`.
     """
 
+    resolution: Resolution
     position: Array
     width: Array
     half_length: float
-    zone: NDArray[np.intp]
-    heat: Array
-    heat_slope: float
-    reference: float
-    conduction: Array
-    conduction_slope: float
-    resistance: Array
-    resistance_slope: float
-    to_clamp: Array
-    to_air: Array
-    radiating: Array
-    to_mold: Array
-    shell_heat: Array
-    radial: Array
-    outer: Array
-    axial: Array
-    leak: Array
-    series: Array
-    contact: Array
-    clamp_heat: Array
-    clamp_loss: Array
-    voltage: Array
-    voltage_slope: Array
-    internal: Array
-    sag: Array
-    sag_time: Array
-    capacity: Array
-    ambient: float
+    properties: Array
+    volumes: Array
 
     @property
     def members(self) -> int:
         """B."""
-        return len(self.series)
+        return len(self.properties)
+
+    @property
+    def ambient(self) -> float:
+        """K, that of the first member."""
+        return float(self.properties[0, PROPERTIES.index("ambient")])
+
+    @property
+    def zone(self) -> NDArray[np.intp]:
+        """(n,) GRIP, CLEARANCE, LEAD or CURVED."""
+        return zones(self.resolution)
 
     @property
     def curved(self) -> NDArray[np.bool_]:
         """(n,) which cells belong to the curved part."""
         return np.asarray(self.zone == CURVED)
 
-    @cached_property
-    def grip_share(self) -> Array:
-        """(n,) part of the clamp that lies around each cell; sums to 1."""
-        gripped = np.where(self.zone == GRIP, self.width, 0.0)
-        return np.asarray(gripped / gripped.sum())
+    @property
+    def to_air(self) -> Array:
+        """(B, n) from the cells to the air, without radiation, W/K."""
+        return self._coefficient("to_air")
 
-    @cached_property
-    def cover_share(self) -> Array:
-        """(n,) part of the mold that lies around each cell; sums to 1."""
-        covered = np.where(self.zone >= LEAD, self.width, 0.0)
-        return np.asarray(covered / covered.sum())
+    @property
+    def to_mold(self) -> Array:
+        """(B, n) from the cells into the first shell, W/K."""
+        covered = self._coefficient("to_mold")
+        return np.pad(covered, ((0, 0), (self.resolution.cells - self.resolution.covered, 0)))
+
+    def _coefficient(self, name: str) -> Array:
+        shapes = volume_shapes(self.resolution)
+        sizes = [rows * columns for rows, columns in shapes.values()]
+        first = sum(sizes[: list(shapes).index(name)])
+        return self.volumes[:, first : first + math.prod(shapes[name])]
 
     @property
     def full_position(self) -> Array:
@@ -201,18 +155,10 @@ class ThermalModel:
         return np.concatenate([self.position, 2 * self.half_length - self.position[::-1]])
 
 
-_PER_MEMBER = {
-    "heat", "conduction", "resistance", "to_clamp", "to_air", "radiating", "to_mold", "shell_heat", "radial", "outer",
-    "axial", "leak", "series", "contact", "clamp_heat", "clamp_loss", "voltage", "voltage_slope", "internal", "sag",
-    "sag_time", "capacity",
-}  # fmt: skip
-
-
 def stack(models: Sequence[ThermalModel]) -> ThermalModel:
-    """Models on the same grid as the members of one."""
-    values = {f.name: getattr(models[0], f.name) for f in fields(ThermalModel)}
-    values |= {name: np.concatenate([getattr(model, name) for model in models]) for name in _PER_MEMBER}
-    return ThermalModel(**values)
+    """Models on the same grid, at the same ambient temperature, as the members of one."""
+    columns = [np.vstack([m.properties for m in models]), np.vstack([m.volumes for m in models])]
+    return replace(models[0], properties=columns[0], volumes=columns[1])
 
 
 def vent_profile(rig: Rig, fraction: Array) -> Array:
@@ -276,61 +222,83 @@ def leak_resistance(tube: Tube, rig: Rig) -> float:
     return 2 * rig.mold.leak_resistance / touching + plates
 
 
+def properties(tube: Tube, rig: Rig) -> Properties:
+    """What `mechanics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
+    data, section, girth = thermal_data(tube), cross_section(tube), math.pi * tube.outer_diameter
+    mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
+    factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    return {
+        "heat": data.density * section * data.heat_capacity,
+        "heat_slope": data.heat_capacity_slope,
+        "reference": data.reference_temperature,
+        "conduction": data.conductivity * section,
+        "conduction_slope": data.conductivity_slope,
+        "resistance": rig.resistivity_factor * data.resistivity / section,
+        "resistance_slope": data.resistivity_slope,
+        "to_clamp": clamps.contact_conductance * girth,
+        "to_air": bare_transfer(tube, rig) * girth * factor,
+        "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
+        "gap": gap_transfer(rig) * girth * factor,
+        "mold_k": factor * mold.conductivity,
+        "mold_heat": factor * mold.density * mold.heat_capacity,
+        "leak": 0.0 if math.isinf(leak) else 1 / leak,
+        "series": circuit.resistance,
+        "contact": circuit.contact_resistance,
+        "clamp_heat": clamps.mass * clamps.heat_capacity,
+        "clamp_loss": SURFACE_TRANSFER * clamps.area,
+        "voltage": battery.voltage,
+        "voltage_slope": battery.voltage_slope,
+        "internal": battery.internal_resistance,
+        "sag": battery.sag_resistance,
+        "sag_time": battery.sag_time,
+        "capacity": battery.capacity,
+        "ambient": rig.ambient,
+        "grip": lengths[GRIP],
+        "curved": lengths[CURVED],
+    }
+
+
+def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array, Array]]:
+    """The values of `mechanics.heat.PROPERTIES`, and of the shells cross-sections (M,), m^2, and log ratios (M-1,)."""
+    faces, nodes = shell_radii(rig, tube, shells)
+    values = properties(tube, rig)
+    k = values["mold_k"]
+    values["wall"] = math.log(nodes[0] / faces[0]) / (2 * math.pi * k)
+    to_air = SURFACE_TRANSFER * 2 * math.pi * faces[-1]
+    values["outer"] = 1 / (math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k) + 1 / to_air)
+    return np.array([values[name] for name in PROPERTIES]), (math.pi * np.diff(faces**2), np.diff(np.log(nodes)))
+
+
 def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
     """The numbers of the model for one tube on one rig.
 
     Raises:
         InputError: the tube has no curved part or its material no thermal data, or the mold is too small.
     """
-    data, mold, factor = thermal_data(tube), rig.mold, rig.loss_factor
-    lengths = half_lengths(tube, rig)
-    zone, width = zones(resolution), cell_widths(tube, rig, resolution)
-    position = np.cumsum(width) - 0.5 * width
-    section, surface = cross_section(tube), math.pi * tube.outer_diameter * width
-    covered, distance = zone >= LEAD, np.diff(position)
-    vents = np.zeros(len(zone))
-    vents[covered] = vent_profile(rig, covered_fraction(tube, rig, resolution))
-    bare = np.where(zone == CLEARANCE, 1.0, vents) * surface * factor
-    faces, nodes = shell_radii(rig, tube, resolution.shells)
-    k, heat = factor * mold.material.conductivity, factor * mold.material.density * mold.material.heat_capacity
-    ring = math.pi * np.diff(faces**2)
-    cover = np.where(covered, width, 0.0)
-    touching = gap_transfer(rig) * factor * (1 - vents) * math.pi * tube.outer_diameter
-    to_mold = cover / (1 / touching + math.log(nodes[0] / faces[0]) / (2 * math.pi * k))
-    to_outside = math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k) + 1 / (SURFACE_TRANSFER * 2 * math.pi * faces[-1])
-    joined = (covered[1:] & covered[:-1]).astype(float)
-
-    battery, circuit, clamps = rig.battery, rig.circuit, rig.clamps
+    numbers, shells = model_numbers(tube, rig, resolution.shells)
+    width = cell_widths(tube, rig, resolution)
+    vent = vent_profile(rig, covered_fraction(tube, rig, resolution))
     return ThermalModel(
-        position=position,
+        resolution=resolution,
+        position=np.cumsum(width) - 0.5 * width,
         width=width,
-        half_length=float(sum(lengths)),
-        zone=zone,
-        heat=(data.density * section * data.heat_capacity * width)[None],
-        heat_slope=data.heat_capacity_slope,
-        reference=data.reference_temperature,
-        conduction=(data.conductivity * section / distance)[None],
-        conduction_slope=data.conductivity_slope,
-        resistance=np.where(zone == GRIP, 0.0, rig.resistivity_factor * data.resistivity * width / section)[None],
-        resistance_slope=data.resistivity_slope,
-        to_clamp=np.where(zone == GRIP, clamps.contact_conductance * surface, 0.0)[None],
-        to_air=(bare_transfer(tube, rig) * bare)[None],
-        radiating=(data.emissivity * STEFAN_BOLTZMANN * bare)[None],
-        to_mold=to_mold[None],
-        shell_heat=np.where(covered[:, None], heat * ring * cover[:, None], 1.0)[None],
-        radial=(2 * math.pi * k * cover[:, None] / np.diff(np.log(nodes)))[None],
-        outer=(cover / to_outside)[None],
-        axial=(k * ring * (joined / distance)[:, None])[None],
-        leak=np.array([leak_resistance(tube, rig)]),
-        series=np.array([circuit.resistance]),
-        contact=np.array([circuit.contact_resistance]),
-        clamp_heat=np.array([clamps.mass * clamps.heat_capacity]),
-        clamp_loss=np.array([SURFACE_TRANSFER * clamps.area]),
-        voltage=np.array([battery.voltage]),
-        voltage_slope=np.array([battery.voltage_slope]),
-        internal=np.array([battery.internal_resistance]),
-        sag=np.array([battery.sag_resistance]),
-        sag_time=np.array([battery.sag_time]),
-        capacity=np.array([battery.capacity]),
-        ambient=rig.ambient,
+        half_length=float(sum(half_lengths(tube, rig))),
+        properties=numbers[None],
+        volumes=_volumes_function(resolution)(numbers, width, vent, *shells).full().T,
     )
+
+
+@lru_cache(maxsize=16)
+def _volumes_function(resolution: Resolution) -> ca.Function:
+    """(properties, widths, vents, rings, log ratios) -> the column of all coefficients."""
+    m = resolution.shells
+    sizes = (len(PROPERTIES), resolution.cells, resolution.covered, m, m - 1)
+    symbols = [ca.SX.sym(name, size) for name, size in zip("pwvrl", sizes, strict=True)]
+    p, width, vent, *shells = symbols
+    found: Volumes = volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
+    return ca.Function("volumes", symbols, [found.column])
+
+
+def named(column: ca.SX) -> Properties:
+    """Properties by name, from a column of their values."""
+    return dict(zip(PROPERTIES, ca.vertsplit(column), strict=True))

@@ -1,13 +1,34 @@
-"""Rates of change of the thermal model, vectorised over members, with an account of where the energy goes."""
+"""The thermal model at one instant for many members: `mechanics.heat` on arrays, and where the energy goes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
+from ..mechanics.heat import (
+    PROPERTIES,
+    Load,
+    Resolution,
+    Temperatures,
+    Volumes,
+    battery_rates,
+    by_cell,
+    frozen_jacobian,
+    heat_flows,
+    loop_resistance,
+    resistances,
+    source_voltage,
+    stored_heat,
+    tube_capacity,
+    tube_share,
+    volume_shapes,
+)
 from ..robots.assembly import Array
-from .thermal import ThermalModel
+from ..transcription.buffered import mapped
+from .thermal import ThermalModel, named
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
 """Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
@@ -26,16 +47,16 @@ class State:
 
 def at_rest(model: ThermalModel) -> State:
     """Everything at ambient temperature, the battery rested."""
-    b, n, shells = model.shell_heat.shape
-    b = max(b, model.members)
-    lumped = np.zeros((b, LUMPED))
+    lumped = np.zeros((model.members, LUMPED))
     lumped[:, CLAMP] = model.ambient
-    return State(np.full((b, n, 1 + shells), model.ambient), lumped)
+    shape = model.members, model.resolution.cells, 1 + model.resolution.shells
+    return State(np.full(shape, model.ambient), lumped)
 
 
 @dataclass(frozen=True, eq=False)
 class Current:
-    """(B,) current while the MOSFET conducts, its part through the tube, the terminal voltage then; (B, n) ohm."""
+    """(B,) current while the MOSFET conducts, its part through the tube, the terminal voltage then, and half
+    the tube's resistance, ohm."""
 
     total: Array
     tube: Array
@@ -43,78 +64,85 @@ class Current:
     resistance: Array
 
 
+@lru_cache(maxsize=16)
+def _functions(resolution: Resolution) -> dict[str, ca.Function]:
+    """What the simulation asks, as functions of one member: its state, the duty, its properties and volumes."""
+    rows, n = 1 + resolution.shells, resolution.cells
+    cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
+    lumped, duty = ca.SX.sym("lumped", LUMPED), ca.SX.sym("duty")
+    p = ca.SX.sym("p", len(PROPERTIES))
+    q = ca.SX.sym("q", sum(rows * columns for rows, columns in volume_shapes(resolution).values()))
+    g, v = named(p), Volumes.of(q, resolution)
+    at = Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
+
+    def circuit(tube: ca.SX) -> tuple[ca.SX, ca.SX]:
+        half = ca.sum1(resistances(tube, v, g))
+        return half, (source_voltage(lumped[CHARGE], g) - lumped[SAG]) / loop_resistance(half, g)
+
+    half, total = circuit(at.tube)
+    load = Load(half, duty * total, duty * total**2)
+    flows = heat_flows(at, load, v, g)
+    discharge, sagging = battery_rates(load, lumped[SAG], g)
+    heat = by_cell(tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
+    outside_tube = g["internal"] + g["series"] - g["contact"]
+    slow = ca.vertcat(
+        flows.clamp / g["clamp_heat"],
+        discharge,
+        sagging,
+        load.mean * source_voltage(lumped[CHARGE], g),
+        load.mean * (lumped[SAG] + total * outside_tube),
+        2 * flows.surroundings,
+    )
+    half, total = circuit(tube)
+    terminal = source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
+    seen = ca.vertcat(total, total * tube_share(half, g), terminal, half)
+    found = {
+        "rates": ([cells, lumped, duty, p, q], [by_cell(flows.tube, flows.mold) / heat, slow]),
+        "current": ([tube, lumped, p, q], [seen]),
+        "linearised": ([cells, p, q], [heat, *frozen_jacobian(at, cells, v, g)]),
+        "stored": ([cells, lumped, p, q], [2 * stored_heat(at, v, g)]),
+    }
+    return {
+        name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
+        for name, (inputs, outputs) in found.items()
+    }
+
+
+def _evaluated(name: str, model: ThermalModel, cells: Array, *others: Array) -> list[Array]:
+    """Outputs of a function, members first, at temperatures (B, ...) and others (B, ...); copies.
+
+    One member may be asked in B states.
+    """
+    b = len(cells)
+    function = mapped(_functions(model.resolution)[name], b)
+    flat = cells.reshape(function.inputs[0].shape)
+    return [value.reshape(b, -1).copy() for value in function(flat, *others, model.properties, model.volumes)]
+
+
 def current(model: ThermalModel, tube: Array, lumped: Array) -> Current:
     """The circuit at tube temperatures (B, n) and lumped states (B, 6)."""
-    ohm = model.resistance * (1 + model.resistance_slope * (tube - model.reference))
-    whole = 2 * ohm.sum(1)
-    through = 1 / (1 + whole / model.leak)
-    source = model.voltage - model.voltage_slope * lumped[:, CHARGE] - lumped[:, SAG]
-    total = source / (model.internal + model.series + whole * through)
-    return Current(total, total * through, source - model.internal * total, ohm)
+    (seen,) = _evaluated("current", model, tube, lumped)
+    return Current(*seen.T)
 
 
 def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> tuple[Array, Array]:
     """Rates of (cells, lumped) in K/s and per s, at a duty in [0, 1], one number or (B,)."""
-    # Differences are written as slices: np.diff costs more than the arithmetic, and integrators call this 1e4 times.
-    tube, shells = cells[:, :, 0], cells[:, :, 1:]
-    now = current(model, tube, lumped)
-    rise = tube - model.ambient
-    rate = np.empty_like(cells)
-    power = duty * now.tube**2
-    contact = duty * now.total**2 * model.contact / 2
-    into_clamp = model.to_clamp * (tube - lumped[:, CLAMP, None])
-    to_air = model.to_air * rise + model.radiating * (tube**4 - model.ambient**4)
-    into_mold = model.to_mold * (tube - shells[:, :, 0])
-    # What a contact of the clamps makes goes half into the tube's end, half into the clamp.
-    heat = power[:, None] * now.resistance - into_clamp - to_air - into_mold
-    heat += (0.5 * contact)[:, None] * model.grip_share
-    mean = 1 + model.conduction_slope * (0.5 * (tube[:, 1:] + tube[:, :-1]) - model.reference)
-    along = model.conduction * mean * (tube[:, 1:] - tube[:, :-1])
-    heat[:, :-1] += along
-    heat[:, 1:] -= along
-    rate[:, :, 0] = heat / (model.heat * (1 + model.heat_slope * (tube - model.reference)))
-
-    outward = model.radial * (shells[:, :, :-1] - shells[:, :, 1:])
-    outside = model.outer * (shells[:, :, -1] - model.ambient)
-    stray = duty * (now.total - now.tube) * now.tube * now.resistance.sum(1)
-    warming = rate[:, :, 1:]
-    warming[:, :, 0] = into_mold + stray[:, None] * model.cover_share
-    warming[:, :, 1:] = outward
-    warming[:, :, :-1] -= outward
-    warming[:, :, -1] -= outside
-    sideways = model.axial * (shells[:, 1:] - shells[:, :-1])
-    warming[:, :-1] += sideways
-    warming[:, 1:] -= sideways
-    warming /= model.shell_heat
-    return rate, _lumped(model, lumped, duty, now, (into_clamp.sum(1) + 0.5 * contact, (to_air + outside).sum(1)))
+    rate, slow = _evaluated("rates", model, cells, lumped, np.reshape(duty, (-1, 1)))
+    return rate.reshape(cells.shape), slow
 
 
-def _lumped(model: ThermalModel, lumped: Array, duty: Array | float, now: Current, heat: tuple[Array, Array]) -> Array:
-    """Rates of the lumped states; `heat` goes into one clamp, and from half the tube and mold to the surroundings."""
-    into_clamp, to_surroundings = heat
-    mean = duty * now.total
-    cooling = model.clamp_loss * (lumped[:, CLAMP] - model.ambient)
-    rate = np.empty_like(lumped)
-    rate[:, CLAMP] = (into_clamp - cooling) / model.clamp_heat
-    rate[:, CHARGE] = mean / model.capacity
-    rate[:, SAG] = (mean * model.sag - lumped[:, SAG]) / model.sag_time
-    rate[:, DRAWN] = mean * (model.voltage - model.voltage_slope * lumped[:, CHARGE])
-    outside_tube = model.internal + model.series - model.contact
-    rate[:, CIRCUIT] = mean * (lumped[:, SAG] + now.total * outside_tube)
-    rate[:, LOST] = 2 * (to_surroundings + cooling)
-    return rate
+def linearised(model: ThermalModel, cells: Array) -> tuple[Array, Array, Array, Array]:
+    """Heat capacities (B, n, 1+M), J/K, and the `frozen_jacobian` of the flows: own and inward (B, n, 1+M), along
+    (B, n-1, 1+M), W/K."""
+    heat, own, inward, along = _evaluated("linearised", model, cells)
+    b, n, m = cells.shape
+    return heat.reshape(b, n, m), own.reshape(b, n, m), inward.reshape(b, n, m), along.reshape(b, n - 1, m)
 
 
 def stored(model: ThermalModel, state: State) -> Array:
     """(B,) heat in the whole tube, mold and both clamps above ambient, J."""
-    tube, reference, slope = state.cells[:, :, 0], model.reference, model.heat_slope
-    rise = tube - model.ambient
-    curve = 0.5 * slope * ((tube - reference) ** 2 - (model.ambient - reference) ** 2)
-    half = (model.heat * (rise + curve)).sum(1)
-    half = half + (model.shell_heat * (state.cells[:, :, 1:] - model.ambient) * (model.to_mold > 0)[:, :, None]).sum(
-        (1, 2)
-    )
-    return np.asarray(2 * (half + model.clamp_heat * (state.lumped[:, CLAMP] - model.ambient)))
+    (heat,) = _evaluated("stored", model, state.cells, state.lumped)
+    return heat[:, 0]
 
 
 def imbalance(model: ThermalModel, state: State) -> Array:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SolveError
+from ..mechanics.heat import GRIP
 from ..robots.assembly import Array
-from .thermal import GRIP, ThermalModel
-from .thermal_rates import CLAMP, LUMPED, State, at_rest, current, imbalance, rates
+from .thermal import ThermalModel
+from .thermal_rates import CLAMP, LUMPED, State, at_rest, current, imbalance, linearised, rates
 
 GAMMA = 1 + 1 / math.sqrt(2)
 """Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,
@@ -81,7 +82,7 @@ def _history(model: ThermalModel, slot: float, states: Sequence[State]) -> Histo
         lumped=np.array([s.lumped for s in states]),
         voltage=np.array([n.terminal_voltage for n in now]),
         current=np.array([n.total for n in now]),
-        resistance=np.array([2 * n.resistance.sum(1) for n in now]),
+        resistance=np.array([2 * n.resistance for n in now]),
         final=states[-1],
         imbalance=imbalance(model, states[-1]),
     )
@@ -94,29 +95,13 @@ class _Factor:
     """Block elimination of heat - gamma h J: blocks of a cell and its shells, coupled along the tube by diagonals."""
 
     def __init__(self, model: ThermalModel, cells: Array, h: float) -> None:
-        tube = cells[:, :, 0]
+        self.heat, own, inward, along = linearised(model, cells)
         b, n, m = cells.shape
-        weight = GAMMA * h
-        self.heat = np.empty((b, n, m))
-        self.heat[:, :, 0] = model.heat * (1 + model.heat_slope * (tube - model.reference))
-        self.heat[:, :, 1:] = model.shell_heat
         block = np.zeros((b, n, m, m))
-        diagonal = np.arange(m)
-        self.coupling = np.empty((b, n - 1, m))
-        self.coupling[:, :, 0] = weight * model.conduction
-        self.coupling[:, :, 1:] = weight * model.axial
-        inside = np.zeros((b, n, m - 1))
-        inside[:, :, 0] = weight * model.to_mold
-        inside[:, :, 1:] = weight * model.radial
-        block[:, :, diagonal, diagonal] = self.heat
-        block[:, :, 0, 0] += weight * (model.to_clamp + model.to_air + 4 * model.radiating * tube**3)
-        block[:, :, -1, -1] += weight * model.outer
-        block[:, :, diagonal[:-1], diagonal[:-1]] += inside
-        block[:, :, diagonal[1:], diagonal[1:]] += inside
-        block[:, :, diagonal[:-1], diagonal[1:]] -= inside
-        block[:, :, diagonal[1:], diagonal[:-1]] -= inside
-        block[:, :-1, diagonal, diagonal] += self.coupling
-        block[:, 1:, diagonal, diagonal] += self.coupling
+        row = np.arange(m)
+        block[:, :, row, row] = self.heat - GAMMA * h * own
+        block[:, :, row[:-1], row[1:]] = block[:, :, row[1:], row[:-1]] = -GAMMA * h * inward[:, :, :-1]
+        self.coupling = GAMMA * h * along
         self.inverse = np.empty_like(block)
         for i in range(n):
             pivot = block[:, i]
@@ -246,9 +231,11 @@ def _extremes(model: ThermalModel, cells: Array, lumped: Array, duty: float) -> 
     count = (len(cells) - 1) // LOOKS
     looks = LOOKS * np.arange(count)[:, None] + np.arange(LOOKS + 1)
     tube = cells[:, :, 0]
-    rate = rates(model, cells, lumped, duty)[0][:, model.zone > GRIP, 0].max(1)
-    ampere = current(model, tube, lumped).total[looks].max(1)
-    return Extremes(tube[looks].min(1), tube[looks].max(1), rate[looks].max(1), ampere, duty * ampere)
+    free = model.zone > GRIP
+    # Slot by slot: a batch of all would hold the model's numbers once for every state.
+    rate = np.array([rates(model, cells[k], lumped[k], duty)[0][:, free, 0].max() for k in looks])
+    ampere = np.array([current(model, tube[k], lumped[k]).total.max() for k in looks])
+    return Extremes(tube[looks].min(1), tube[looks].max(1), rate, ampere, duty * ampere)
 
 
 def clamp_temperature(history: History) -> Array:
