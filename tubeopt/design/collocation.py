@@ -7,13 +7,14 @@ expresses are refused.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ..block.equilibrium_block import EquilibriumBlock
+from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Quantity
 from ..errors import InputError
@@ -117,7 +118,9 @@ class _Collocated:
         return EquilibriumBlock(self.opti, near, rotations=given[0], translations=given[1], tubes=free)
 
     def _at_least(self, expression: Any, size: float = 1.0) -> None:
-        self.opti.subject_to(ca.vec(expression) / size >= 0)
+        # What no unknown moves was kept at the start.
+        if ca.depends_on(expression, self.opti.x):
+            self.opti.subject_to(ca.vec(expression) / size >= 0)
 
     # --- quantities ---------------------------------------------------------------------------------------------------
 
@@ -144,7 +147,7 @@ class _Collocated:
                 return ca.MX(getattr(block, name))
 
     def _margin(self, pose: int) -> Any:
-        """An unknown that the margin of a pose is not below: as good as the margin itself where more of it is better."""
+        """An unknown that the margin of a pose is not below: as good as the margin where more of it is better."""
         margin = self.opti.variable()
         self.opti.set_initial(margin, min(max(self.state.pose(pose).margin - 0.01, 0.0), 0.9))
         self.opti.subject_to(margin <= MOST_MARGIN)
@@ -252,6 +255,10 @@ class _Collocated:
             solution = self.opti.solve()
         except RuntimeError:
             solution = self.opti.debug
+        for k, block in enumerate(self.blocks, start=1):
+            for text in block.meetings(solution):
+                words = f"at task pose {k} {text}: behind that may be better designs, which method 'reduced' looks for"
+                warnings.warn(words, OrderWarning, stacklevel=2)
         stats = self.opti.stats()
         words = "" if stats["success"] else str(stats["return_status"]).replace("_", " ").lower()
         return np.array(solution.value(self.x)).ravel(), words

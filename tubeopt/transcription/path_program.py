@@ -208,8 +208,8 @@ def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
 
 
 def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
-    """Hessian of the objective, of an own cost (given) and of the bounds on rates, in the form that CasADi's interface to
-    IPOPT wants."""
+    """Hessian of the objective, of an own cost (given) and of the bounds on rates, in the form that CasADi's interface
+    to IPOPT wants."""
     x, p = problem["x"], problem["p"]
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
     first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
