@@ -146,7 +146,7 @@ static void stiffness_left(const Unknowns *q, const Stretch *e, const double *ja
    sign of the determinant exclude it. */
 static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
-    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 7;
+    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 5;
     if (!n) return 1;
     stretched_jacobian(q, state, e, h);
     if (!lu(h, n, STRIDE, e->pivots)) return -1;
@@ -176,7 +176,9 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
             value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > 0)) return -1;
             double residual = beside * fabs(y[m]);
-            if (last || residual < STRETCHED_ERROR * value) break;
+            /* Close to 1, where eigenvalues gather, the square of the residual over the distance from 1 is what is off. */
+            int gathered = value < 1.01 && residual * residual < STRETCHED_ERROR * fmax(value - 1, 1e-6);
+            if (last || gathered || residual < STRETCHED_ERROR * value) break;
         }
         small[(m + 1) * LANCZOS + m] = beside;
         for (int k = 0; k < n; k++) next[k] /= beside;
