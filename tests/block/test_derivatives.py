@@ -226,7 +226,6 @@ def test_eccentric_robot_whose_tubes_move_together(side: int) -> None:
     assert exact.position[:, 3:] == pytest.approx(np.tile(exact.position[:, 3:4], 3))
 
 
-@fine
 @pytest.mark.parametrize("side", [1, -1])
 def test_an_eccentric_robot_that_is_soft(side: int) -> None:
     robot: Robot = eccentric_robot(transmission=0.02)

@@ -15,7 +15,6 @@ from tubeopt.design import (
     Free,
     Length,
     Nesting,
-    Objective,
     OwnObjective,
     OwnRequirement,
     Poses,

@@ -252,7 +252,7 @@ class _Collocated:
         """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""
         self.opti.solver("ipopt", {"print_time": False, "show_eval_warnings": False}, OPTIONS)
         try:
-            solution = self.opti.solve()
+            solution: Any = self.opti.solve()
         except RuntimeError:
             solution = self.opti.debug
         for k, block in enumerate(self.blocks, start=1):

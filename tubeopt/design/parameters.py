@@ -112,10 +112,8 @@ class DesignSpace:
         if any(field in ("outer_diameter", "inner_diameter") for field, _, _ in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
             moduli = [(tube.material.youngs_modulus, 2 * tube.material.shear_modulus) for tube in self.robot_tubes]
-            for name, column in zip(
-                ("bending_stiffness", "torsional_stiffness"), zip(*moduli, strict=True), strict=True
-            ):
-                out[name] = ca.DM(column) * second
+            for k, name in enumerate(("bending_stiffness", "torsional_stiffness")):
+                out[name] = ca.DM([pair[k] for pair in moduli]) * second
         return out
 
     def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
