@@ -11,6 +11,9 @@ import numpy as np
 from ..errors import SolveError
 from ..materials import ZERO_CELSIUS
 from ..mechanics.heat import GRIP, LEAD
+from ..mechanics.heat_functions import CHARGE as USED
+from ..mechanics.heat_functions import CLAMP
+from ..mechanics.heat_functions import SAG as SAGGED
 from ..robots.assembly import Array
 from ..transcription.tableau import tableau
 from ..tubes import Tube
@@ -20,9 +23,7 @@ from .heating_program import WINDOW, WISHES, Program, Structure, program
 from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .thermal import PROGRAM, ThermalModel, thermal_model, vent_profile
-from .thermal_rates import CHARGE as USED
-from .thermal_rates import CLAMP, State, current, rates
-from .thermal_rates import SAG as SAGGED
+from .thermal_rates import State, current, rates
 from .thermal_simulation import History, simulate, simulate_feedback
 
 GUESS_SLOT = 0.25

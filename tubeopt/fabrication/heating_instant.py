@@ -26,6 +26,7 @@ from ..mechanics.heat import (
     battery_rates,
     heat_flows,
     loop_resistance,
+    named,
     resistances,
     source_voltage,
     tube_capacity,
@@ -35,7 +36,7 @@ from ..mechanics.heat import (
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import Rig
-from .thermal import cell_fractions, contact_decay, covered_fraction, half_lengths, model_numbers, named
+from .thermal import cell_fractions, contact_decay, covered_fraction, half_lengths, model_numbers
 
 RISE = 500.0
 """Size of a temperature, K."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from ..materials import ZERO_CELSIUS
 from ..mechanics.heat import GRIP
+from ..mechanics.heat_functions import CHARGE
 from .heating_ideal import joined
 from .heating_spec import HeatingSpec
 from .rig import Rig
 from .thermal import ThermalModel
-from .thermal_rates import CHARGE
 from .thermal_simulation import History
 
 LEAST_CHARGE = 0.2

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..materials import ZERO_CELSIUS
 from ..mechanics.heat import GRIP, LEAD
+from ..mechanics.heat_functions import CHARGE, DRAWN
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .heating_cures import Cure
@@ -19,7 +20,7 @@ from .heating_spec import HeatingSpec
 from .rig import COUNTS, Rig
 from .schedule import Counts
 from .thermal import ThermalModel, cross_section, thermal_data
-from .thermal_rates import CHARGE, DRAWN, stored
+from .thermal_rates import stored
 from .thermal_simulation import History, clamp_temperature
 
 WATER, AIR = 2000.0, 50.0

@@ -9,28 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ..errors import InputError
 from ..materials import ThermalData
-from ..mechanics.heat import (
-    CLEARANCE,
-    CURVED,
-    GRIP,
-    LEAD,
-    PROPERTIES,
-    Properties,
-    Resolution,
-    Volumes,
-    volume_shapes,
-    volumes,
-    zones,
-)
+from ..mechanics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, volume_shapes, zones
+from ..mechanics.heat_functions import volumes_function
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import HOT, Rig, gap_conductance, natural_convection
@@ -284,21 +271,5 @@ def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> Ther
         width=width,
         half_length=float(sum(half_lengths(tube, rig))),
         properties=numbers[None],
-        volumes=_volumes_function(resolution)(numbers, width, vent, *shells).full().T,
+        volumes=volumes_function(resolution)(numbers, width, vent, *shells).full().T,
     )
-
-
-@lru_cache(maxsize=16)
-def _volumes_function(resolution: Resolution) -> ca.Function:
-    """(properties, widths, vents, rings, log ratios) -> the column of all coefficients."""
-    m = resolution.shells
-    sizes = (len(PROPERTIES), resolution.cells, resolution.covered, m, m - 1)
-    symbols = [ca.SX.sym(name, size) for name, size in zip("pwvrl", sizes, strict=True)]
-    p, width, vent, *shells = symbols
-    found: Volumes = volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
-    return ca.Function("volumes", symbols, [found.column])
-
-
-def named(column: ca.SX) -> Properties:
-    """Properties by name, from a column of their values."""
-    return dict(zip(PROPERTIES, ca.vertsplit(column), strict=True))

@@ -3,38 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
-from ..mechanics.heat import (
-    PROPERTIES,
-    Load,
-    Resolution,
-    Temperatures,
-    Volumes,
-    battery_rates,
-    by_cell,
-    frozen_jacobian,
-    heat_flows,
-    loop_resistance,
-    resistances,
-    source_voltage,
-    stored_heat,
-    tube_capacity,
-    tube_share,
-    volume_shapes,
-)
+from ..mechanics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions
 from ..robots.assembly import Array
 from ..transcription.buffered import mapped
-from .thermal import ThermalModel, named
-
-CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
-"""Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
-(J): drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, given off to the surroundings."""
-
-LUMPED = 6
+from .thermal import ThermalModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,57 +39,13 @@ class Current:
     resistance: Array
 
 
-@lru_cache(maxsize=16)
-def _functions(resolution: Resolution) -> dict[str, ca.Function]:
-    """What the simulation asks, as functions of one member: its state, the duty, its properties and volumes."""
-    rows, n = 1 + resolution.shells, resolution.cells
-    cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
-    lumped, duty = ca.SX.sym("lumped", LUMPED), ca.SX.sym("duty")
-    p = ca.SX.sym("p", len(PROPERTIES))
-    q = ca.SX.sym("q", sum(rows * columns for rows, columns in volume_shapes(resolution).values()))
-    g, v = named(p), Volumes.of(q, resolution)
-    at = Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
-
-    def circuit(tube: ca.SX) -> tuple[ca.SX, ca.SX]:
-        half = ca.sum1(resistances(tube, v, g))
-        return half, (source_voltage(lumped[CHARGE], g) - lumped[SAG]) / loop_resistance(half, g)
-
-    half, total = circuit(at.tube)
-    load = Load(half, duty * total, duty * total**2)
-    flows = heat_flows(at, load, v, g)
-    discharge, sagging = battery_rates(load, lumped[SAG], g)
-    heat = by_cell(tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
-    outside_tube = g["internal"] + g["series"] - g["contact"]
-    slow = ca.vertcat(
-        flows.clamp / g["clamp_heat"],
-        discharge,
-        sagging,
-        load.mean * source_voltage(lumped[CHARGE], g),
-        load.mean * (lumped[SAG] + total * outside_tube),
-        2 * flows.surroundings,
-    )
-    half, total = circuit(tube)
-    terminal = source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
-    seen = ca.vertcat(total, total * tube_share(half, g), terminal, half)
-    found = {
-        "rates": ([cells, lumped, duty, p, q], [by_cell(flows.tube, flows.mold) / heat, slow]),
-        "current": ([tube, lumped, p, q], [seen]),
-        "linearised": ([cells, p, q], [heat, *frozen_jacobian(at, cells, v, g)]),
-        "stored": ([cells, lumped, p, q], [2 * stored_heat(at, v, g)]),
-    }
-    return {
-        name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
-        for name, (inputs, outputs) in found.items()
-    }
-
-
 def _evaluated(name: str, model: ThermalModel, cells: Array, *others: Array) -> list[Array]:
     """Outputs of a function, members first, at temperatures (B, ...) and others (B, ...); copies.
 
     One member may be asked in B states.
     """
     b = len(cells)
-    function = mapped(_functions(model.resolution)[name], b)
+    function = mapped(instant_functions(model.resolution)[name], b)
     flat = cells.reshape(function.inputs[0].shape)
     return [value.reshape(b, -1).copy() for value in function(flat, *others, model.properties, model.volumes)]
 

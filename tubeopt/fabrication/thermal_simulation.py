@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SolveError
 from ..mechanics.heat import GRIP
+from ..mechanics.heat_functions import CLAMP, LUMPED
 from ..robots.assembly import Array
 from .thermal import ThermalModel
-from .thermal_rates import CLAMP, LUMPED, State, at_rest, current, imbalance, linearised, rates
+from .thermal_rates import State, at_rest, current, imbalance, linearised, rates
 
 GAMMA = 1 + 1 / math.sqrt(2)
 """Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,

@@ -1,1 +1,1 @@
-"""The physics as CasADi expressions: torsion, energy, second variation, shape."""
+"""The physics as CasADi expressions: torsion, energy, second variation, shape, heat."""

@@ -45,6 +45,11 @@ the curved part."""
 Properties = dict[str, Any]
 
 
+def named(column: Any) -> Properties:
+    """Properties by name, from a column of their values."""
+    return dict(zip(PROPERTIES, ca.vertsplit(column), strict=True))
+
+
 @dataclass(frozen=True)
 class Resolution:
     """Number of cells in a clamp, in the clearance, in the lead and in half of the curved part, and of shells."""
