@@ -70,7 +70,7 @@ def test_margin_of_a_pose() -> None:
     robot = equal_pair(0.1, 0.005, 9.0)
     requirements = (
         Poses(((0.0, 3.1),), ((0.0, 0.0),)),
-        SnapFreeInUse(0.3, paths=False),
+        SnapFreeInUse(0.7, paths=False),
         Strain((0.02,), in_poses=False),
     )
     reduced, collocated = both(DesignTask(robot, (Free("curvature", (0, 1), 2.0, 40.0),), requirements))
