@@ -67,16 +67,16 @@ def test_certificate_and_change() -> None:
 
 def test_margin_of_a_pose() -> None:
     """Two tubes of short transmission, turned against each other, with the least change that keeps a margin."""
-    robot = equal_pair(0.1, 0.005, 22.0)
+    robot = equal_pair(0.1, 0.005, 9.0)
     requirements = (
-        Poses(((0.0, 2.4),), ((0.0, 0.0),)),
-        SnapFreeInUse(0.3, paths=False),
+        Poses(((0.0, 3.1),), ((0.0, 0.0),)),
+        SnapFreeInUse(0.7, paths=False),
         Strain((0.02,), in_poses=False),
     )
     reduced, collocated = both(DesignTask(robot, (Free("curvature", (0, 1), 2.0, 40.0),), requirements))
     for a, b in zip(reduced.dimensions, collocated.dimensions, strict=True):
         assert b.after == pytest.approx(a.after, rel=1e-6)
-    assert collocated.equilibria[0].margin == pytest.approx(0.3, abs=1e-6)
+    assert collocated.equilibria[0].margin == pytest.approx(0.7, abs=1e-6)
 
 
 def test_free_poses_lengths_and_own_parts() -> None:

@@ -37,8 +37,9 @@ from .task import DesignTask
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
 """Requirements that the program takes."""
 
-HELD = 2e-6
-"""Part of a step by which limits are held inside: more than blocks and the reduced program differ."""
+HELD = (3e-7, 3e-6)
+"""Part of a step by which limits are held inside, for what blocks and the reduced program differ; the second where the
+first is not enough."""
 
 MOST_MARGIN = 0.999
 """Greatest margin that a block can be asked for."""
@@ -75,9 +76,11 @@ def collocate(program: Program, x: Array) -> Attempt:
     check_collocation(program.task)
     if any(isinstance(pose, Via) for pose in program.layout.poses):
         raise InputError("method 'collocation' does not take margins on joint paths; method 'reduced' does")
-    posed = _Collocated(program, x)
-    found, words = posed.solved()
-    reached = attempt(program, np.clip(found, program.lower, program.upper), None)
+    for held in HELD:
+        found, words = _Collocated(program, x, held).solved()
+        reached = attempt(program, np.clip(found, program.lower, program.upper), None)
+        if words or reached.feasible:
+            break
     if not words:
         return reached
     return replace(reached, violation=np.inf, worst=f"convergence of the collocated program ({words})")
@@ -86,8 +89,8 @@ def collocate(program: Program, x: Array) -> Attempt:
 class _Collocated:
     """The program: unknowns as in the layout of the reduced one, and blocks near the equilibria at x."""
 
-    def __init__(self, program: Program, x: Array) -> None:
-        self.program, self.opti = program, ca.Opti()
+    def __init__(self, program: Program, x: Array, held: float) -> None:
+        self.program, self.opti, self.held = program, ca.Opti(), held
         self.state = state_at(program, x)
         scaled = self.opti.variable(len(x))
         self.opti.set_initial(scaled, x / program.scale)
@@ -178,17 +181,17 @@ class _Collocated:
     def _requirements(self) -> None:
         for one, stated in zip(self.program.requirements, self.program.stated, strict=True):
             for statement in stated:
-                self._at_least(statement.expression(self.look) / statement.limit.size - HELD)
+                self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
             match one:
                 case SnapFree(margin=margin):
                     for row in self.program.layout.certified:
-                        self._at_least(self.look(Quantity("certificate", at=row)) - margin, 0.1)
+                        self._at_least((self.look(Quantity("certificate", at=row)) - margin) / 0.1 - self.held)
                 case SnapFreeInUse(margin=margin):
                     for block in self.blocks:
-                        block.margin_at_least(margin + HELD)
+                        block.margin_at_least(margin + 0.1 * self.held)
                 case Strain(limits=limits, straightened=True):
                     for i, limit in enumerate(limits):
-                        self._at_least(limit - self._strain(i), 1e-3)
+                        self._at_least((limit - self._strain(i)) / 1e-3 - self.held)
                 case _:
                     pass
 
