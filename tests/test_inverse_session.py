@@ -52,7 +52,8 @@ def test_a_path_without_a_jump(robot: Robot, targets: Array) -> None:
     assert not way.snaps
     for answer, walked in zip(answers, way.equilibria, strict=True):
         assert np.linalg.norm(walked.tip_position - answer.equilibrium.tip_position) < 1e-8
-        assert walked.margin == pytest.approx(answer.margin, abs=1e-6)
+        # Margins close to 1, where nothing is about to snap, are told to a few 1e-6.
+        assert walked.margin == pytest.approx(answer.margin, abs=1e-6 if answer.margin < 0.99 else 2e-5)
 
 
 def test_directions_are_followed() -> None:
