@@ -177,7 +177,7 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
             if (!(value > 0)) return -1;
             double residual = beside * fabs(y[m]);
             /* Close to 1, where eigenvalues gather, the square of the residual over the distance from 1 is what is off. */
-            int gathered = value < 1.01 && residual * residual < STRETCHED_ERROR * fmax(value - 1, 1e-6);
+            int gathered = value < 1.01 && residual * residual < 1e-3 * STRETCHED_ERROR * fmax(value - 1, 1e-6);
             if (last || gathered || residual < STRETCHED_ERROR * value) break;
         }
         small[(m + 1) * LANCZOS + m] = beside;
