@@ -165,7 +165,7 @@ def test_members_do_not_see_one_another() -> None:
 @pytest.mark.parametrize("material", [CALCIUM_SILICATE, STEEL])
 @pytest.mark.parametrize("tube", [TUBE, Tube(1.0e-3, 0.8e-3, 0.1, 0.02, 20.0)])
 def test_the_program_and_the_simulation_have_the_same_physics(material: object, tube: Tube) -> None:
-    """Written twice, in CasADi and in NumPy: they agree to round-off in any state."""
+    """One balance, with the current as an unknown or eliminated: they agree to round-off in any state."""
     resolution = Resolution(2, 3, 4, 5, 4)
     places = np.linspace(0.0, 1.0, VENTS)
     rig = with_mold(thesis_rig(), material=material, vents=tuple(0.3 * places**2))

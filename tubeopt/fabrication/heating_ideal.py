@@ -294,7 +294,7 @@ def _start(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
 def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array) -> float:
     """By how much a guess misses the window, K, where that is far: from 0, IPOPT would take a hundred tiny steps."""
     s = made.structure
-    tube = model.ambient + RISE * z.reshape(s.points, s.states)[-s.holding_points :, : s.cells]
+    tube = model.ambient + RISE * z.reshape(s.points, s.states)[-s.holding_points :, : s.resolution.cells]
     held = joined(model, tube) - ZERO_CELSIUS
     low, high = spec.window_degC
     miss = max(low - float(held.min()), float(held.max()) - high)
@@ -367,8 +367,8 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
         miss=float(miss[0, 0]),
         rig=chosen,
         time=points,
-        tube=rig.ambient + RISE * Z[: made.structure.cells].T,
-        held=_held(made, tube, chosen, rig.ambient + RISE * Z[: made.structure.cells].T),
+        tube=rig.ambient + RISE * Z[: made.structure.resolution.cells].T,
+        held=_held(made, tube, chosen, rig.ambient + RISE * Z[: made.structure.resolution.cells].T),
         iterations=iterations,
         x=x,
     )

@@ -13,26 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..mechanics.heat import (
-    CLEARANCE,
-    CURVED,
-    GRIP,
-    LEAD,
-    PROPERTIES,
-    Load,
-    Properties,
-    Resolution,
-    Temperatures,
-    battery_rates,
-    heat_flows,
-    loop_resistance,
-    named,
-    resistances,
-    source_voltage,
-    tube_capacity,
-    volumes,
-    zones,
-)
+from ..mechanics import heat
+from ..mechanics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, named, zones
 from ..robots.assembly import Array
 from ..tubes import Tube
 from .rig import Rig
@@ -108,25 +90,25 @@ def instant(resolution: Resolution) -> ca.Function:
     numbers = Numbers.of(p, resolution)
     g = numbers.scalar
     vent = ca.mtimes(numbers.vents, design[2:])
-    v = volumes(g, numbers.widths(resolution, design), vent, numbers.shells, resolution)
-    at = Temperatures(
+    v = heat.volumes(g, numbers.widths(resolution, design), vent, numbers.shells, resolution)
+    at = heat.Temperatures(
         tube=g["ambient"] + RISE * z[:n],
         mold=g["ambient"] + RISE * ca.reshape(z[n : n + covered * m], m, covered).T,
         clamp=g["ambient"] + RISE * z[-3],
     )
     ampere, sagged = AMPERE * circuit[0], SAG * z[-1]
-    load = Load(half=OHM * circuit[1], mean=DRIVE * drive / ampere, drive=DRIVE * drive)
-    flows = heat_flows(at, load, v, g)
-    discharge, sagging = battery_rates(load, sagged, g)
+    load = heat.Load(half=OHM * circuit[1], mean=DRIVE * drive / ampere, drive=DRIVE * drive)
+    flows = heat.heat_flows(at, load, v, g)
+    discharge, sagging = heat.battery_rates(load, sagged, g)
     rates = ca.vertcat(
-        flows.tube / tube_capacity(at.tube, v, g) / RISE,
+        flows.tube / heat.tube_capacity(at.tube, v, g) / RISE,
         ca.vec((flows.mold / v.shell_heat).T) / RISE,
         flows.clamp / g["clamp_heat"] / RISE,
         discharge / CHARGE,
         sagging / SAG,
     )
-    source = source_voltage(CHARGE * z[-2], g)
-    voltage = (ampere * loop_resistance(load.half, g) - source + sagged) / VOLT
-    resistance = ca.sum1(resistances(at.tube, v, g)) / OHM - circuit[1]
+    source = heat.source_voltage(CHARGE * z[-2], g)
+    voltage = (ampere * heat.loop_resistance(load.half, g) - source + sagged) / VOLT
+    resistance = ca.sum1(heat.resistances(at.tube, v, g)) / OHM - circuit[1]
     equations = ca.vertcat(rate - rates, voltage, resistance)
     return ca.Function("instant", [z, rate, circuit, drive, design, p], [equations, load.mean * source])

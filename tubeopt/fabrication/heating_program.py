@@ -90,19 +90,9 @@ class Structure:
     mesh: TimeMesh = MESH
 
     @property
-    def cells(self) -> int:
-        """n."""
-        return sum(self.resolution.counts)
-
-    @property
-    def covered(self) -> int:
-        """Cells in the mold."""
-        return self.resolution.lead + self.resolution.curved
-
-    @property
     def states(self) -> int:
         """Temperatures of the tube, of the shells cell by cell, of the clamp, charge used and sag."""
-        return self.cells + self.covered * self.resolution.shells + 3
+        return self.resolution.cells + self.resolution.covered * self.resolution.shells + 3
 
     @property
     def points(self) -> int:
@@ -198,8 +188,8 @@ def _widths(mesh: TimeMesh, durations: Any, hold: Any) -> Any:
 
 def _held(s: Structure, x: _Unknowns, numbers: Numbers) -> Any:
     """(1+c, H) temperatures (K) where the curved part begins, and at its cells, at the points of the hold."""
-    first = s.cells - s.resolution.curved
-    rows = x.z[first - 1 : s.cells, s.points - s.holding_points :] * RISE
+    first = s.resolution.cells - s.resolution.curved
+    rows = x.z[first - 1 : s.resolution.cells, s.points - s.holding_points :] * RISE
     width = numbers.widths(s.resolution, x.design)
     before, after = width[first - 1], width[first]
     joint = (after * rows[0, :] + before * rows[1, :]) / (before + after)
@@ -227,8 +217,8 @@ def program(s: Structure) -> Program:
         "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
         "low": (held + misses - w["low"]) / WINDOW,
         "high": (held - misses - w["high"]) / WINDOW,
-        "limit": x.z[: s.cells, :] - limit,
-        "ramp": rate[s.resolution.grip : s.cells, :] * RISE / w["ramp"],
+        "limit": x.z[: s.resolution.cells, :] - limit,
+        "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
         "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,
     }

@@ -6,26 +6,8 @@ from functools import lru_cache
 
 import casadi as ca
 
-from .heat import (
-    PROPERTIES,
-    Load,
-    Resolution,
-    Temperatures,
-    Volumes,
-    battery_rates,
-    by_cell,
-    frozen_jacobian,
-    heat_flows,
-    loop_resistance,
-    named,
-    resistances,
-    source_voltage,
-    stored_heat,
-    tube_capacity,
-    tube_share,
-    volume_shapes,
-    volumes,
-)
+from . import heat
+from .heat import PROPERTIES, Resolution, named
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
 """Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
@@ -41,7 +23,7 @@ def volumes_function(resolution: Resolution) -> ca.Function:
     sizes = (len(PROPERTIES), resolution.cells, resolution.covered, m, m - 1)
     symbols = [ca.SX.sym(name, size) for name, size in zip("pwvrl", sizes, strict=True)]
     p, width, vent, *shells = symbols
-    found = volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
+    found = heat.volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
     return ca.Function("volumes", symbols, [found.column])
 
 
@@ -58,36 +40,36 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
     lumped, duty = ca.SX.sym("lumped", LUMPED), ca.SX.sym("duty")
     p = ca.SX.sym("p", len(PROPERTIES))
-    q = ca.SX.sym("q", sum(rows * columns for rows, columns in volume_shapes(resolution).values()))
-    g, v = named(p), Volumes.of(q, resolution)
-    at = Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
+    q = ca.SX.sym("q", sum(rows * columns for rows, columns in heat.volume_shapes(resolution).values()))
+    g, v = named(p), heat.Volumes.of(q, resolution)
+    at = heat.Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
 
     def circuit(tube: ca.SX) -> tuple[ca.SX, ca.SX]:
-        half = ca.sum1(resistances(tube, v, g))
-        return half, (source_voltage(lumped[CHARGE], g) - lumped[SAG]) / loop_resistance(half, g)
+        half = ca.sum1(heat.resistances(tube, v, g))
+        return half, (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
 
     half, total = circuit(at.tube)
-    load = Load(half, duty * total, duty * total**2)
-    flows = heat_flows(at, load, v, g)
-    discharge, sagging = battery_rates(load, lumped[SAG], g)
-    heat = by_cell(tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
+    load = heat.Load(half, duty * total, duty * total**2)
+    flows = heat.heat_flows(at, load, v, g)
+    discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
+    capacity = heat.by_cell(heat.tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
     outside_tube = g["internal"] + g["series"] - g["contact"]
     slow = ca.vertcat(
         flows.clamp / g["clamp_heat"],
         discharge,
         sagging,
-        load.mean * source_voltage(lumped[CHARGE], g),
+        load.mean * heat.source_voltage(lumped[CHARGE], g),
         load.mean * (lumped[SAG] + total * outside_tube),
         2 * flows.surroundings,
     )
     half, total = circuit(tube)
-    terminal = source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
-    seen = ca.vertcat(total, total * tube_share(half, g), terminal, half)
+    terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * total
+    seen = ca.vertcat(total, total * heat.tube_share(half, g), terminal, half)
     found = {
-        "rates": ([cells, lumped, duty, p, q], [by_cell(flows.tube, flows.mold) / heat, slow]),
+        "rates": ([cells, lumped, duty, p, q], [heat.by_cell(flows.tube, flows.mold) / capacity, slow]),
         "current": ([tube, lumped, p, q], [seen]),
-        "linearised": ([cells, p, q], [heat, *frozen_jacobian(at, cells, v, g)]),
-        "stored": ([cells, lumped, p, q], [2 * stored_heat(at, v, g)]),
+        "linearised": ([cells, p, q], [capacity, *heat.frozen_jacobian(at, cells, v, g)]),
+        "stored": ([cells, lumped, p, q], [2 * heat.stored_heat(at, v, g)]),
     }
     return {
         name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
