@@ -149,7 +149,7 @@ def path_program(question: PathQuestion) -> PathProgram:
         "force": ca.vertcat(ca.vec(accelerations), -ca.vec(accelerations)) - square,
         "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
     }
-    arm = None
+    arm: Any = None
     if question.obstacles or question.extra is not None:
         arm = explicit_arm(n, question.eccentric).map(knots)(tip, shift, ca.DM.zeros(1, knots), robots)
     if question.obstacles:
