@@ -80,4 +80,4 @@ def test_what_makes_no_sense_is_refused() -> None:
         ({"extra_cost": Close(), "method": "nlp"}, "method 'nlp' takes no extra_cost"),
     ):
         with pytest.raises(InputError, match=words):
-            inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))  # type: ignore[arg-type]
+            inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))

@@ -254,6 +254,7 @@ class _Collocated:
     def solved(self) -> tuple[Array, str]:
         """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""
         self.opti.solver("ipopt", {"print_time": False, "show_eval_warnings": False}, OPTIONS)
+        solution: Any
         try:
             solution: Any = self.opti.solve()
         except RuntimeError:

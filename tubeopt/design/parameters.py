@@ -111,9 +111,9 @@ class DesignSpace:
             out[name] = column
         if any(field in ("outer_diameter", "inner_diameter") for field, _, _ in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
-            moduli = [(tube.material.youngs_modulus, 2 * tube.material.shear_modulus) for tube in self.robot_tubes]
-            for k, name in enumerate(("bending_stiffness", "torsional_stiffness")):
-                out[name] = ca.DM([pair[k] for pair in moduli]) * second
+            tubes = self.robot_tubes
+            out["bending_stiffness"] = ca.DM([tube.material.youngs_modulus for tube in tubes]) * second
+            out["torsional_stiffness"] = ca.DM([2 * tube.material.shear_modulus for tube in tubes]) * second
         return out
 
     def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
