@@ -256,7 +256,7 @@ class _Collocated:
         self.opti.solver("ipopt", {"print_time": False, "show_eval_warnings": False}, OPTIONS)
         solution: Any
         try:
-            solution: Any = self.opti.solve()
+            solution = self.opti.solve()
         except RuntimeError:
             solution = self.opti.debug
         for k, block in enumerate(self.blocks, start=1):
