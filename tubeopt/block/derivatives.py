@@ -9,17 +9,16 @@ dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..robots.assembly import ROUND_OFF, Array, Assembly, where
+from ..robots.assembly import ROUND_OFF, Array, Assembly
 from ..robots.breakpoints import DIMENSIONS
 from ..transcription.buffered import section_function
 from ..transcription.reduced import ReducedProblem
+from .jumps import Jumps, moving_breakpoints
 from .linear import (
     Arm,
     Chain,
@@ -43,20 +42,6 @@ PARAMETERS = ("rotations", "translations", *DIMENSIONS)
 
 FLAT = 1 - 1e-9
 """Margin above which nothing softens: the greatest value, 1, which does not change."""
-
-
-@dataclass(frozen=True, eq=False)
-class Jumps:
-    """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and kb, m
-    (J, n) of the cross-section that the motion uncovers (`gained`) and of what was there (`lost`)."""
-
-    column: NDArray[np.intp]
-    index: NDArray[np.intp]
-    gained: tuple[Array, Array]
-    lost: tuple[Array, Array]
-
-    def __len__(self) -> int:
-        return len(self.column)
 
 
 class Derivatives:
@@ -145,7 +130,7 @@ class Derivatives:
         return out
 
     @cached_property
-    def _movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
+    def movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
         """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
         out: list[tuple[int, tuple[int, ...], tuple[int, ...]]] = []
         first = self.first("translations")
@@ -159,30 +144,7 @@ class Derivatives:
     @cached_property
     def jumps(self) -> Jumps:
         """Every breakpoint in front of the plate that a parameter moves."""
-        assembly, n, nudge = self.assembly, self.arm.n_tubes, self.side * ROUND_OFF
-        begin, end = assembly.transition.tolist(), assembly.end.tolist()
-        least = -ROUND_OFF if self.side > 0 else ROUND_OFF
-        if not self.arm.n_pieces:
-            least = np.inf
-        column, place = [], []
-        begins, ends = (np.zeros((self.size, n), dtype=bool) for _ in range(2))
-        for c, first, last in self._movers:
-            begins[c, list(first)], ends[c, list(last)] = True, True
-            own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
-            for k, s in enumerate(own):
-                if s > least and not (k and s - own[k - 1] <= ROUND_OFF):
-                    column.append(c)
-                    place.append(s)
-        at = np.array(place)[:, None] + nudge
-        lost = where(assembly.transition, assembly.end, assembly.curvature, at)
-        moved = (table[column] * (2 * nudge) for table in (begins, ends))
-        transition, end_ = (a + b for a, b in zip((assembly.transition, assembly.end), moved, strict=True))
-        gained = where(transition, end_, assembly.curvature, at)
-        changed = np.flatnonzero((gained[0] != lost[0]).any(1) | (gained[1] != lost[1]).any(1))
-        kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
-        sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
-        index = np.abs(self.cuts - at[changed]).argmin(axis=1) if len(changed) else changed
-        return Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
+        return moving_breakpoints(self)
 
     @cached_property
     def cuts(self) -> Array:
@@ -297,7 +259,7 @@ class Derivatives:
         """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
         out = np.zeros((3, self.size))
         longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
-        for column, _, tubes in self._movers:
+        for column, _, tubes in self.movers:
             mine = sum(longest[i] for i in tubes)
             if mine and (self.side > 0 or mine == longest.sum()):
                 out[:, column] = self.arm.frame[-1][:, 2]
