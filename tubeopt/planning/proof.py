@@ -175,8 +175,10 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         faults.append(f"the margin falls to {passage.margin:.4g}; it must be at least {min_margin:g}")
     reached = passage.steps[-1].at
     if passage.snap is None and reached < 1:
-        why = f"the time limit was reached, or more than {follower.count} equilibria would be needed"
-        unproved.append(f"not proved beyond {100 * reached:.4g} % of the time: {why}")
+        followed = f"when {100 * reached:.4g} % of it was followed"
+        late = time_now() > follower.until
+        why = "the time limit was reached" if late else f"more than {follower.count} equilibria would be needed"
+        unproved.append(f"not proved: {why} {followed}")
     elif passage.lost:
         a, b = passage.lost[0]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the time"
