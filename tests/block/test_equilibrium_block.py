@@ -88,8 +88,8 @@ def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotatio
     block.margin_at_least(least)
     problem.maximize(least)
     margin = problem.solve(tubeopt.Ipopt(expand=True)).value("margin")
-    # Of an eccentric robot `margin` leaves offsets out of the second variation; the block does not.
-    assert margin == pytest.approx(near.margin, abs=1e-3 if block.model.place else 1e-8)
+    # `margin` of eccentric robots by the compiled kernel is good to 1e-6 and better where it is farther from 1.
+    assert margin == pytest.approx(near.margin, abs=1e-6 if block.model.place else 1e-8)
 
 
 def test_margin_keeps_a_robot_from_the_snap() -> None:

@@ -28,11 +28,8 @@ if TYPE_CHECKING:
 AGREEMENT = 1e-6
 """Largest difference of the tip between block and equilibrium, over the length of the arm."""
 
-MISSED = 1e-6
-"""By how much a margin that was demanded may be missed."""
-
-OFFSET = 0.03
-"""The same of an eccentric robot, whose `margin` leaves the offsets out of the second variation."""
+MISSED = 5e-5
+"""By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
 
 
 def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibrium:
@@ -57,10 +54,9 @@ def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibri
             "pieces of the block are too long (raise its refinement), or the program was not solved",
             found,
         )
-    missed = OFFSET if block.model.place else MISSED
     for _, floor in block._margins:
         least = float(np.array(value(floor)).item())
-        if found.margin < least - missed:
+        if found.margin < least - MISSED:
             raise SolveError(
                 f"the margin is {found.margin:.4g} where {least:.4g} was demanded: the program has left the branch on "
                 "which the condition tells the margin; start it closer to its solution",
