@@ -25,8 +25,8 @@ from tubeopt.design.program import compile_task
 from tubeopt.design.requirements import of_kind
 from tubeopt.design.solve import solve
 from tubeopt.design.starts import start_values
-from tubeopt.study.design_study import DesignStudy
-from tubeopt.study.study_file import load_study
+from tubeopt.runs.design_study import DesignStudy
+from tubeopt.runs.study_file import load_study
 
 STUDIES = Path(__file__).resolve().parents[1] / "configs" / "studies"
 

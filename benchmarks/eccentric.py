@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 
 from tubeopt import Discretisation, EccentricRobot, Equilibrium, forward_kinematics, load_robot
-from tubeopt.actuation import mirror_rotations
+from tubeopt.inverse.mirror import mirror_rotations
 
 from .timing import clock, milliseconds, show, summarise, table
 

@@ -18,8 +18,8 @@ from benchmarks.timing import Timing, clock, dump, milliseconds, show, summarise
 from tests.examples import CRL, THESIS, TWO_TUBE
 from tests.inverse_targets import inside, reachable
 from tubeopt import Equilibrium, IkSession, InverseOptions, SolveError, follow, forward_kinematics, inverse_kinematics
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 
 TARGETS = {"solved cold": 0.995, "with direction": 0.98, "cold": 60e-3, "servo step": 3e-3}
 """Shares of targets solved, and most seconds of the median."""

@@ -22,9 +22,9 @@ from tests.examples import CRL, THESIS
 from tests.stability.reference import Creep, all_tips, bundle, settle, worst_by_elements
 from tests.stability.robots import random_robot, random_translations
 from tubeopt import find_equilibria, find_snap, snap_free_certificate
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import Certificate, certify, stability_map, worst_margin
+from tubeopt.typing import Array
 
 TARGETS = {"all equilibria": 1.0, "first snap": 0.5, "certificate": 2e-3, "stability map": 30.0}
 """Most seconds of each question."""

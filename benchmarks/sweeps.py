@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tubeopt import sweep
-from tubeopt.commands.sweep import record_of
-from tubeopt.study.sweep_file import load_sweep
+from tubeopt.cli.sweep import record_of
+from tubeopt.runs.sweep_file import load_sweep
 
 from .timing import ROOT, dump, show, table
 

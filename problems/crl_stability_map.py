@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_stability_map
+from tubeopt.show.plots import plot_stability_map
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from tubeopt.design import Reach, optimize_design
 from tubeopt.design.requirements import of_kind
-from tubeopt.plotting.design import plot_poses
-from tubeopt.study.design_study import DesignStudy
-from tubeopt.study.study_file import load_study
+from tubeopt.runs.design_study import DesignStudy
+from tubeopt.runs.study_file import load_study
+from tubeopt.show.plots.design import plot_poses
 
 ROOT = Path(__file__).resolve().parents[1]
 

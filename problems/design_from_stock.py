@@ -10,10 +10,10 @@ import argparse
 from pathlib import Path
 
 from tubeopt.design import choose_from_stock
-from tubeopt.plotting.design import plot_stock
-from tubeopt.study.design_study import DesignStudy
-from tubeopt.study.stock_file import load_stock
-from tubeopt.study.study_file import load_study
+from tubeopt.runs.design_study import DesignStudy
+from tubeopt.runs.stock_file import load_stock
+from tubeopt.runs.study_file import load_study
+from tubeopt.show.plots.design import plot_stock
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import tubeopt
 from tubeopt.design import Free, Objective, SnapFree, count_snaps
-from tubeopt.plotting.design import plot_before_after
+from tubeopt.show.plots.design import plot_before_after
 
 ROOT = Path(__file__).resolve().parents[1]
 

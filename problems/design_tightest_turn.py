@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 
 from tubeopt.design import optimize_design, pareto_front
-from tubeopt.plotting.design import plot_front
-from tubeopt.study.design_study import DesignStudy
-from tubeopt.study.study_file import load_study
+from tubeopt.runs.design_study import DesignStudy
+from tubeopt.runs.study_file import load_study
+from tubeopt.show.plots.design import plot_front
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -13,8 +13,8 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.fabrication.heating_robust import assess
-from tubeopt.plotting.heating import plot_heating
+from tubeopt.shaping.heating.robust import assess
+from tubeopt.show.plots.heating import plot_heating
 
 ROOT = Path(__file__).resolve().parents[1]
 

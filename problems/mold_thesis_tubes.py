@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.fabrication import rank_mold_materials
-from tubeopt.plotting.mold import plot_materials, plot_mold, plot_setup_sheet
+from tubeopt.shaping import rank_mold_materials
+from tubeopt.show.plots.mold import plot_materials, plot_mold, plot_setup_sheet
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = ROOT / "configs" / "robots"

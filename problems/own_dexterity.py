@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_shapes
+from tubeopt.show.plots import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
 TRANSLATIONS = ((-0.01, -0.03), (-0.02, -0.06), (-0.005, -0.02))

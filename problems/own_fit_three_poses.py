@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_shapes
+from tubeopt.show.plots import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS_MM = ((24.2, -45.8, 74.0), (41.0, -41.8, 80.6), (18.1, -36.1, 71.8))

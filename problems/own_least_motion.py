@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_shape
+from tubeopt.show.plots import plot_shape
 
 ROOT = Path(__file__).resolve().parents[1]
 KNOTS = 11

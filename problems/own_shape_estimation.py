@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_shapes
+from tubeopt.show.plots import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
 NOISE = 0.2e-3

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.corridors import Corridor
-from tubeopt.plotting.trajectory import plot_trajectory
+from tubeopt.bodies.corridors import Corridor
+from tubeopt.show.plots.trajectory import plot_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting.trajectory import plot_trajectory
+from tubeopt.show.plots.trajectory import plot_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 

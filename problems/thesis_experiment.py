@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting.validation import plot_error_table, plot_simulated_circles
-from tubeopt.study.measurement_file import load_error_table
+from tubeopt.runs.measurement_file import load_error_table
+from tubeopt.show.plots.validation import plot_error_table, plot_simulated_circles
 
 ROOT = Path(__file__).resolve().parents[1]
 

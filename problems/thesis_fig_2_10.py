@@ -13,8 +13,8 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.plotting.eccentric import arm_curve, plot_reach
-from tubeopt.plotting.workspace import plot_workspace
+from tubeopt.show.plots.eccentric import arm_curve, plot_reach
+from tubeopt.show.plots.workspace import plot_workspace
 from tubeopt.workspaces import meridian_volume
 
 ROOT = Path(__file__).resolve().parents[1]

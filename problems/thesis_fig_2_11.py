@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.plotting import plot_torsions
+from tubeopt.show.plots import plot_torsions
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_energy_maps
+from tubeopt.show.plots import plot_energy_maps
 
 ROOT = Path(__file__).resolve().parents[1]
 INPUTS_DEG = (135.0, 150.0, 180.0, 225.0)

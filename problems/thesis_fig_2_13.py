@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting import plot_snap
+from tubeopt.show.plots import plot_snap
 
 ROOT = Path(__file__).resolve().parents[1]
 

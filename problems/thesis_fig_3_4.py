@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt import actuation, eccentric
-from tubeopt.plotting import plot_shapes
+from tubeopt.equilibrium import centrelines
+from tubeopt.inverse import mirror
+from tubeopt.show.plots import plot_shapes
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -21,11 +22,11 @@ ROOT = Path(__file__).resolve().parents[1]
 def main(out: Path) -> list[Path]:
     """Solve both configurations, print the tubes' own lengths, save the picture, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_etr.yaml")
-    straight = tubeopt.forward_kinematics(robot, actuation.mirror_rotations(0.0, actuation.STRAIGHT))
-    bent = tubeopt.forward_kinematics(robot, actuation.mirror_rotations(np.pi / 2, 0.0))
+    straight = tubeopt.forward_kinematics(robot, mirror.mirror_rotations(0.0, mirror.STRAIGHT))
+    bent = tubeopt.forward_kinematics(robot, mirror.mirror_rotations(np.pi / 2, 0.0))
     titles = []
     for name, equilibrium in (("Straight", straight), ("Bent", bent)):
-        lengths = ", ".join(f"{length * 1e3:.2f}" for length in eccentric.tube_lengths(equilibrium))
+        lengths = ", ".join(f"{length * 1e3:.2f}" for length in centrelines.tube_lengths(equilibrium))
         titles.append(f"{name}: tubes {lengths} mm long")
         print(f"{titles[-1]}, tip {np.round(equilibrium.tip_position * 1e3, 6)} mm")
     picture = out / "thesis_etr_straight.png"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.plotting.eccentric import arm_curve, plot_reach
+from tubeopt.show.plots.eccentric import arm_curve, plot_reach
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = 1000

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.actuation import mirror_rotations
-from tubeopt.plotting.eccentric import arm_curve, plot_reach
+from tubeopt.inverse.mirror import mirror_rotations
+from tubeopt.show.plots.eccentric import arm_curve, plot_reach
 
 ROOT = Path(__file__).resolve().parents[1]
 SEPARATIONS = np.radians(np.linspace(0.0, 120.0, 13))

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.actuation import ASSIGNMENTS, mirror_rotations, permuted_tips
-from tubeopt.plotting.eccentric import Permutations, plot_permutations
+from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations, permuted_tips
+from tubeopt.show.plots.eccentric import Permutations, plot_permutations
 
 ROOT = Path(__file__).resolve().parents[1]
 THESIS = 0.36e-3

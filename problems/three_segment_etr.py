@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.actuation import mirror_rotations
-from tubeopt.eccentric import chained_approximation
-from tubeopt.plotting import plot_shape
+from tubeopt.equilibrium.centrelines import chained_approximation
+from tubeopt.inverse.mirror import mirror_rotations
+from tubeopt.show.plots import plot_shape
 
 ROOT = Path(__file__).resolve().parents[1]
 MIRROR_DEG = ((-50.0, 15.0), (110.0, 15.0), (70.0, 15.0))

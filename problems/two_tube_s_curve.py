@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import ellipj
 
 import tubeopt
-from tubeopt.plotting import plot_branch
+from tubeopt.show.plots import plot_branch
 
 ROOT = Path(__file__).resolve().parents[1]
 DOTS = 25

@@ -11,9 +11,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tubeopt.cli import main
-
-from .command_line import COLOUR, Outcome, Run
+from tests.command_line import COLOUR, Outcome, Run
+from tubeopt.cli.app import main
 
 # A solve that builds its functions first takes seconds, later ones well under a millisecond: a deadline per example
 # would only measure the order of the tests.

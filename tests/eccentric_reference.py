@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from tubeopt import SegmentedEccentricRobot, Tube
-from tubeopt.robots.assembly import Array
+from tubeopt.typing import Array
 
 TOLERANCE = 1e-13
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from tubeopt import Equilibrium, SolveError, forward_kinematics
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 
 
 def in_order(robot: Robot, translations: Array, slack: float = 1e-9) -> bool:

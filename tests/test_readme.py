@@ -11,7 +11,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from tubeopt.cli import app
+from tubeopt.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

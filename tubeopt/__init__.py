@@ -1,22 +1,18 @@
 """tubeopt: design, command and fabrication of concentric and eccentric tube robots."""
 
-from .batch import EquilibriumBatch, forward_kinematics_batch
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
 from .block.ipopt import Ipopt, ProblemStatus
-from .block.jacobian import Jacobian
 from .block.problem import Problem
 from .block.problem_solution import ProblemSolution, load_problem_solution
 from .design import DesignSolution, DesignTask, optimize_design
-from .equilibrium import Equilibrium, Statistics, Status, Verification
+from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
+from .equilibrium.file import load_equilibrium
+from .equilibrium.jacobian import Jacobian
+from .equilibrium.kinematics import forward_kinematics
+from .equilibrium.result import Equilibrium, Statistics, Status, Verification
+from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
-from .fabrication import Mold, MoldSpec, plan_mold, predict_tube
-from .fabrication.heating import plan_heating
-from .fabrication.heating_plan import HeatingPlan
-from .fabrication.heating_spec import HeatingSpec
-from .fabrication.rig import Rig
 from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
-from .kinematics import forward_kinematics
-from .materials import NITINOL, Material
 from .planning import (
     PlanOptions,
     Proof,
@@ -30,8 +26,17 @@ from .planning import (
 )
 from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
-from .solution import Discretisation
+from .robots.materials import NITINOL, Material
+from .robots.tubes import Tube
+from .runs.rig_file import load_rig, save_rig
+from .runs.sweeping import Sweep, sweep
+from .shaping import Mold, MoldSpec, plan_mold, predict_tube
+from .shaping.heating.plan import HeatingPlan
+from .shaping.heating.planning import plan_heating
+from .shaping.heating.rig import Rig
+from .shaping.heating.spec import HeatingSpec
 from .stability import (
     Branch,
     Certificate,
@@ -55,11 +60,6 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
-from .study.result_file import load_equilibrium
-from .study.rig_file import load_rig, save_rig
-from .study.robot_file import load_robot, save_robot
-from .sweeping import Sweep, sweep
-from .tubes import Tube
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__ = "0.1.0"

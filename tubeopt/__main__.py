@@ -1,5 +1,5 @@
 """`python -m tubeopt` is the command `tubeopt`."""
 
-from .cli import main
+from .cli.app import main
 
 main()

@@ -29,12 +29,12 @@ from tubeopt import (
     SolveError,
     forward_kinematics,
 )
-from tubeopt.block.jacobian import Jacobian
-from tubeopt.robots.assembly import Array
+from tubeopt.equilibrium.jacobian import Jacobian
+from tubeopt.equilibrium.solving import to_equilibrium
 from tubeopt.robots.breakpoints import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.robots.robot import Robot
-from tubeopt.solution import to_equilibrium
+from tubeopt.typing import Array
 
 TURN, SHIFT = 1e-4, 1e-5
 """Steps of the differences, rad and m."""

@@ -12,7 +12,7 @@ import pytest
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import EquilibriumBlock, InputError, OrderWarning, Problem, SolveError, forward_kinematics
-from tubeopt.obstacles import Sphere
+from tubeopt.bodies.obstacles import Sphere
 from tubeopt.robots.robot import Robot
 
 SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")

@@ -9,9 +9,9 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
 from tubeopt import load_robot, snap_free_certificate
-from tubeopt.study.design_study import DesignStudy
-from tubeopt.study.stock_file import load_stock
-from tubeopt.study.study_file import load_study
+from tubeopt.runs.design_study import DesignStudy
+from tubeopt.runs.stock_file import load_stock
+from tubeopt.runs.study_file import load_study
 
 STUDIES = ROOT / "configs" / "studies"
 THESIS = STUDIES / "design_thesis_snap_free.yaml"

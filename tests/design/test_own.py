@@ -28,7 +28,7 @@ from tubeopt.design import (
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import compile_task, state_at
 from tubeopt.design.verify_own import check_own, numbers_of
-from tubeopt.robots.assembly import Array
+from tubeopt.typing import Array
 
 MM = 1e-3
 

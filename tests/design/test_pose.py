@@ -10,11 +10,11 @@ import pytest
 
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
-from tubeopt.block.derivatives import PARAMETERS
 from tubeopt.design.pose import Pose
 from tubeopt.design.solved import Twist, solve_pose
-from tubeopt.robots.assembly import Array
-from tubeopt.tubes import Tube
+from tubeopt.equilibrium.derivatives import PARAMETERS
+from tubeopt.robots.tubes import Tube
+from tubeopt.typing import Array
 
 Numbers = dict[str, Array]
 

@@ -10,6 +10,7 @@ import pytest
 
 from tests.design.tasks import THESIS, two_tubes
 from tubeopt import ConcentricRobot, DesignTask, JointLimits, Tube, follow, forward_kinematics, optimize_design
+from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
     Avoid,
     Corridor,
@@ -28,8 +29,7 @@ from tubeopt.design.program import compile_task, evaluate, stack, state_at, tota
 from tubeopt.design.rows import pose_strain
 from tubeopt.design.starts import with_joints
 from tubeopt.design.verify_tubes import largest_strain
-from tubeopt.obstacles import Sphere
-from tubeopt.robots.assembly import Array
+from tubeopt.typing import Array
 
 MM = 1e-3
 TURN = 2 * np.pi

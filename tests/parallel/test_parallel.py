@@ -18,7 +18,7 @@ import casadi as ca
 import pytest
 
 from tubeopt import InputError
-from tubeopt.parallel import Failure, each, executor
+from tubeopt.parallel.executors import Failure, each, executor
 
 from .functions import Weighed, evaluated, picky, slow, square
 
@@ -97,7 +97,7 @@ def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(
         "from tests.parallel.functions import slow\n"
-        "from tubeopt.parallel import each\n"
+        "from tubeopt.parallel.executors import each\n"
         "if __name__ == '__main__':\n"
         "    for outcome in each(slow, range(10**6), workers=2):\n"
         "        print(outcome.value[1], flush=True)\n"
@@ -134,7 +134,7 @@ def test_a_function_that_does_not_pickle_is_named() -> None:
 
 LOCAL = """
 from tubeopt import InputError
-from tubeopt.parallel import each
+from tubeopt.parallel.executors import each
 
 def local(x):
     return x

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, PlanOptions, SolveError, load_robot, plan_trajectory
-from tubeopt.corridors import Corridor, MeshObstacle
-from tubeopt.obstacles import Box
-from tubeopt.plotting.trajectory import animate_trajectory
+from tubeopt.bodies.corridors import Corridor, MeshObstacle
+from tubeopt.bodies.obstacles import Box
+from tubeopt.planning.file import load_trajectory
+from tubeopt.show.plots.trajectory import animate_trajectory
 from tubeopt.stability import ASSUMING
-from tubeopt.study.trajectory_file import load_trajectory
-
-from ..command_line import ROOT, THESIS, Run, answer, refused
 
 STUDY = ROOT / "configs" / "studies" / "plan_thesis_turn.yaml"
 
@@ -120,7 +119,7 @@ def test_a_search_that_runs_out_of_time_saves_what_it_found(
     def late(*_: object) -> None:
         raise SolveError("no plan was found within 1 s", partial)
 
-    monkeypatch.setattr("tubeopt.study.plan_study.PlanStudy.run", late)
+    monkeypatch.setattr("tubeopt.runs.plan_study.PlanStudy.run", late)
     outcome = run("plan", str(STUDY), "--out", str(tmp_path / "out"))
     assert outcome.code == 3
     assert "no plan was found within 1 s; as far as it came" in outcome.err

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.examples import CRL, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics
-from tubeopt.inverse.joints import joint_space
+from tubeopt.control.joints import joint_space
 from tubeopt.planning.chart import Chart
 from tubeopt.robots.robot import Robot
-
-from ..examples import CRL, THESIS, TWO_TUBE, eccentric_robot
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.examples import THESIS
 from tubeopt import InputError, PlanOptions, Trajectory, plan_trajectory
 from tubeopt.design import OwnObjective, Quantities
-
-from ..examples import THESIS
 
 START = ([0.0, 0.0, 0.0], [-0.05, -0.03, 0.0])
 GOAL = ([1.5, -0.5, 1.0], [-0.02, -0.01, 0.0])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import (
     InputError,
     JointLimits,
@@ -25,16 +26,14 @@ from tubeopt import (
     plan_trajectory,
     verify_trajectory,
 )
-from tubeopt.corridors import Corridor
-from tubeopt.inverse.joints import joint_space
-from tubeopt.obstacles import Sphere, nearest_distance
+from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Sphere, nearest_distance
+from tubeopt.control.joints import joint_space
 from tubeopt.planning import plan, search
 from tubeopt.planning.chart import Chart
 from tubeopt.planning.motion import hurried
 from tubeopt.planning.reach import least_miss
 from tubeopt.robots.robot import Robot
-
-from ..examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])

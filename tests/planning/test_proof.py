@@ -8,20 +8,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import find_snap, forward_kinematics, verify_trajectory
-from tubeopt.equilibrium import Equilibrium
-from tubeopt.inverse.posture import arm_radius
-from tubeopt.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
+from tubeopt.bodies.scene import Scene
+from tubeopt.control.posture import arm_radius
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import branch
 from tubeopt.planning.clock import Clock
 from tubeopt.planning.sections import Arms, Constants, Intervals
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
-from tubeopt.scene import Scene
-from tubeopt.tubes import Tube
-
-from ..examples import DEG, THESIS, TWO_TUBE, eccentric_robot
+from tubeopt.robots.tubes import Tube
+from tubeopt.typing import Array
 
 SEGMENTED = SegmentedEccentricRobot(
     (Tube(0.8e-3, 0.6e-3, 0.09, 0.05, 12.0), Tube(1.2e-3, 0.9e-3, 0.02, 0.05, 8.0)), name="segmented"
@@ -208,7 +207,7 @@ def test_what_is_not_shown_in_time_is_a_fault() -> None:
 def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
     """Also where its nearest place, on the edge, is 0.3 um from a corner of the triangles of the cut surface."""
     pytest.importorskip("trimesh")
-    from tubeopt.corridors import MeshObstacle
+    from tubeopt.bodies.corridors import MeshObstacle
 
     vertices = (
         (-0.02771995870219761, -0.01584811465260669, -0.03460622922090869),

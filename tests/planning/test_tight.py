@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tests.command_line import ROOT, Run
+from tests.command_line import THESIS as THESIS_FILE
+from tests.examples import CRL, DEG, THESIS, TWO_TUBE
 from tubeopt import (
     Equilibrium,
     JointLimits,
@@ -21,20 +24,16 @@ from tubeopt import (
     plan_trajectory,
     verify_trajectory,
 )
-from tubeopt.corridors import Corridor
-from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.posture import posture_of
-from tubeopt.obstacles import Box, Capsule, Obstacle, Sphere
+from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Box, Capsule, Obstacle, Sphere
+from tubeopt.control.joints import joint_space
+from tubeopt.control.posture import posture_of
 from tubeopt.planning import plan
 from tubeopt.planning.chart import Chart
 from tubeopt.planning.clock import Clock
 from tubeopt.planning.closed import pocket
 from tubeopt.planning.task import Task
 from tubeopt.robots.robot import Robot
-
-from ..command_line import ROOT, Run
-from ..command_line import THESIS as THESIS_FILE
-from ..examples import CRL, DEG, THESIS, TWO_TUBE
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
 HOME = ([0.0] * 3, [0.0] * 3)
@@ -173,7 +172,7 @@ def test_the_command_ends_with_4_where_the_proof_is_missing(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setattr(plan, "verify_trajectory", unproved)
-    monkeypatch.setattr("tubeopt.plotting.trajectory.animate_trajectory", lambda *_: None)
+    monkeypatch.setattr("tubeopt.show.plots.trajectory.animate_trajectory", lambda *_: None)
     study = tmp_path / "plan.yaml"
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")
     outcome = run(command, str(study), "--out", str(tmp_path / "out"))

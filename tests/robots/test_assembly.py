@@ -8,7 +8,8 @@ from hypothesis import given
 
 from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested, poses
 from tubeopt import ConcentricRobot, InputError, Tube
-from tubeopt.robots.assembly import ROUND_OFF, Array, Assembly, assemble, without_offsets
+from tubeopt.robots.assembly import ROUND_OFF, Assembly, assemble, without_offsets
+from tubeopt.typing import Array
 
 
 def table(assembly: Assembly) -> list[tuple[float, float, str]]:

@@ -24,13 +24,13 @@ from tubeopt import (
     Tube,
     forward_kinematics,
     forward_kinematics_batch,
-    kinematics,
 )
-from tubeopt.robots.assembly import Array
+from tubeopt.equilibrium import kinematics
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled import binding
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.typing import Array
 
 compiler = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
 

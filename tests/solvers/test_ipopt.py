@@ -10,8 +10,7 @@ import pytest
 
 from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
 from tubeopt import SolveError
-from tubeopt.robots.assembly import Array
-from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers import ipopt
 from tubeopt.solvers.ipopt import solve_ipopt, start_values
 from tubeopt.solvers.newton import newton
@@ -20,6 +19,7 @@ from tubeopt.transcription.block import structure_of
 from tubeopt.transcription.mesh import make_mesh
 from tubeopt.transcription.nlp import IPOPT_OPTIONS
 from tubeopt.transcription.reduced import ReducedProblem, margin, reduce, residual
+from tubeopt.typing import Array
 
 FORMULATIONS = ("equations", "energy")
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, nested, unstable_home
 from tubeopt import ConcentricRobot, Discretisation
-from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers import newton as module
 from tubeopt.solvers.newton import descend, leave_saddle, newton
 from tubeopt.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, residual

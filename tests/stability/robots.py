@@ -6,8 +6,8 @@ import numpy as np
 
 from tests.examples import CRL, MM, THESIS
 from tubeopt import ConcentricRobot, Material, Tube
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 
 ALLOY = Material.from_poisson_ratio("m", 1e9, 0.3)
 

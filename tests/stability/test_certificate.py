@@ -12,9 +12,9 @@ from tests.examples import CRL, MM, THESIS
 from tests.stability.reference import Bundle, Elements, bundle, settle_at, worst_by_elements
 from tests.stability.robots import random_robot, random_translations, unit_pair
 from tubeopt import ConcentricRobot, InputError, Tube, snap_free_certificate
-from tubeopt.mechanics.certificate import PARAMETERS
-from tubeopt.robots.assembly import Array
+from tubeopt.physics.certificate import PARAMETERS
 from tubeopt.stability import certify, worst_certificate, worst_margin
+from tubeopt.typing import Array
 
 
 def exact_two_tube_margin(tubes: Bundle) -> float:

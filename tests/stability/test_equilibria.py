@@ -22,8 +22,8 @@ from tubeopt import (
     find_equilibria,
     forward_kinematics,
 )
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 
 
 def check_set(robot: Robot, rotations: Array, translations: Array, found: list[Equilibrium], size: int) -> None:

@@ -9,9 +9,9 @@ from tests.examples import CRL, DEG, THESIS, TWO_TUBE
 from tests.stability.reference import Elements, bundle
 from tests.stability.robots import inner_and_middle, unit_pair
 from tubeopt import ConcentricRobot, InputError, follow, snap_free_certificate
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import EnergyMap, energy_map, find_snap, stability_map
+from tubeopt.typing import Array
 
 
 def held_energy(robot: Robot, rotations: Array, tubes: tuple[int, int], tips: Array) -> float:

@@ -20,9 +20,9 @@ from tubeopt import (
     follow,
     forward_kinematics,
 )
-from tubeopt.robots.assembly import Array
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import Snap, trace_branch
+from tubeopt.typing import Array
 
 
 def check_fold(robot: Robot, snap: Snap, start: Array, end: Array) -> None:

@@ -21,10 +21,10 @@ from tubeopt import (
     worst_certificate,
     worst_margin,
 )
-from tubeopt.robots.assembly import Array
-from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import snap_free_certificate
 from tubeopt.stability.sheet import folds, stable_sheet
+from tubeopt.typing import Array
 
 
 def bent(robot: ConcentricRobot, curvatures: tuple[float, ...]) -> ConcentricRobot:

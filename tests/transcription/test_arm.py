@@ -8,7 +8,7 @@ import pytest
 from benchmarks.shooting import shoot
 from tests.examples import CRL, MM, THESIS, configurations, opposed
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
-from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription import arm as arms
 from tubeopt.transcription.reduced import ReducedProblem

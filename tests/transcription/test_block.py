@@ -11,8 +11,7 @@ import pytest
 
 from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested
 from tubeopt import ConcentricRobot, forward_kinematics
-from tubeopt.robots.assembly import Array
-from tubeopt.solution import Discretisation, reduced_problem
+from tubeopt.equilibrium.solving import Discretisation, reduced_problem
 from tubeopt.solvers.ipopt import start_values
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription import arm as arms
@@ -20,6 +19,7 @@ from tubeopt.transcription.block import add_energy, add_equilibrium, parameter_v
 from tubeopt.transcription.mesh import make_mesh
 from tubeopt.transcription.nlp import Builder, Nlp
 from tubeopt.transcription.reduced import ReducedProblem, reduce
+from tubeopt.typing import Array
 
 CASES = [
     (THESIS, (0.0, 1.0, 2.0), (0.0, 0.0, 0.0)),

@@ -10,8 +10,8 @@ from hypothesis import given
 
 from tests.examples import CRL, MM, THESIS, TWO_TUBE, nested, poses
 from tubeopt import ConcentricRobot
-from tubeopt.robots.assembly import Array
 from tubeopt.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT, coupling_rate, make_mesh, piece_counts
+from tubeopt.typing import Array
 
 
 def test_coupling_rate_of_two_tubes_is_the_closed_form() -> None:

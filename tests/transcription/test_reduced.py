@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 from benchmarks.shooting import sections_of
 from tests.examples import CRL, DEG, MM, THESIS, TWO_TUBE, eccentric_assembly, opposed, poses, unstable_home
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
-from tubeopt.robots.assembly import Array
-from tubeopt.solution import DEFAULT_DISCRETISATION, reduced_problem, to_equilibrium
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, to_equilibrium
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription.mesh import make_mesh
 from tubeopt.transcription.reduced import ReducedProblem, evaluate, margin, reduce, residual, to_unknowns
+from tubeopt.typing import Array
 
 ROTATIONS = np.array([0.3, -0.8, 2.0])
 

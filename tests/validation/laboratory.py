@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, EccentricRobot, Tube, forward_kinematics, load_robot
-from tubeopt.actuation import mirror_rotations
-from tubeopt.robots.assembly import Array
+from tubeopt.inverse.mirror import mirror_rotations
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 from tubeopt.validation import BasePose, Measurements
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from tubeopt import EccentricRobot, load_robot
-from tubeopt.cli import main
-from tubeopt.study.measurement_file import load_measurements, save_measurements
+from tubeopt.cli.app import main
+from tubeopt.runs.measurement_file import load_measurements, save_measurements
 from tubeopt.validation import validate
 
 from .laboratory import CONFIGS, ctr, noisy, turned

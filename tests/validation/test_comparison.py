@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, SolveError, load_robot
-from tubeopt.study.measurement_file import load_measurements
+from tubeopt.runs.measurement_file import load_measurements
 from tubeopt.validation import ErrorSummary, group_errors, validate
 
 from .laboratory import BASE, CONFIGS, DEVICE_BASE, MM, TURN, ctr, etr, mirrored, noisy, turned

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, load_robot
-from tubeopt.actuation import ASSIGNMENTS, mirror_rotations
-from tubeopt.study.measurement_file import load_measurements, save_measurements
+from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations
+from tubeopt.runs.measurement_file import load_measurements, save_measurements
 from tubeopt.validation import Measurements
 
 from .laboratory import CONFIGS, ctr, etr, mirrored, turned

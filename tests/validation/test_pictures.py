@@ -9,8 +9,8 @@ import pytest
 from matplotlib.quiver import Quiver
 
 from tubeopt import InputError
-from tubeopt.plotting.validation import plot_error_table, plot_errors, plot_residuals
-from tubeopt.study.measurement_file import load_error_table
+from tubeopt.runs.measurement_file import load_error_table
+from tubeopt.show.plots.validation import plot_error_table, plot_errors, plot_residuals
 from tubeopt.validation import validate
 
 from .laboratory import CONFIGS, ctr, etr, mirrored, noisy, turned

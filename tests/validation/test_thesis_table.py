@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError
-from tubeopt.study.measurement_file import load_error_table
+from tubeopt.runs.measurement_file import load_error_table
 from tubeopt.validation import ErrorTable
 
 PATH = Path(__file__).parents[2] / "configs" / "experiments" / "thesis_table_4_1.csv"

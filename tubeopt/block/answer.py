@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
+from ..equilibrium.verification import verify_equilibrium
 from ..errors import SolveError
-from ..kinematics import forward_kinematics
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
+from ..robots.tubes import Tube
 from ..solvers.newton import newton
 from ..transcription.reduced import margin, to_unknowns
-from ..tubes import Tube
-from ..verification import verify_equilibrium
 from .guess import sample
 
 if TYPE_CHECKING:

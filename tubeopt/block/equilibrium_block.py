@@ -17,22 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..mechanics.shape import rotation_matrix
-from ..robots.assembly import Array
+from ..physics.shape import rotation_matrix
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from ..transcription.collocated import Grid
+from ..transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
+from ..typing import Array
 from .given import LENGTHS, assembly_at, given_of, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
-from .layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
 from .model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from .outputs import Outputs
-from .piece import Grid
 from .program import as_program
 from .sensitivity import add_jacobian, answers_of
 from .stability import add_certificate, add_margin
 from .violation import Violation, violations_of, worst
 
 if TYPE_CHECKING:
-    from ..equilibrium import Equilibrium
+    from ..equilibrium.result import Equilibrium
 
 CLOSED = 1e-6
 """Breakpoints closer than this part of the arm's length meet."""

@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import Array, Assembly
+from ..robots.assembly import Assembly
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
+from ..typing import Array
 
 if TYPE_CHECKING:
-    from ..equilibrium import Equilibrium
+    from ..equilibrium.result import Equilibrium
 
 LENGTHS = ("translations", "straight_length", "curved_length")
 """What moves breakpoints."""

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
-from ..robots.assembly import Array
-from ..solution import discretisation_of, polish
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import discretisation_of, polish
 from ..transcription import arm as arms
-from . import functions
+from ..transcription import functions
+from ..typing import Array
 from .model import Model
 
 Shape = tuple[Array, Array, Array]

@@ -10,11 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..robots.assembly import Array, Assembly
+from ..robots.assembly import Assembly
 from ..robots.breakpoints import places
-from . import functions
-from .layout import Layout
-from .piece import Grid
+from ..transcription import functions
+from ..transcription.collocated import Grid
+from ..transcription.layout import Layout
+from ..typing import Array
 
 UNKNOWNS = ("rotation", "torsion", "rotation inside", "orientation", "position")
 """Columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose where all

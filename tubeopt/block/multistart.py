@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import qmc
 
+from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError, nearest
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
+from ..typing import Array
 from .answer import rebuilt
 from .ipopt import Ipopt
 from .problem_solution import Attempts, ProblemSolution

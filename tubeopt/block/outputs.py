@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError
-from ..mechanics.shape import rotation_matrix
-from . import functions
+from ..physics.shape import rotation_matrix
+from ..transcription import functions
 
 if TYPE_CHECKING:
     from ..robots.assembly import Assembly
     from ..robots.robot import Robot
-    from .layout import Layout
+    from ..transcription.layout import Layout
     from .model import Model
 
 POINT = 1e-12
@@ -111,7 +111,7 @@ class Outputs:
     def clearance(self, body: Any) -> Any:
         """(m,) distance of the arm's surface from a body at its shape points, m: at least 0 keeps them apart there.
 
-        `body` is any of `tubeopt.obstacles`, or whatever has `distance(x, y, z)` written with arithmetic alone. Between
+        `body` is any of `tubeopt.bodies`, or whatever has `distance(x, y, z)` written with arithmetic alone. Between
         the points nothing is known: `verify_trajectory` proves clearance.
         """
         places = self.points()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, nearest
-from ..robots.assembly import Array
+from ..typing import Array
 from .ipopt import Ipopt, ProblemStatus
 from .problem_solution import ProblemSolution, ProblemStatistics
 from .violation import violations_of, worst

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import Array
+from ..typing import Array
 from .ipopt import ProblemStatus
 from .violation import Violation
 
@@ -110,7 +110,7 @@ class ProblemSolution:
         Raises:
             InputError: the files cannot be written.
         """
-        from ..study.files import atomic_write, write_text
+        from ..files.files import atomic_write, write_text
 
         tables = {"values": self.values, "multipliers": self.multipliers}
         tables |= {"bound_multipliers": self.bound_multipliers, "parameters": self.parameters}
@@ -141,7 +141,7 @@ def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
     Raises:
         InputError: a file is missing or is not what was written.
     """
-    from ..study.files import read_bytes, read_text
+    from ..files.files import read_bytes, read_text
 
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     text, content = read_text(result), read_bytes(arrays)

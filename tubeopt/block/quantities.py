@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, finite, vector
-from ..robots.assembly import Array
+from ..typing import Array
 
 TUBES = (
     "outer_diameter",

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, finite
-from ..mechanics.certificate import base_determinant
-from . import functions
+from ..physics.certificate import base_determinant
+from ..transcription import functions
 from .given import symbolic
 from .guess import fields_of
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .pose import Pose
 from .state import State
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .program import Program, evaluate, state_at
 from .solve_one import Attempt, MoreRows, Report, attempt, improve
 from .state import State

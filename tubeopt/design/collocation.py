@@ -17,13 +17,14 @@ import numpy as np
 from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Quantity
+from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
-from ..kinematics import forward_kinematics
-from ..mechanics.certificate import determinant_function
-from ..robots.assembly import Array, assemble
+from ..physics.certificate import determinant_function
+from ..robots.assembly import assemble
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..stability.certificate import breakpoint_pattern
+from ..typing import Array
 from .objectives import AnyObjective, Objective
 from .order import ordered_places
 from .program import Program, state_at, total_objective

@@ -10,11 +10,11 @@ from scipy.stats import qmc
 
 from ..block.own import OwnRequirement
 from ..block.quantities import recorded
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import find_equilibria, follow, worst_certificate
+from ..typing import Array
 from .parameters import Free
 from .program import Added, Program, compile_task, corners, state_at
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind

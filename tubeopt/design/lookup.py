@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..block.along import curvature_at, position_at
 from ..block.quantities import Quantity
-from ..robots.assembly import Array
+from ..equilibrium.along import curvature_at, position_at
+from ..typing import Array
 from .state import State
 
 Linear = Callable[[Quantity], tuple[Array, Array]]

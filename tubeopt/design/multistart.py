@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError
-from ..robots.assembly import Array
+from ..typing import Array
 from .pool import Progress, executor, run_all
 from .program import Program
 from .solve import Attempt, Report, solve

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
+from ..typing import Array
 from .checks import whole
 from .collocation import check_collocation
 from .exchange import carry, certified_at, check_rounds, robot_at, violations

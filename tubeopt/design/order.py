@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..robots.assembly import Array
-from ..tubes import Tube
+from ..robots.tubes import Tube
+from ..typing import Array
 from .objectives import Objective
 from .requirements import Poses, SnapFree
 

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice, finite
-from ..robots.assembly import Array
-from ..tubes import Tube, second_moment
+from ..robots.tubes import Tube, second_moment
+from ..typing import Array
 from .checks import items, whole
 
 FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")

@@ -7,8 +7,8 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import TypeVar
 
-from .. import parallel
 from ..errors import InputError
+from ..parallel import executors as parallel
 
 A = TypeVar("A")
 B = TypeVar("B")

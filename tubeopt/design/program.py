@@ -15,8 +15,9 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array, assemble
+from ..robots.assembly import assemble
 from ..solvers.smooth import Values
+from ..typing import Array
 from .lookup import at_state
 from .objectives import AnyObjective, Objective
 from .order import ordered_places

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SolveError
-from ..robots.assembly import Array
+from ..typing import Array
 from .limit import Limit
 from .program import Program, compile_task, elastic, evaluate
 from .rows import Rows, relaxed

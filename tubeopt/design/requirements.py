@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..block.own import OwnRequirement
+from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite, positive
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
+from ..typing import Array
 from .checks import Rows, items, table, triple, whole
 
 

@@ -9,8 +9,8 @@ from functools import singledispatch
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
+from ..typing import Array
 from .anatomy import arm_rows
 from .limit import Limit
 from .lookup import at_state

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .cells import cell_at, cell_rows
 from .limit import Limit
 from .parameters import UNITS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .cells import GAIN, improve_by_cells
 from .collocation import collocate
 from .program import Program

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..solvers.smooth import Optimum, Values, minimise
+from ..typing import Array
 from .program import Program, evaluate, fixed_rows, groups, nowhere, stack, state_at, total_objective
 from .rows import HELD, Rows
 from .state import State

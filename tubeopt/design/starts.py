@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
-from ..tubes import Tube
+from ..robots.tubes import Tube
+from ..typing import Array
 from .pose import Pose
 from .program import Program, built_in, corners
 from .requirements import Avoid, Corridor, Coverage, Reach, corridor_distance, obstacle_distance

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..robots.assembly import Array
 from ..robots.breakpoints import DIMENSIONS
-from ..tubes import Tube
+from ..robots.tubes import Tube
+from ..typing import Array
 from .parameters import DesignSpace
 from .pose import Pose
 from .solved import Twist, solve_pose, without_solving

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError, SolveError, positive
-from ..materials import NITINOL, Material
 from ..robots.concentric import ConcentricRobot
+from ..robots.materials import NITINOL, Material
 from .checks import whole
 from .exchange import robot_at
 from .multistart import multistart

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..errors import InputError
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
+from ..typing import Array
 from .checks import items
 from .objectives import KINDS, AnyObjective, Objective, key_of
 from .order import check_order

@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from ..batch import forward_kinematics_batch
+from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
-from ..tubes import Tube
+from ..robots.tubes import Tube
+from ..typing import Array
 from .checks import whole
 from .pool import Progress, executor, run_all
 from .pose import Pose

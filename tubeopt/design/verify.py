@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..equilibrium import Equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..stability import follow, snap_free_certificate, worst_margin
+from ..typing import Array
 from .checks import whole
 from .exchange import certified_at, walks
 from .order import SLACK as ORDER_SLACK

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import Look, Quantity, recorded
-from ..equilibrium import Equilibrium
-from ..robots.assembly import Array
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
-from ..verification import point_at
+from ..typing import Array
 
 MISSED = 1e-6
 """Part of a step by which an own requirement may be missed."""

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
-from ..robots.assembly import Array
+from ..equilibrium.result import Equilibrium
 from ..robots.concentric import ConcentricRobot
+from ..typing import Array
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 
 CLOSE = 1e-6

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from ..block.own import OwnObjective, OwnRequirement
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, positive
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .goal import OBJECTIVES
 
 METHODS = ("auto", "gauss_newton", "nlp")

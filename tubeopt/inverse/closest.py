@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from ..robots.assembly import Array, Mask
-from ..solvers.least_squares import constrained_least_squares
+from ..control.least_squares import constrained_least_squares
+from ..control.posture import MOST_CONTACTS, Posture
+from ..typing import Array, Mask
 from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
 from .order import apart, beyond, breakpoint_order
-from .posture import MOST_CONTACTS, Posture
 
 CONVERGED = 1e-8
 """What a step must promise to bring the tip closer, as a share of the robot's length."""

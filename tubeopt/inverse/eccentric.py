@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from ..actuation import STRAIGHT, mirror_rotations
-from ..equilibrium import Equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.eccentric import EccentricRobot
+from ..typing import Array
+from .mirror import STRAIGHT, mirror_rotations
 
 CLOSE_ENOUGH = 1e-9
 """Distance (m) of the tip from the target at which Newton's method ends."""

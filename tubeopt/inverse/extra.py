@@ -9,13 +9,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..block.along import curvature_at, position_at
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Expression, Quantity, recorded
+from ..control.posture import Posture
+from ..equilibrium.along import curvature_at, position_at
 from ..errors import InputError
-from ..robots.assembly import Array
 from ..stability import snap_free_certificate
-from .posture import Posture
+from ..typing import Array
 
 ROOM = 1e-6
 """Steps by which constraints are kept inside, so that solving again on a finer mesh still finds them kept."""

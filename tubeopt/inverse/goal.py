@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
+from ..bodies.obstacles import Obstacle
+from ..control.joints import JointSpace
+from ..control.posture import Posture
+from ..typing import Array
 from .extra import NOTHING, Extras
-from .joints import JointSpace
-from .posture import Posture
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..continuation import LARGEST_TWIST
+from ..control.posture import Posture, arm_radius
+from ..equilibrium.continuation import LARGEST_TWIST
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
-from ..robots.assembly import Array
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.ipopt import start_values
 from ..solvers.newton import newton
 from ..transcription.block import structure_of
-from ..transcription.inverse_program import Program, Question, given_values, has_formula, inverse_program
 from ..transcription.reduced import margin, to_unknowns
+from ..typing import Array
+from .collocated import Program, Question, given_values, has_formula, inverse_program
 from .descent import Search
 from .goal import Goal
 from .order import CLOSED, Order, apart, beyond, breakpoint_order
-from .posture import Posture, arm_radius
 
 MOST_SWITCHES = 6
 """Changes of the order of breakpoints on the way."""

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium import Equilibrium
+from ..bodies.obstacles import Obstacle
+from ..control.joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
+from ..control.posture import Posture, posture_of
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite, instance, vector
-from ..kinematics import forward_kinematics
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..typing import Array
 from .answer import InverseOptions
 from .extra import extras
 from .goal import Goal
-from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
-from .posture import Posture, posture_of
 
 
 @lru_cache(maxsize=32)
@@ -80,7 +80,7 @@ def _bodies(obstacles: Any) -> tuple[Obstacle, ...]:
         raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
     for k, body in enumerate(bodies):
         if not hasattr(body, "signed_distance"):
-            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.obstacles")
+            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies.obstacles")
     return bodies
 
 

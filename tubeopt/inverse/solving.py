@@ -8,13 +8,13 @@ from typing import Literal, overload
 
 from numpy.typing import ArrayLike
 
+from ..bodies.obstacles import Obstacle
+from ..control.joints import Configuration
 from ..errors import InputError, choice
-from ..obstacles import Obstacle
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
-from .joints import Configuration
 from .question import pose_question, seed_posture
 from .way import with_a_way
 

@@ -16,11 +16,11 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..batch import forward_kinematics_batch
+from ..control.joints import JointSpace
+from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
-from ..robots.assembly import Array
-from ..study.files import atomic_write
-from .joints import JointSpace
+from ..files.files import atomic_write
+from ..typing import Array
 
 VERSION = 2
 """Of what the table holds: a change of it makes old files unread."""

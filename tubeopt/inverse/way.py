@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..control.joints import JointSpace
+from ..control.posture import Posture, same_place
+from ..typing import Array
 from .answer import InverseSolution, JointWay
-from .joints import JointSpace
-from .posture import Posture, same_place
 
 SEARCH_SECONDS = 10.0
 """Seconds for which a way to one answer is looked for at most."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..bodies.obstacles import Obstacle
 from ..errors import InputError
-from ..obstacles import Obstacle
 from ..robots.limits import JointLimits
 
 
@@ -27,9 +27,7 @@ def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
         ) from None
     for k, body in enumerate(bodies):
         if not hasattr(body, "signed_distance"):
-            raise InputError(
-                f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.obstacles or tubeopt.corridors"
-            )
+            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies")
     return bodies
 
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..robots.assembly import Array, Mask
+from ..typing import Array, Mask
 from .jets import Jet, linear
 from .sections import PARTS, Intervals
 

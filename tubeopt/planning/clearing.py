@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..robots.assembly import Array, Mask
-from ..scene import Scene
+from ..bodies.scene import Scene
+from ..typing import Array, Mask
 from .sections import PARTS, Index, Intervals
 
 SHARE = 1 / 3

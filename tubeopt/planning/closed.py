@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .clock import Clock
 from .task import SHIFT_STEP, TURN_STEP, Task
 

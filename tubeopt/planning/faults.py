@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inverse.joints import JointSpace, joint_space
-from ..kinematics import MOST_TURN
-from ..robots.assembly import Array
+from ..control.joints import JointSpace, joint_space
+from ..equilibrium.kinematics import MOST_TURN
 from ..robots.limits import JointLimits, default_limits
 from ..robots.robot import Robot
+from ..typing import Array
 from .motion import RateLimits
 
 SLACK = 1e-6

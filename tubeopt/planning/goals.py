@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..control.joints import JointSpace, configuration
+from ..control.posture import posture_of
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
-from ..inverse.joints import JointSpace, configuration
-from ..inverse.posture import posture_of
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
+from ..typing import Array
 from .clock import Clock
 from .reach import least_miss
 from .task import Task

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 
 
 @dataclass(frozen=True, eq=False)

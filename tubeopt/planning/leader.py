@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..bodies.obstacles import Obstacle
+from ..control.least_squares import constrained_least_squares
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite
-from ..kinematics import forward_kinematics
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..solvers.least_squares import constrained_least_squares
+from ..typing import Array
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions

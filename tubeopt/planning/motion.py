@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
+from ..control.joints import JointSpace
 from ..errors import InputError
-from ..inverse.joints import JointSpace
-from ..robots.assembly import Array
+from ..typing import Array
 
 MOST_SAMPLES = 4000
 """Samples of a trajectory at most."""

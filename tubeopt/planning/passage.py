@@ -14,14 +14,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..bodies.scene import Scene
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..scene import Scene
-from ..solution import discretisation_of, polish
 from ..stability.snapping import find_snap
+from ..typing import Array
 from .branch import branch
 from .clearing import Wanted, cleared
 from .sections import SWAPPED, Arms, Constants, Intervals

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..bodies.obstacles import Obstacle
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..typing import Array
 from .clock import Clock
 from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at

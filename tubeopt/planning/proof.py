@@ -17,17 +17,17 @@ from time import perf_counter as time_now
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium import Equilibrium
+from ..bodies.obstacles import Obstacle
+from ..bodies.scene import scene_of
+from ..control.joints import JointSpace
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
-from ..inverse.joints import JointSpace
-from ..kinematics import forward_kinematics
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..scene import scene_of
 from ..stability.following import _waypoints
-from ..verification import verify_equilibrium
+from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
 from .clock import Clock

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite
 from ..inverse.question import prepared
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of
 from .chart import Chart
 from .clock import Clock

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..control.least_squares import constrained_least_squares
 from ..inverse.hunt import known_starts
 from ..inverse.table import nearest_starts, spread_starts
-from ..robots.assembly import Array
-from ..solvers.least_squares import constrained_least_squares
+from ..typing import Array
 from .chart import Chart
 from .clock import Clock
 

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..control.joints import JointSpace
+from ..control.posture import Posture, posture_of, same_place
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..inverse.joints import JointSpace
-from ..inverse.posture import Posture, posture_of, same_place
-from ..robots.assembly import Array
 from ..stability.following import follow
+from ..typing import Array
 from .chart import Chart
 from .clock import Clock
 from .search import find_way

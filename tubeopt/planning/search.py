@@ -10,8 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..errors import InputError
-from ..robots.assembly import Array
 from ..stability.certificate import snap_free_certificate
+from ..typing import Array
 from .clock import Clock
 from .closed import pocket, wall
 from .task import Task

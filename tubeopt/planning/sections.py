@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equilibrium import Equilibrium
-from ..robots.assembly import Array, Mask
+from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
+from ..typing import Array, Mask
 
 Index = NDArray[np.intp]
 

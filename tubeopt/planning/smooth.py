@@ -9,20 +9,13 @@ import numpy as np
 
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
-from ..corridors import MeshObstacle
-from ..equilibrium import Equilibrium
+from ..bodies.corridors import MeshObstacle
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError
-from ..robots.assembly import Array, Mask
-from ..transcription.path_program import (
-    PATH_QUANTITIES,
-    PathProgram,
-    PathQuestion,
-    parameter_values,
-    path_program,
-    path_quantities,
-)
+from ..typing import Array, Mask
 from .clock import Clock
 from .motion import Motion
+from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
 from .task import Task
 from .walk import walk
 

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..obstacles import Obstacle, nearest_distance
-from ..robots.assembly import Array, Mask
+from ..bodies.obstacles import Obstacle, nearest_distance
+from ..typing import Array, Mask
 from .chart import BATCH, Arms, Chart
 
 TURN_STEP = 0.15

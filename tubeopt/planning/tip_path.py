@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from ..equilibrium import Equilibrium
+from ..bodies.obstacles import Obstacle
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..typing import Array
 from .clock import Clock
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, hurried

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike
 
-from ..equilibrium import Equilibrium
-from ..obstacles import Obstacle
-from ..robots.assembly import Array
+from ..bodies.obstacles import Obstacle
+from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
+from ..typing import Array
 from .motion import RateLimits
 from .proof import Proof
 
@@ -82,6 +82,6 @@ class Trajectory:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
-        from ..study.trajectory_file import save_trajectory
+        from .file import save_trajectory
 
         save_trajectory(self, path)

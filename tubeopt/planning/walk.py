@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..control.posture import posture_of
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..inverse.posture import posture_of
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
+from ..typing import Array
 from .clock import Clock
 from .motion import SAMPLE_STEP
 from .task import Task

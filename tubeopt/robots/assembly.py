@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..tubes import Tube
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ..typing import Array, Mask
+from .tubes import Tube
 
 ROUND_OFF = 1e-12
 """Breakpoints closer than this (m) are one: far below any tolerance of a tube, far above round-off of a length."""

@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .assembly import Array, Assembly
+from ..typing import Array
+from .assembly import Assembly
 
 DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
 """Dimensions of the tubes on which an equilibrium depends, (n,) each, SI."""

@@ -9,9 +9,10 @@ from os import PathLike
 import numpy as np
 
 from ..errors import InputError
-from ..tubes import Tube
-from .assembly import Array, Assembly, assemble
+from ..typing import Array
+from .assembly import Assembly, assemble
 from .limits import JointLimits, default_limits
+from .tubes import Tube
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,6 @@ class ConcentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from ..study.robot_file import save_robot
+        from .file import save_robot
 
         save_robot(self, path)

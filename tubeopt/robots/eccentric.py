@@ -10,9 +10,10 @@ from os import PathLike
 import numpy as np
 
 from ..errors import InputError, positive
-from ..tubes import Tube
-from .assembly import ROUND_OFF, Array, Assembly, assemble
+from ..typing import Array
+from .assembly import ROUND_OFF, Assembly, assemble
 from .limits import JointLimits, default_limits
+from .tubes import Tube
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
 """Directions of the three tubes from the centreline, rad."""
@@ -119,7 +120,7 @@ class EccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from ..study.robot_file import save_robot
+        from .file import save_robot
 
         save_robot(self, path)
 
@@ -236,6 +237,6 @@ class SegmentedEccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from ..study.robot_file import save_robot
+        from .file import save_robot
 
         save_robot(self, path)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..tubes import Tube
+from .tubes import Tube
 
 Ranges = tuple[tuple[float, float], ...]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from os import PathLike
 from typing import Protocol
 
-from ..tubes import Tube
-from .assembly import Array, Assembly
+from ..typing import Array
+from .assembly import Assembly
 from .limits import JointLimits
+from .tubes import Tube
 
 
 class Robot(Protocol):

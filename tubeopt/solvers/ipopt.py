@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..transcription.arm import Profile, rotations_at, torsion_at
 from ..transcription.block import Structure, add_energy, add_equilibrium, parameter_values, parameters, structure_of
 from ..transcription.nlp import Builder, Nlp
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..typing import Array
 from .newton import NewtonResult
 
 

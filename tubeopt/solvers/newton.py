@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgesv, dposv
 
-from ..robots.assembly import Array
 from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
+from ..typing import Array
 
 LAST_STEP = 1e-6
 """A Newton step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..continuation import JointPath, Point
-from ..equilibrium import Equilibrium
+from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError, vector
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import Solution, polish, to_equilibrium
 from ..solvers.newton import NewtonResult, newton
 from ..transcription.reduced import ReducedProblem, evaluate, margin
+from ..typing import Array
 from .folds import Fold, polish_fold
 
 ARC_STEP = 0.06

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import vector
-from ..mechanics.certificate import PARAMETERS, Pattern, certificate_function
-from ..robots.assembly import ROUND_OFF, Array, Assembly
+from ..physics.certificate import PARAMETERS, Pattern, certificate_function
+from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, reduced_problem
 from ..transcription.reduced import ReducedProblem
+from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
 
 ROUNDING = 1e-9

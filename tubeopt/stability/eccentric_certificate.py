@@ -24,10 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from ..mechanics.certificate import PARAMETERS
-from ..robots.assembly import ROUND_OFF, Array, Assembly, merge, where
+from ..physics.certificate import PARAMETERS
+from ..robots.assembly import ROUND_OFF, Assembly, merge, where
 from ..robots.eccentric import PLACES
 from ..transcription.buffered import section_function
+from ..typing import Array
 from .eccentric_bound import DELTAS, longest
 
 SHORT = 2e-9

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .certificate import Certificate
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted
 from .eccentric_worst import untwisted_tips

@@ -8,15 +8,15 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
 from ..transcription.buffered import section_function
 from ..transcription.offset_margin import softenings
 from ..transcription.reduced import Index, ReducedProblem, margin, to_unknowns
+from ..typing import Array
 from .eccentric_certificate import Untwisted, segments_of, softest_untwisted
 
 SAMPLES_LOG2 = 7

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError, vector
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import descend, newton
 from ..transcription.reduced import ReducedProblem, margin, to_unknowns
+from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
 from .shooting import profiles

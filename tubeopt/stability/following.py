@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..continuation import JointPath, Point, follow_to, solve_at
-from ..equilibrium import Equilibrium
+from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import Solution, polish, to_equilibrium
 from ..transcription.reduced import softest
+from ..typing import Array
 from .folds import Fold, polish_fold
 from .landing import distance, land
 

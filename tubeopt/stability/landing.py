@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dgesv, dposv, dpotrf
 
-from ..robots.assembly import Array
-from ..solution import Solution
+from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult, newton
 from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, to_unknowns
+from ..typing import Array
 
 NUDGE = 1e-2
 """Push (rad) along the direction without stiffness."""

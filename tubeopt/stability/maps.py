@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..continuation import JointPath, Point
-from ..equilibrium import Equilibrium
+from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..errors import InputError, vector
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..transcription.reduced import ReducedProblem, evaluate, on_centreline
+from ..typing import Array
 from .equilibria import find_equilibria
 from .following import Event, walk
 from .snapping import find_snap

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..transcription.reduced import Index, ReducedProblem, evaluate, to_unknowns
+from ..typing import Array
 
 STRIDE = 0.3
 """Largest change (rad) of a rotation, at a point or at the joint, in one step along the curve."""

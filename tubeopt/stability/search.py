@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from ..continuation import JointPath, Point
+from ..equilibrium.continuation import JointPath, Point
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
-from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..solvers.newton import NewtonResult
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin
+from ..typing import Array, Mask
 from .folds import Fold
 from .following import Event, Snap, to_snap
 from .landing import land

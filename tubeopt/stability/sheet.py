@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ..robots.assembly import Array, Mask
 from ..transcription.reduced import Index, ReducedProblem
+from ..typing import Array, Mask
 from .shooting import relative, relative_joints, relative_slope
 
 TURN = 2 * np.pi

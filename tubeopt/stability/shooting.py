@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..robots.assembly import Array, Mask
 from ..transcription.buffered import section_function
 from ..transcription.reduced import Index, ReducedProblem
+from ..typing import Array, Mask
 
 CHUNKS = (512, 64, 8)
 """Tip angles integrated at once: the largest that is at most half padding."""

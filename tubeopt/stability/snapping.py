@@ -9,18 +9,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..continuation import JointPath, Point, follow_to
-from ..equilibrium import Equilibrium
+from ..equilibrium.continuation import JointPath, Point, follow_to
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import Solution, polish
 from ..errors import InputError, vector
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import Solution, polish
 from ..solvers.ipopt import start_values
 from ..solvers.newton import NewtonResult
 from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
 from ..transcription.nlp import Builder, Nlp
 from ..transcription.reduced import evaluate, margin, to_unknowns
+from ..typing import Array
 from .following import Event, Snap, lose, to_snap
 
 Configuration = tuple[ArrayLike, ArrayLike | None]

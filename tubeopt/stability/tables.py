@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .shooting import Bundle, Shot, shoot
 
 TURN = 2 * np.pi

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .shooting import STEPS, Bundle, Shot
 from .tables import TURN, joints, starts, table_of
 

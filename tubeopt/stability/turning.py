@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
 from ..transcription.reduced import Index
+from ..typing import Array, Mask
 
 
 def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SolveError
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .certificate import Certificate, certify
 from .following import Snap
 from .search import search_snap

@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from scipy.optimize import Bounds, direct, minimize
 from scipy.stats import qmc
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, SolveError, vector
-from ..robots.assembly import Array
 from ..robots.robot import Robot
-from ..solution import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..solvers.newton import newton
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
+from ..typing import Array
 from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_worst import least_margin
 from .shooting import profiles, to_base

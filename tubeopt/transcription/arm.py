@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .buffered import piece_chain
 from .mesh import Mesh
 from .piece import COARSE_STEPS, ENDS, STEPS

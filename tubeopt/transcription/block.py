@@ -13,8 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..block.piece import Grid, Piece, Torsion, torsion_of, untwisting
-from ..mechanics.torsion import cross_section
+from ..physics.torsion import cross_section
+from .collocated import Grid, Piece, Torsion, torsion_of, untwisting
 from .nlp import Builder
 from .reduced import ReducedProblem
 from .tableau import Tableau, tableau

@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..mechanics.torsion import section_functions
-from ..robots.assembly import Array
+from ..physics.torsion import section_functions
+from ..typing import Array
 from .piece import piece_function
 
 

@@ -20,11 +20,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..mechanics.matrix import determinant
-from ..mechanics.shape import exponential
-from ..mechanics.torsion import section_functions
-from ..robots.assembly import Array
+from ..physics.matrix import determinant
+from ..physics.shape import exponential
+from ..physics.torsion import section_functions
 from ..robots.robot import Robot
+from ..typing import Array
 
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..robots.assembly import Array, Assembly, Mask
+from ..robots.assembly import Assembly
+from ..typing import Array, Mask
 from .tableau import Tableau, tableau
 
 WAVES_PER_ELEMENT = 0.75

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..robots.assembly import Array
+from ..typing import Array
 
 IPOPT_OPTIONS: dict[str, Any] = {
     "print_time": False,

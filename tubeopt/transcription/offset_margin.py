@@ -28,7 +28,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..robots.assembly import Array, Assembly
+from ..robots.assembly import Assembly
+from ..typing import Array
 from .buffered import section_function
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..mechanics.shape import GAUSS_POINTS, magnus_step
-from ..mechanics.torsion import cross_section
-from ..robots.assembly import Array
+from ..physics.shape import GAUSS_POINTS, magnus_step
+from ..physics.torsion import cross_section
+from ..typing import Array
 from .tableau import tableau
 
 STEPS, COARSE_STEPS = 4, 2

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyevr, dtrtrs
 
-from ..robots.assembly import Array, Assembly, without_offsets
+from ..robots.assembly import Assembly, without_offsets
+from ..typing import Array
 from .buffered import section_function
 from .mesh import Mesh
 from .offset_margin import Block, make_blocks, softenings

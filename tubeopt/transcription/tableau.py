@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, choice
-from ..robots.assembly import Array
+from ..typing import Array
 
 FAMILIES = ("gauss", "radau")
 

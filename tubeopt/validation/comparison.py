@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..kinematics import forward_kinematics
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .errors import ErrorGroup, ErrorSummary, group_errors
 from .measurements import Measurements
 from .registration import SENSOR_FRAME, BasePose, Registration, register

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 
 SAME_LABEL = 1e-6
 """Directions or separations this close (rad) are one."""

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .comparison import Progress, Validation, validate
 from .errors import ErrorSummary
 from .identifiability import doubts, undetermined

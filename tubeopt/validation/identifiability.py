@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..robots.assembly import Array
+from ..typing import Array
 from .parameters import Parameter
 
 NO_EFFECT = 1e-4

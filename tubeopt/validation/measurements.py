@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..robots.assembly import Array
+from ..typing import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equilibrium import Equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..robots.assembly import Array
 from ..robots.robot import Robot
+from ..typing import Array
 from .comparison import Progress, predict
 from .measurements import Measurements
 from .parameters import Parameter, apply

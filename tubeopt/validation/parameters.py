@@ -11,11 +11,11 @@ from typing import TypeVar
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import Array
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot
-from ..tubes import Tube
+from ..robots.tubes import Tube
+from ..typing import Array
 from .measurements import Measurements
 
 KINDS = {

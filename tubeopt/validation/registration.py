@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, choice, vector
-from ..robots.assembly import Array
+from ..typing import Array
 
 FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0}
 """Methods, and how many numbers each takes from the measured tips."""

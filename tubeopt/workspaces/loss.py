@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, positive
-from ..robots.assembly import Array, Mask
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..typing import Array, Mask
 from .samples import JointSamples
 from .shooting import from_tips
 from .table import Workspace, held

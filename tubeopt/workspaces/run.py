@@ -12,12 +12,12 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..batch import forward_kinematics_batch
+from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
-from ..robots.assembly import Array
+from ..files.files import atomic_write, read_bytes, write_text
+from ..files.journal import lock
 from ..robots.robot import Robot
-from ..study.files import atomic_write, read_bytes, write_text
-from ..study.sweep_journal import lock
+from ..typing import Array
 from .samples import JointSamples
 from .table import Workspace, width
 

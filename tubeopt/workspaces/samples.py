@@ -9,10 +9,11 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.stats import qmc
 
+from ..control.joints import JointSpace, joint_space
 from ..errors import InputError, choice
-from ..inverse.joints import JointSpace, joint_space
-from ..robots.assembly import ROUND_OFF, Array
+from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
+from ..typing import Array
 
 METHODS = ("sobol", "random", "grid")
 

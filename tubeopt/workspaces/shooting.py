@@ -13,10 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
 from ..transcription.buffered import Buffered
 from ..transcription.explicit import explicit_arm, explicit_parameters
+from ..typing import Array, Mask
 
 STEPS = 6
 """Steps per section of the arm: tips to about 1e-6 of the length."""

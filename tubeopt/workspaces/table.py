@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..robots.assembly import Array, Mask
 from ..robots.robot import Robot
+from ..typing import Array, Mask
 
 CHUNK = 1 << 14
 """Rows that are looked at together, so that a table on disk never is in memory as a whole."""

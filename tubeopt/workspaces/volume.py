@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError, positive
-from ..robots.assembly import Array
+from ..typing import Array
 from .table import Workspace, held
 from .voxels import Keys, Voxels, cells, default_size, of_first_half, voxels
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, positive
-from ..robots.assembly import Array, Mask
+from ..typing import Array, Mask
 from .table import Workspace, held, require_samples
 
 Words = NDArray[np.uint64]

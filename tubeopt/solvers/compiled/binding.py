@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.assembly import Array, Mask
 from ...robots.robot import Robot
+from ...typing import Array, Mask
 from .library import Library, library
 
 SOLVED = 0

@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...mechanics.torsion import section_functions
+from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...transcription.piece import COARSE_STEPS, STEPS, piece_function

@@ -1,0 +1,73 @@
+"""Obstacles: distances to the nearest surface point, gradients, the smooth form against the exact one."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tubeopt import InputError
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
+
+BODIES: tuple[Obstacle, ...] = (
+    Sphere((0.01, -0.02, 0.05), 0.013),
+    Capsule((0.0, 0.01, 0.02), (0.03, -0.01, 0.06), 0.007),
+    Capsule((0.01, 0.01, 0.02), (0.01, 0.01, 0.02), 0.007),
+    HalfSpace((0.0, 0.0, 0.01), (0.3, -0.2, 2.0)),
+    Box((-0.01, -0.02, 0.03), (0.02, 0.01, 0.05)),
+)
+
+POINTS = np.random.default_rng(0).uniform([-0.06, -0.06, -0.02], [0.06, 0.06, 0.1], (400, 3))
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: type(body).__name__)
+def test_distance_is_that_of_the_nearest_surface_point(body: Obstacle) -> None:
+    """Stepping back along the gradient by the distance lands on the surface, and no shorter way does."""
+    distance, gradient = body.signed_distance(POINTS), body.gradient(POINTS)
+    landed = POINTS - distance[:, None] * gradient
+    np.testing.assert_allclose(body.signed_distance(landed), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
+    ways = np.random.default_rng(1).normal(size=(50, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    for way in ways:
+        beside = body.signed_distance(POINTS + 0.5 * np.abs(distance)[:, None] * way)
+        assert (np.sign(beside) == np.sign(distance)).all()
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: type(body).__name__)
+def test_smooth_form_agrees_on_arrays_and_symbols(body: Obstacle) -> None:
+    exact = body.signed_distance(POINTS)
+    np.testing.assert_allclose(body.distance(*POINTS.T), exact, atol=5e-7)
+    x = ca.SX.sym("x", 3)
+    value = ca.Function("distance", [x], [body.distance(x[0], x[1], x[2])])
+    slope = ca.Function("slope", [x], [ca.gradient(value(x), x)])
+    for point, wanted in zip(POINTS[:40], exact, strict=False):
+        assert float(value(point)) == pytest.approx(wanted, abs=5e-7)
+        # Away from edges and middles, where the exact distance has kinks.
+        step = 1e-5 * np.eye(3)
+        ahead, behind = body.gradient(point + step), body.gradient(point - step)
+        if np.abs(ahead - behind).max() < 0.05:
+            np.testing.assert_allclose(slope(point).full().ravel(), body.gradient(point), atol=2e-3)
+
+
+def test_nearest_of_several() -> None:
+    distance = nearest_distance(BODIES, POINTS)
+    np.testing.assert_array_equal(distance, np.min([body.signed_distance(POINTS) for body in BODIES], axis=0))
+    assert np.isinf(nearest_distance([], POINTS)).all()
+
+
+def test_bodies_that_are_none_are_refused() -> None:
+    with pytest.raises(InputError, match=r"radius of the sphere is -1; it must be greater than 0"):
+        Sphere((0, 0, 0), -1)
+    with pytest.raises(InputError, match=r"centre of the sphere has 2 numbers"):
+        Sphere((0, 0), 1)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"normal of the half-space is \(0, 0, 0\)"):
+        HalfSpace((0, 0, 0), (0, 0, 0))
+    with pytest.raises(InputError, match=r"corners of the box are 1 and 0 m along y"):
+        Box((0, 1, 0), (1, 0, 1))
+    with pytest.raises(InputError, match=r"the last axis must hold x, y, z"):
+        Sphere((0, 0, 0), 1).signed_distance([1.0, 2.0])
+
+
+def test_they_are_hashable_and_equal_by_value() -> None:
+    assert len({Sphere((0, 0, 0), 1), Sphere((0.0, 0.0, 0.0), 1.0)}) == 1

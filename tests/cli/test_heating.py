@@ -1,0 +1,168 @@
+"""`tubeopt heat` and `tubeopt fabricate`: what they print, what they save, and how they fail."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import ROOT, Run, answer, refused
+from tubeopt import MoldSpec, load_rig
+from tubeopt.shaping.heating.files import header_duties
+from tubeopt.shaping.tube_fabrication import mold_spec_for
+
+RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
+ROBOT = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
+LOG = str(ROOT / "configs" / "experiments" / "heating_log.csv")
+TRIALS = str(ROOT / "configs" / "experiments" / "heating_trials.csv")
+SHORT = ("--hold-s", "5", "--samples", "8")
+
+
+def test_a_plan_is_printed_and_saved(run: Run, tmp_path: Path) -> None:
+    data = answer(run("heat", RIG, *SHORT, "--charges-percent", "100,60", "--json", "--out", str(tmp_path)))
+    assert data["feasible"]
+    assert 500 <= data["lowest_degC"] <= data["highest_degC"] <= 550
+    assert data["energy_error"] < 1e-3
+    assert [table["battery_V"] for table in data["tables"]] == pytest.approx([12.73, 12.24])
+    assert all(table["feasible"] for table in data["tables"])
+    assert data["band"]["samples"] == 8
+    names = {Path(name).name for name in data["files"]}
+    assert names == {path.name for path in tmp_path.iterdir()}
+    assert {"schedule.csv", "schedule.h", "schedule_12.24V.h", "plan.json", "heating.png"} < names
+    for name in ("schedule", "schedule_12.73V", "schedule_12.24V"):
+        lines = [x for x in (tmp_path / f"{name}.csv").read_text().splitlines() if not x.startswith("#")]
+        duties = [int(row["duty"]) for row in csv.DictReader(lines)]
+        assert duties == header_duties((tmp_path / f"{name}.h").read_text())
+    stored = json.loads((tmp_path / "plan.json").read_text())
+    assert stored["duty"] == data["duty"]
+    assert stored["rig_data"]["kind"] == "rig"
+
+
+def test_a_plan_as_a_table(run: Run) -> None:
+    outcome = run("heat", "plan", RIG, "--robot", ROBOT, *SHORT, "--charges-percent", "none", "--robust")
+    assert outcome.code == 0
+    for words in ("held: 500 to 550 degC for 5 s", "cold end", "stay in the", "energy balance"):
+        assert words in outcome.out
+
+
+def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Path) -> None:
+    flags = ("--material", "steel", "--hold-s", "5", "--longest-s", "40", "--loss-percent", "0")
+    outcome = run("heat", RIG, *flags, "--charges-percent", "none", "--out", str(tmp_path))
+    assert outcome.code == 3
+    assert re.search(r"the window of 500 to 550 degC cannot be held for 5 s: it is missed by \d+\.\d K", outcome.err)
+    assert not json.loads((tmp_path / "plan.json").read_text())["feasible"]
+    text = " ".join(outcome.out.split())
+    for words in (
+        "CANNOT BE HELD",
+        "a mold of calcium silicate in place of steel: cures it",
+        "problem: while the MOSFET",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--window-degC", "500"), "window_degC is (500.0,); it must be two numbers, the least and the greatest"),
+        (("--window-degC", "500,x"), "--window-degC is '500,x'; it must be numbers with commas between"),
+        (("--limit-degC", "520"), "window_degC is 500 to 550 degC; it must end below the limit of 520 degC"),
+        (("--objective", "speed"), "objective is 'speed'; it must be one of time, energy, margin"),
+        (("--material", "wood"), "mold material is 'wood'; it must be one of steel, mdf, glass_mica, calcium_silicate"),
+        (("--battery-V", "14"), "voltage is 14 V; it must be 11.51 to 12.73 V"),
+        (("--robot", ROBOT, "--tube", "7"), "--tube is 7; it must lie in 1 to 3"),
+        (("--free", "leads"), "free is 'leads'; it must be one of clearance, lead, vents; did you mean 'lead'?"),
+        (("--slot-s", "0.0333"), "slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds"),
+        (("--loss-percent", "120"), "loss of the uncertainty is 1.2; it must be below 1"),
+    ],
+)
+def test_wrong_flags(run: Run, flags: tuple[str, ...], message: str) -> None:
+    assert message in refused(run("heat", RIG, *flags))[0]
+
+
+def test_bad_rig_files_are_refused(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "rig.yaml"
+    file.write_text("kind: rig\n")
+    assert refused(run("heat", str(file))) == [f"{file}: battery is missing"]
+    file.write_text("kind: rig\nbattery: {internal_resistance_mohm: -8}\n")
+    assert "battery.internal_resistance_mohm is -8; it must be greater than 0" in refused(run("heat", str(file)))[0]
+    file.write_text("kind: rig\nbattery: {}\n")
+    assert "the rig file names no tube" in refused(run("heat", str(file)))[0]
+    assert refused(run("heat", "none.yaml")) == ["none.yaml: there is no such file"]
+
+
+def test_a_log_calibrates_the_rig(run: Run, tmp_path: Path) -> None:
+    flags = ("--fit", "loss,resistivity", "--out", str(tmp_path))
+    data = answer(run("heat", "calibrate", LOG, "--rig", RIG, *flags, "--json"))
+    values = {estimate["name"]: estimate for estimate in data["estimates"]}
+    assert values["loss"]["factor"] == pytest.approx(1.12, rel=0.02)
+    assert values["resistivity"]["factor"] == pytest.approx(1.05, rel=0.02)
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert rig.loss_factor == pytest.approx(values["loss"]["factor"])
+    assert {path.name for path in tmp_path.iterdir()} == {"calibration.json", "rig.yaml", "calibration.png"}
+
+
+def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
+    outcome = run("heat", "calibrate", TRIALS, "--rig", RIG, "--trials", "--out", str(tmp_path))
+    assert outcome.code == 0
+    assert "loss factor" in outcome.out
+    assert 0.6 < load_rig(tmp_path / "rig.yaml").loss_factor < 1.6
+
+
+def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
+    flags = (
+        "--rig",
+        RIG,
+        "--out",
+        str(tmp_path),
+        "--hold-s",
+        "5",
+        "--samples",
+        "0",
+        "--charges-percent",
+        "none",
+        "--json",
+    )
+    data = answer(run("fabricate", ROBOT, *flags))
+    assert [tube["tube"] for tube in data["tubes"]] == [1]
+    assert len(data["left_out"]) == 2
+    (made,) = data["tubes"]
+    (groove,), plan = made["mold"]["grooves"], made["heating"]
+    assert plan["feasible"]
+    assert made["agreed"]
+    assert groove["free_length_mm"] == pytest.approx(plan["free_length_mm"], abs=0.01)
+    between = 2 * (plan["lead_mm"] + plan["clearance_mm"]) + plan["curved_length_mm"]
+    assert groove["free_length_mm"] == pytest.approx(between, abs=0.01)
+    assert [groove["lead_in_mm"], groove["lead_out_mm"]] == pytest.approx([plan["lead_mm"]] * 2, abs=0.01)
+    assert (groove["width_mm"] - 1.92) / 2 == pytest.approx(1e-3 * plan["gap_um"])
+    for name in ("growth_mm", "extra_length_mm"):
+        assert groove[name] == pytest.approx(plan[name], abs=0.01)
+    assert groove["cold_length_mm"] == pytest.approx(plan["cold_end_mm"], abs=0.01)
+    rig = load_rig(tmp_path / "tube_1" / "rig.yaml")
+    assert 1e3 * rig.mold.lead == pytest.approx(plan["lead_mm"])
+    mold = {path.name for path in (tmp_path / "tube_1" / "mold").iterdir()}
+    heating = {path.name for path in (tmp_path / "tube_1" / "heating").iterdir()}
+    assert {"base.dxf", "base.stl", "grooves.nc"} <= mold
+    assert {"schedule.csv", "schedule.h", "heating.png", "plan.json"} <= heating
+    assert (tmp_path / "robot.yaml").exists()
+
+
+@pytest.mark.parametrize("words", [("heat", "plan"), ("heat", "calibrate"), ("fabricate",)])
+def test_help_has_an_example(run: Run, words: tuple[str, ...]) -> None:
+    assert f"Example: tubeopt {words[0]}" in run(*words, "--help").out
+
+
+def test_the_lid_of_a_fabricated_mold_has_the_vents_that_the_schedule_counts_on() -> None:
+    rig = load_rig(RIG)
+    tube = rig.tube
+    assert tube is not None
+    assert mold_spec_for(rig, tube, MoldSpec()).vents.profile == (0.0,)
+    vented = replace(rig, mold=replace(rig.mold, vents=(0.0, 0.2)))
+    profile = mold_spec_for(vented, tube, MoldSpec()).vents.profile
+    assert profile == pytest.approx(profile[::-1])
+    assert 2 * 0.2 * 20 / 67 < profile[0] < profile[4] < 2 * 0.2
+    # Along the bend the surface left open is that of the rig: its mean lies halfway between the bend's end and middle.
+    assert sum(profile) / len(profile) == pytest.approx(0.2 * (1 + 20 / 67), rel=1e-6)

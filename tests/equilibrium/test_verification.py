@@ -1,0 +1,95 @@
+"""The check by adaptive integration: silent on what is right, and loud on every kind of wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.shooting import shoot
+from tests.examples import CRL, MM, THESIS, configurations, eccentric_robot, nested
+from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Verification, forward_kinematics
+from tubeopt.equilibrium.verification import verify_equilibrium
+
+
+def checked(equilibrium: Equilibrium) -> Verification:
+    verification = verify_equilibrium(equilibrium).verification
+    assert verification is not None
+    return verification
+
+
+@pytest.fixture(scope="module")
+def solved() -> Equilibrium:
+    return forward_kinematics(THESIS, (0.5, -0.8, 1.0), np.array([60.0, 30.0, 0.0]) * MM)
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL], ids=lambda robot: robot.name)
+def test_random_configurations_are_confirmed(robot: ConcentricRobot) -> None:
+    for rotations, translations in configurations(robot, 10, seed=31):
+        check = checked(forward_kinematics(robot, rotations, translations))
+        assert check.tip_position < 1e-9
+        assert check.tip_rotation < 1e-8
+        assert check.rotation < 1e-9
+        assert check.end_torsion < 1e-7
+        assert check.base_rotation < 1e-12
+
+
+def test_tubes_beside_the_centreline_are_confirmed() -> None:
+    check = checked(forward_kinematics(eccentric_robot(), np.radians([30.0, 100.0, -20.0])))
+    assert check.tip_position < 1e-9
+    assert check.tip_rotation < 1e-8
+    assert check.rotation < 1e-8
+    assert check.end_torsion < 1e-7
+    assert check.base_rotation < 1e-12
+
+
+def test_asked_for_with_the_solve() -> None:
+    assert forward_kinematics(THESIS, (0.0, 1.0, 2.0)).verification is None
+    solved = forward_kinematics(THESIS, (0.0, 1.0, 2.0), verify=True)
+    assert solved.verification == checked(solved)
+
+
+def test_one_tube_and_none() -> None:
+    robot = nested((0.05, 0.1, 12.0))
+    assert checked(forward_kinematics(robot, [0.7], [0.02])).tip_position < 1e-12
+    withdrawn = checked(forward_kinematics(robot, [0.7], [-0.1]))
+    assert (withdrawn.tip_position, withdrawn.rotation, withdrawn.end_torsion) == (0.0, 0.0, 0.0)
+
+
+def test_an_error_of_the_mesh_shows_at_its_true_size() -> None:
+    coarse = forward_kinematics(CRL, (2.0, 0.5, 0.0), discretisation=Discretisation("gauss", 2), tolerance=1.0)
+    reference = shoot(CRL, coarse.rotations, coarse.translations, coarse.torsion[:, 0])
+    miss = np.abs(coarse.torsion[:, 0] - reference.torsion).max()
+    check = checked(coarse)
+    # Integration from the solved base values misses the boundary condition at the tips by what the base is wrong.
+    assert miss > 1e-5
+    assert 0.1 * miss < check.end_torsion < 100 * miss
+    assert check.tip_position > 1e-8
+
+
+def test_a_wrong_shape_shows(solved: Equilibrium) -> None:
+    wrong = replace(solved, tip_position=solved.tip_position + np.array([0.0, 3e-6, 4e-6]))
+    assert checked(wrong).tip_position == pytest.approx(5e-6, rel=1e-3)
+    c, s = np.cos(1e-5), np.sin(1e-5)
+    wrong = replace(solved, tip_rotation=solved.tip_rotation @ [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    assert checked(wrong).tip_rotation == pytest.approx(1e-5, rel=1e-3)
+
+
+def test_a_wrong_torsion_shows(solved: Equilibrium) -> None:
+    turned = solved.rotation.copy()
+    turned[1, -1] += 1e-4
+    assert checked(replace(solved, rotation=turned)).rotation == pytest.approx(1e-4, rel=1e-3)
+    slope = solved.torsion.copy()
+    slope[2, 0] += 1e-3
+    check = checked(replace(solved, torsion=slope))
+    # Tube 3 is held 0.1 m behind the plate.
+    assert check.base_rotation == pytest.approx(1e-4, rel=1e-3)
+    assert check.end_torsion > 1e-4
+
+
+def test_other_joint_values_than_those_solved_show(solved: Equilibrium) -> None:
+    wrong = replace(solved, rotations=solved.rotations + np.array([0.0, 0.01, 0.0]))
+    assert checked(wrong).base_rotation == pytest.approx(0.01, rel=1e-6)
+    moved = replace(solved, translations=solved.translations + np.array([0.0, 0.0, 1e-3]))
+    assert checked(moved).tip_position > 1e-5

@@ -1,0 +1,570 @@
+"""Inverse kinematics: answers are stable equilibria on target and inside the limits, or say why there is none."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+import tubeopt
+from tests.examples import CONFIGS, CRL, MM, THESIS, TWO_TUBE, eccentric_robot, nested, random_robot
+from tests.inverse_targets import inside, reachable
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    InverseOptions,
+    InverseStatus,
+    SolveError,
+    Tube,
+    forward_kinematics,
+    inverse_kinematics,
+)
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.control.joints import joint_space
+from tubeopt.control.posture import posture_of
+from tubeopt.inverse.descent import reach
+from tubeopt.inverse.eccentric import mirror_closed_form, mirror_pose
+from tubeopt.inverse.question import pose_question, unit_vector
+from tubeopt.inverse.table import cache_directory, nearest_starts, start_table
+from tubeopt.robots.limits import JointLimits
+from tubeopt.robots.robot import Robot
+
+ETR = tubeopt.load_robot(CONFIGS / "thesis_etr.yaml")
+SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
+TARGET = np.array([50.0, 30.0, 150.0]) * MM
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> object:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TUBEOPT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
+    """What every answer promises, by forward kinematics from its joint values."""
+    assert answer.reached
+    again = forward_kinematics(robot, answer.rotations, answer.translations, guess=answer.equilibrium)
+    assert np.linalg.norm(again.tip_position - answer.target_position) <= 1e-7
+    assert again.margin >= min_margin
+    assert again.margin == pytest.approx(answer.margin, abs=1e-9)
+    assert inside(robot, answer.rotations, answer.translations)
+    assert answer.position_error == pytest.approx(
+        np.linalg.norm(answer.equilibrium.tip_position - answer.target_position), abs=1e-15
+    )
+    if answer.cold_start_agrees:
+        cold = forward_kinematics(robot, answer.rotations, answer.translations)
+        assert np.linalg.norm(cold.tip_position - answer.target_position) <= 1e-7
+    if answer.target_direction is not None and answer.direction_error < 1e-6:
+        assert again.tip_rotation[:, 2] @ answer.target_direction == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, ETR], ids=lambda robot: robot.name)
+def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
+    for wanted in reachable(robot, 15, seed=1):
+        answer = inverse_kinematics(robot, wanted.tip_position)
+        check(answer, robot)
+        assert answer.cold_start_agrees
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
+def test_and_pointed_as_they_were(robot: Robot) -> None:
+    for wanted in reachable(robot, 6, seed=2):
+        answer = inverse_kinematics(robot, wanted.tip_position, direction=3 * wanted.tip_rotation[:, 2])
+        check(answer, robot)
+        assert answer.direction_error <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_robots_of_all_kinds(seed: int) -> None:
+    robot = random_robot(np.random.default_rng(seed), 1 + seed)
+    for wanted in reachable(robot, 3, seed):
+        check(inverse_kinematics(robot, wanted.tip_position), robot)
+
+
+def test_several_segments_of_eccentric_tubes() -> None:
+    home = forward_kinematics(SEGMENTED, np.radians([20, 50, -30, 80, 0, 10, -60, 15, 40.0]))
+    answer = inverse_kinematics(SEGMENTED, home.tip_position, min_margin=0.1)
+    again = forward_kinematics(SEGMENTED, answer.rotations, answer.translations, guess=answer.equilibrium)
+    assert np.linalg.norm(again.tip_position - home.tip_position) <= 1e-7
+    assert again.margin >= 0.1
+
+
+def test_narrow_limits_are_kept() -> None:
+    limits = JointLimits(((-1.0, 0.5), (-0.4, 1.2), (-2.0, -0.1)), ((-0.05, 0.0), (-0.03, 0.0), (-0.06, -0.05)))
+    robot = replace(THESIS, joint_limits=limits)
+    for wanted in reachable(robot, 6, seed=4):
+        check(inverse_kinematics(robot, wanted.tip_position), robot)
+        other = inverse_kinematics(THESIS, wanted.tip_position, limits=limits)
+        assert inside(robot, other.rotations, other.translations)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3, 0.8])
+def test_the_margin_is_never_below_its_bound(margin: float) -> None:
+    """Targets at the tip of configurations close to a snap: another posture is found, or none."""
+    found = 0
+    for k, wanted in enumerate(reachable(CRL, 12, seed=5, margin=0.02)):
+        try:
+            answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, seed=wanted if k % 2 else None)
+        except SolveError:
+            continue
+        check(answer, CRL, margin)
+        found += 1
+    assert found >= 6
+
+
+def test_a_target_whose_nearest_posture_is_unstable() -> None:
+    """The tip of the unstable equilibrium of opposed tubes: the answer is another, stable posture."""
+    saddle = min(tubeopt.find_equilibria(THESIS, np.radians([200, 0, 0])), key=lambda e: e.margin)
+    assert saddle.margin < 0
+    answer = inverse_kinematics(THESIS, saddle.tip_position, seed=(saddle.rotations, saddle.translations))
+    check(answer, THESIS)
+
+
+class TestSeed:
+    def test_a_seed_on_target_is_the_answer(self) -> None:
+        first = inverse_kinematics(THESIS, TARGET)
+        again = inverse_kinematics(THESIS, TARGET, seed=first)
+        np.testing.assert_allclose(again.rotations, first.rotations, atol=1e-6)
+        assert again.statistics.start == "seed"
+        assert again.straight_from_seed
+
+    def test_a_small_step_stays_on_the_branch_and_close(self) -> None:
+        seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+        target = seed.tip_position + np.array([3e-4, -2e-4, 1e-4])
+        answer = inverse_kinematics(THESIS, target, seed=seed)
+        check(answer, THESIS)
+        assert answer.straight_from_seed
+        assert np.abs(answer.rotations - seed.rotations).max() < 0.1
+        way = tubeopt.follow(
+            THESIS,
+            [seed.rotations, answer.rotations],
+            [seed.translations, answer.translations],
+            start=seed,
+        )
+        assert not way.snaps
+        assert np.linalg.norm(way.equilibria[-1].tip_position - target) < 1e-7
+
+    def test_nearest_is_nearest(self) -> None:
+        """No small motion along the postures with the same tip comes closer to the reference."""
+        reference = (np.radians([30.0, 60.0, 90.0]), np.array([-0.03, -0.02, -0.01]))
+        answer = inverse_kinematics(THESIS, TARGET, reference=reference)
+        goal = pose_question(THESIS, TARGET, None, (None, reference), 0.05, None, None, (), InverseOptions())
+        at = posture_of(goal.space, answer.equilibrium)
+        kernel = np.linalg.svd(goal.slope(at) * goal.space.scale)[2][3:] * goal.space.scale
+        random, tried = np.random.default_rng(0), 0
+        for _ in range(60):
+            moved = at.to(goal.space.clip(at.q + 0.01 * random.normal(size=3) @ kernel))
+            if moved is None or not goal.space.admissible(moved.q):
+                continue
+            beside = reach(goal, moved)
+            assert not beside.reached or goal.cost(beside.posture) >= goal.cost(at) - 1e-5
+            tried += beside.reached
+        assert tried >= 5
+
+    def test_an_optimum_of_one_method_is_one_of_the_other(self) -> None:
+        reference = (np.radians([90.0, 140.0, 190.0]), np.array([-0.03, -0.03, -0.04]))
+        centre, scale = np.concatenate(reference), np.array([1, 1, 1, 0.2, 0.2, 0.2])
+
+        def cost(method: str, seed: tubeopt.InverseSolution | None) -> tuple[tubeopt.InverseSolution, float]:
+            options = InverseOptions(method=method)
+            answer = inverse_kinematics(THESIS, TARGET, reference=reference, seed=seed, options=options)
+            check(answer, THESIS)
+            q = np.concatenate([answer.rotations, answer.translations])
+            return answer, float(np.sum(((q - centre) / scale) ** 2))
+
+        for first, second in (("gauss_newton", "nlp"), ("nlp", "gauss_newton")):
+            answer, value = cost(first, None)
+            assert cost(second, answer)[1] == pytest.approx(value, rel=1e-4)
+
+    def test_weights_say_what_moves(self) -> None:
+        seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+        target = seed.tip_position + np.array([2e-3, 1e-3, 0.0])
+        still = inverse_kinematics(THESIS, target, seed=seed, weights=([1e3, 1.0, 1.0], [5.0, 5.0, 5.0]))
+        free = inverse_kinematics(THESIS, target, seed=seed, weights=([1.0, 1e3, 1.0], [5.0, 5.0, 5.0]))
+        assert abs(still.rotations[0] - 0.4) < 0.1 * abs(free.rotations[0] - 0.4)
+
+
+def test_largest_margin_and_least_curvature_are_better_than_any_answer() -> None:
+    target = next(e for e in reachable(CRL, 40, seed=9, margin=0.05) if e.margin < 0.6).tip_position
+    plain = inverse_kinematics(CRL, target)
+    stiff = inverse_kinematics(CRL, target, options=InverseOptions(objective="margin", starts=2))
+    slender = inverse_kinematics(CRL, target, options=InverseOptions(objective="curvature", starts=1))
+    assert stiff.margin >= plain.margin - 1e-6
+    bends = []
+    for each in (plain, slender):
+        e = each.equilibrium
+        square = (e.curvature**2).sum(1)
+        bends.append(float(np.sum((square[1:] + square[:-1]) / 2 * np.diff(e.arc_length))))
+    assert bends[1] <= 1.02 * bends[0]
+
+
+def test_a_direction_as_a_cost_is_a_compromise() -> None:
+    direction = np.array([1.0, 0.0, 0.2])
+    with pytest.raises(SolveError, match=r"deg off the direction"):
+        inverse_kinematics(THESIS, TARGET, direction=direction, options=InverseOptions(starts=2))
+    free = inverse_kinematics(THESIS, TARGET, reference=(np.zeros(3), None))
+    options = InverseOptions(direction_weight=50.0)
+    aimed = inverse_kinematics(THESIS, TARGET, direction=direction, reference=(np.zeros(3), None), options=options)
+    check(aimed, THESIS)
+    unit = direction / np.linalg.norm(direction)
+    assert aimed.direction_error < np.arccos(free.equilibrium.tip_rotation[:, 2] @ unit)
+
+
+class TestObstacles:
+    body = Sphere((0.025, 0.013, 0.09), 0.012)
+
+    def test_the_whole_arm_keeps_away(self) -> None:
+        options = InverseOptions(clearance=2 * MM)
+        answer = inverse_kinematics(THESIS, TARGET, obstacles=[self.body], options=options)
+        check(answer, THESIS)
+        e = answer.equilibrium
+        # The centreline, finely sampled, with the tubes' radii.
+        s = np.linspace(0, e.arc_length[-1], 2000)
+        line = np.column_stack([np.interp(s, e.arc_length, e.position[:, k]) for k in range(3)])
+        radius = np.max(
+            [np.where(s <= end, t.outer_diameter / 2, 0) for t, end in zip(THESIS.tubes, e.tube_end, strict=True)], 0
+        )
+        distance = self.body.signed_distance(line) - radius
+        assert distance.min() >= 2 * MM - 3e-5
+        assert answer.clearance == pytest.approx(distance.min(), abs=1e-4)
+
+    def test_the_program_keeps_away_too(self) -> None:
+        options = InverseOptions(clearance=2 * MM, method="nlp")
+        answer = inverse_kinematics(THESIS, TARGET, obstacles=[self.body], options=options)
+        check(answer, THESIS)
+        assert answer.clearance >= 2 * MM
+
+    def test_a_target_inside_of_one_is_out_of_reach(self) -> None:
+        """The tip, 0.5 mm thick, touches the sphere: no pose is closer, and as many starts as there may be find it."""
+        body = Sphere(tuple(TARGET), 0.01)
+        nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
+        for starts in (1, 2, 6, 12):
+            options = InverseOptions(starts=starts)
+            with pytest.raises(SolveError, match=r"m short.*arm at obstacle 1 \(sphere\)") as told:
+                inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
+            closest = told.value.solution
+            assert closest.position_error == pytest.approx(nearest, abs=2e-5)
+            assert closest.clearance >= 0
+
+    def test_a_small_one_is_seen_between_the_points_of_the_measurement(self) -> None:
+        at = posture_of(joint_space(THESIS), forward_kinematics(THESIS, [0.0, 1.0, 2.0]))
+        e = at.equilibrium
+        s = np.linspace(0, e.arc_length[-1], 40001)
+        line = CubicHermiteSpline(e.arc_length, e.position, e.frame[:, :, 2])(s)
+        reach = np.where(s[:, None] <= e.tube_end, [t.outer_diameter / 2 for t in THESIS.tubes], 0.0).max(1)
+        for place in np.linspace(0.103, 0.107, 9) * e.arc_length[-1] / 0.2:
+            k = int(np.searchsorted(s, place))
+            body = Sphere(tuple(line[k] + 1.2 * MM * e.frame[0, :, 0]), 0.2 * MM)
+            assert at.clearance(body) == pytest.approx((body.signed_distance(line) - reach).min(), abs=2e-6)
+
+    def test_the_closest_pose_is_clear_too(self) -> None:
+        body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
+        target = np.array([10.4, 38.2, 103.6]) * MM
+        options = InverseOptions(clearance=MM, starts=4, method="gauss_newton")
+        closest = inverse_kinematics(THESIS, target, obstacles=[body], on_failure="closest", options=options)
+        assert closest.clearance >= MM
+        assert closest.margin >= 0.05
+        assert inside(THESIS, closest.rotations, closest.translations)
+
+
+class TestOutOfReach:
+    def test_the_message_says_by_how_far_and_why(self) -> None:
+        with pytest.raises(
+            SolveError, match=r"^no answer was found in \d+ starts: 0.\d+ m short: .*(at its end|touching)"
+        ):
+            inverse_kinematics(THESIS, [0, 0, 0.6], options=InverseOptions(starts=4))
+
+    def test_the_closest_pose_on_request(self) -> None:
+        closest = inverse_kinematics(ETR, [0.0, 0.0, 0.2], on_failure="closest")
+        assert closest.status is InverseStatus.CLOSEST
+        assert not closest.reached
+        # Straight up is as close as 94 mm of arm get.
+        assert closest.position_error == pytest.approx(0.2 - 0.094, abs=1e-4)
+        assert closest.margin >= 0.05
+        with pytest.raises(SolveError) as failure:
+            inverse_kinematics(ETR, [0.0, 0.0, 0.2], options=InverseOptions(starts=6))
+        assert failure.value.solution.position_error == pytest.approx(closest.position_error, abs=1e-4)
+
+    @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
+    def test_more_starts_never_give_a_worse_one(self, robot: Robot) -> None:
+        target = 1.6 * next(reachable(robot, 1, seed=8)).tip_position + np.array([10.0, 0.0, 0.0]) * MM
+        missed = [
+            inverse_kinematics(
+                robot, target, on_failure="closest", options=InverseOptions(starts=starts)
+            ).position_error
+            for starts in (1, 2, 4, 8, 16)
+        ]
+        assert (np.diff(missed) <= 1e-7 * 0.4).all()
+
+    @pytest.mark.parametrize("robot", [THESIS, CRL, ETR], ids=lambda robot: robot.name)
+    def test_the_closest_pose_is_a_minimum(self, robot: Robot) -> None:
+        """No small motion that keeps ranges, order and margin brings the tip closer, by plain forward kinematics."""
+        target = 1.6 * next(reachable(robot, 1, seed=8)).tip_position + np.array([10.0, 0.0, 0.0]) * MM
+        closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=4))
+        space, random, tried = joint_space(robot), np.random.default_rng(0), 0
+        q = space.join(closest.rotations, closest.translations)
+        for _ in range(200):
+            near = space.nearest(q + random.choice([1e-3, 1e-2, 5e-2]) * random.normal(size=len(q)) * space.scale)
+            there = forward_kinematics(robot, *space.split(near), guess=closest.equilibrium)
+            if there.margin < 0.05:
+                continue
+            tried += 1
+            assert np.linalg.norm(there.tip_position - target) >= closest.position_error - 1e-7
+        assert tried >= 50
+
+    def test_the_closest_pose_keeps_order_and_margin(self) -> None:
+        inner = Tube(1.0 * MM, 0.7 * MM, 62.6 * MM, 186.2 * MM, 4.24)
+        robot = ConcentricRobot([inner, Tube(1.4 * MM, 1.1 * MM, 35.4 * MM, 149.0 * MM, 9.23)])
+        for target in ([0.0, 0.0, 0.2], [0.3, 0.2, 0.05]):
+            closest = inverse_kinematics(robot, target, on_failure="closest", options=InverseOptions(starts=12))
+            assert not closest.reached
+            assert closest.margin >= 0.05
+            assert inside(robot, closest.rotations, closest.translations, 1e-9)
+
+
+class TestAllSolutions:
+    def test_they_are_distinct_and_all_answers(self) -> None:
+        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=24))
+        assert len(found) >= 2
+        for answer in found:
+            check(answer, THESIS)
+        middles = [
+            np.array([np.interp(0.6, e.arc_length / e.arc_length[-1], e.position[:, k]) for k in range(3)])
+            for e in (a.equilibrium for a in found)
+        ]
+        assert np.linalg.norm(middles[0] - middles[1]) > 1e-3
+        assert [a.margin for a in found] == sorted((a.margin for a in found), reverse=True)
+
+    def test_ranked_by_the_reference_where_there_is_one(self) -> None:
+        reference = (np.zeros(3), np.zeros(3))
+        options = InverseOptions(starts=8)
+        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, reference=reference, options=options)
+        distance = [np.sum(a.rotations**2) + np.sum((a.translations / 0.2) ** 2) for a in found]
+        assert distance == sorted(distance)
+
+    def test_a_target_out_of_reach_has_none(self) -> None:
+        with pytest.raises(SolveError, match="short"):
+            inverse_kinematics(ETR, [0.0, 0.0, 0.2], all_solutions=True, options=InverseOptions(starts=4))
+
+
+class TestEccentric:
+    def test_closed_form_is_exact_for_an_arc(self) -> None:
+        """Without torsion, tubes turned alike bend with their own curvature: the arc of the closed form."""
+        robot = replace(eccentric_robot(0.05), offset=0.0)
+        kappa, length, advance = 1 / 0.12, 0.094, -0.02
+        arc = length + advance
+        radius, height = (1 - np.cos(kappa * arc)) / kappa, np.sin(kappa * arc) / kappa
+        pose = mirror_closed_form(robot, [radius * np.cos(0.7), radius * np.sin(0.7), height])
+        assert pose.separation == pytest.approx(0.0, abs=1e-6)
+        assert pose.translation == pytest.approx(advance, abs=1e-12)
+        tip = forward_kinematics(robot, pose.rotations, pose.translations).tip_position
+        np.testing.assert_allclose(tip, [radius * np.cos(0.7), radius * np.sin(0.7), height], atol=1e-9)
+
+    @pytest.mark.parametrize("translation", [-0.03, 0.0, 0.04])
+    def test_full_model_gives_back_what_was_put_in(self, translation: float) -> None:
+        robot = eccentric_robot(0.05)
+        for direction, separation in ((0.4, 0.3), (-2.0, 1.0), (3.0, 1.6)):
+            rotations = tubeopt.inverse.mirror.mirror_rotations(direction, separation)
+            wanted = forward_kinematics(robot, rotations, np.full(3, translation))
+            pose = mirror_pose(robot, wanted.tip_position)
+            assert pose.equilibrium is not None
+            np.testing.assert_allclose(pose.equilibrium.tip_position, wanted.tip_position, atol=1e-8)
+            if translation <= 0:
+                assert pose.separation == pytest.approx(separation, abs=1e-5)
+                assert np.angle(np.exp(1j * (pose.direction - direction))) == pytest.approx(0.0, abs=1e-5)
+
+    def test_out_of_reach_is_said(self) -> None:
+        with pytest.raises(InputError, match="translation"):
+            mirror_closed_form(ETR, [0.0, 0.0, 0.2])
+        with pytest.raises(InputError, match=r"curvature|off the axis"):
+            mirror_closed_form(ETR, [0.05, 0.0, 0.01])
+
+
+class TestStarts:
+    def test_the_table_is_kept_on_disk_by_content(self) -> None:
+        robot = nested((0.05, 0.06, 10.0), (0.03, 0.04, 8.0))
+        space = joint_space(robot)
+        first = start_table(space, 64)
+        files = set(cache_directory().glob("inverse-*.npz"))
+        assert files
+        again = start_table(space, 64)
+        np.testing.assert_array_equal(first.q, again.q)
+        other = joint_space(replace(robot, tubes=(robot.tubes[0], replace(robot.tubes[1], curvature=8.1))))
+        start_table(other, 64)
+        assert len(set(cache_directory().glob("inverse-*.npz"))) == len(files) + 1
+
+    def test_a_damaged_file_is_built_anew(self) -> None:
+        space = joint_space(nested((0.05, 0.06, 9.0), (0.03, 0.04, 8.0)))
+        before = set(cache_directory().glob("inverse-*.npz"))
+        first = start_table(space, 64)
+        (path,) = set(cache_directory().glob("inverse-*.npz")) - before
+        path.write_bytes(b"PK\x03\x04 not whole")
+        np.testing.assert_array_equal(start_table(space, 64).q, first.q)
+
+    def test_without_a_place_to_keep_it_the_table_still_serves(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        (tmp_path / "file").write_text("in the way")
+        monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path / "file" / "below"))
+        assert len(start_table(joint_space(TWO_TUBE), 32).q) > 0
+
+    def test_starts_are_turned_towards_the_target(self) -> None:
+        space = joint_space(CRL)
+        table = start_table(space, 256)
+        for wanted in reachable(CRL, 3, seed=6):
+            starts = nearest_starts(space, table, (wanted.tip_position, None), min_margin=0.05, reference=None)
+            assert all(space.admissible(q) for q in starts[:20])
+            tips = [forward_kinematics(CRL, *space.split(q)).tip_position for q in starts[:5]]
+            flat = np.array(tips)[:, :2]
+            azimuth = np.arctan2(*wanted.tip_position[1::-1])
+            np.testing.assert_allclose(np.exp(1j * np.arctan2(flat[:, 1], flat[:, 0])), np.exp(1j * azimuth), atol=1e-6)
+
+
+class TestJoints:
+    def test_tubes_without_play_are_one_joint(self) -> None:
+        space = joint_space(TWO_TUBE)
+        assert space.carriages == ((0, 1),)
+        assert joint_space(THESIS).carriages == ((0,), (1,), (2,))
+
+    def test_limits_that_contradict_the_order_are_refused(self) -> None:
+        limits = JointLimits(((-1, 1),) * 3, ((-0.2, -0.19), (0.1, 0.15), (0.09, 0.1)))
+        with pytest.raises(InputError, match="limits leave no joint values that keep the tubes in order"):
+            inverse_kinematics(THESIS, TARGET, limits=limits)
+
+    def test_gaps_and_section_lengths_are_kept(self) -> None:
+        options = InverseOptions(carriage_gap=5 * MM, section_length=8 * MM)
+        answer = inverse_kinematics(THESIS, TARGET, options=options)
+        held = answer.translations - [t.straight_length for t in THESIS.tubes]
+        ends = held + [t.length for t in THESIS.tubes]
+        assert (np.diff(held) >= 5 * MM - 1e-9).all()
+        assert (-np.diff(ends) >= 8 * MM - 1e-9).all()
+
+
+class TestInput:
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"position": [0, 0]}, "position has 2 numbers"),
+            ({"position": [0, 0, np.nan]}, "every number must be finite"),
+            ({"direction": [0, 0, 0]}, r"direction is \(0, 0, 0\)"),
+            ({"min_margin": 1.0}, "min_margin is 1; it must be at least 0 and less than 1"),
+            ({"min_margin": -0.1}, "min_margin is -0.1"),
+            ({"seed": 3}, "seed is 3; it must be a pair"),
+            ({"seed": ([0, 0], None)}, "rotations of seed has 2 numbers"),
+            ({"reference": ([0, 0, 0], [1, 1, 1])}, "pulls it out of its actuator"),
+            ({"robot": None}, "robot is None; it must be a ConcentricRobot"),
+            ({"limits": 3}, "limits is 3; it must be a JointLimits"),
+            ({"obstacles": Sphere((0, 0, 1), 0.1)}, r"it must be a sequence of bodies, as \[Sphere"),
+            ({"obstacles": ["wall"]}, "obstacle 1 is 'wall'; it must be a body"),
+            ({"options": {}}, "options is {}; it must be an InverseOptions"),
+            ({"weights": [1, 2, 3]}, "weights must be a pair"),
+            ({"weights": ([1, 1, -1], [1, 1, 1])}, "weights must be at least 0"),
+            ({"on_failure": "ignore"}, "on_failure is 'ignore'; it must be one of raise, closest"),
+            ({"limits": JointLimits(((0, 1),), ((0, 1),))}, "limits are given for 1 tubes; the robot has 3"),
+            ({"options": InverseOptions(objective="nearest")}, "neither reference nor seed is given"),
+            ({"options": InverseOptions(direction_weight=1.0)}, "direction_weight is given without a direction"),
+        ],
+    )
+    def test_what_makes_no_sense_is_refused(self, options: dict[str, object], message: str) -> None:
+        with pytest.raises(InputError, match=message):
+            inverse_kinematics(**({"robot": THESIS, "position": TARGET} | options))  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"objective": "best"}, "objective is 'best'; it must be one of nearest, margin, curvature"),
+            ({"method": "guess"}, "method is 'guess'"),
+            ({"clearance": -1.0}, "clearance is -1; it must be at least 0"),
+            ({"starts": 0}, "starts is 0; it must be a whole number of at least 1"),
+            ({"starts": "many"}, "starts is 'many'; it must be a number"),
+            ({"starts": np.nan}, "starts is nan; it must be a finite number"),
+            ({"distinct": 0.0}, "distinct is 0; it must be greater than 0"),
+        ],
+    )
+    def test_options_too(self, options: dict[str, object], message: str) -> None:
+        with pytest.raises(InputError, match=message):
+            InverseOptions(**options)  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("size", [1e-200, 1e200])
+    def test_directions_have_any_length(self, size: float) -> None:
+        np.testing.assert_allclose(unit_vector("direction", [3 * size, 0.0, 4 * size]), [0.6, 0.0, 0.8], rtol=1e-15)
+
+    def test_a_program_needs_as_many_joints_as_equations(self) -> None:
+        with pytest.raises(InputError, match="the 3 independent joints"):
+            inverse_kinematics(TWO_TUBE, TARGET, direction=[0, 0, 1], options=InverseOptions(method="nlp"))
+
+
+class TestWays:
+    """Whether the robot gets to an answer without a snap is said, and a way is found where it is asked for."""
+
+    def test_a_way_is_followed_without_a_snap(self) -> None:
+        """Among random targets are some to which the straight way from home snaps; the way that is found does not."""
+        around = 0
+        for wanted in reachable(THESIS, 8, seed=33):
+            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+            assert answer.reachable
+            assert answer.way is not None
+            assert answer.way.origin == "home"
+            path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations)
+            assert not path.snaps
+            assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+            np.testing.assert_array_equal(answer.way.rotations[-1], answer.rotations)
+            np.testing.assert_array_equal(answer.way.rotations[0], np.zeros(3))
+            home = THESIS.home_translations
+            straight = tubeopt.follow(THESIS, [np.zeros(3), answer.rotations], [home, answer.translations])
+            around += bool(straight.snaps)
+        assert around
+
+    def test_it_begins_at_the_seed(self) -> None:
+        seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
+        answer = inverse_kinematics(THESIS, TARGET, seed=seed, reachable=True)
+        assert answer.way is not None
+        assert answer.way.origin == "seed"
+        np.testing.assert_allclose(answer.way.translations[0], seed.translations, atol=1e-15)
+        path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations, start=seed)
+        assert not path.snaps
+        assert np.linalg.norm(path.equilibria[-1].tip_position - TARGET) <= 1e-6
+
+    def test_without_being_asked_only_a_known_way_is_stated(self) -> None:
+        for wanted in reachable(CRL, 8, seed=33):
+            answer = inverse_kinematics(CRL, wanted.tip_position)
+            assert answer.reachable is (None if answer.way is None else True)
+            if answer.way is not None:
+                path = tubeopt.follow(CRL, answer.way.rotations, answer.way.translations)
+                assert not path.snaps
+                assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+
+    def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("tubeopt.planning.reachable.snap_free_way", lambda *_, **__: None)
+        for wanted in reachable(THESIS, 5, seed=33):
+            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+            assert answer.reachable is (answer.way is not None)
+
+
+def test_an_answer_pickles() -> None:
+    answer = inverse_kinematics(THESIS, TARGET)
+    again = pickle.loads(pickle.dumps(answer))
+    np.testing.assert_array_equal(again.rotations, answer.rotations)
+    assert again.status is InverseStatus.REACHED
+
+
+def test_a_time_limit_ends_the_search() -> None:
+    far = [0.0, 0.0, 2.0]
+    inverse_kinematics(THESIS, forward_kinematics(THESIS, [0.3, 0.2, 0.1]).tip_position)  # the table is built
+    with pytest.raises(SolveError, match=r"was found within 0\.001 s") as told:
+        inverse_kinematics(THESIS, far, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
+    assert told.value.solution.statistics.tries == 1
+    assert told.value.solution.status is InverseStatus.TIMED_OUT
+    # Without a single start in time, that is what is said, and not that there is no margin.
+    with pytest.raises(SolveError, match=r"within 1e-09 s.*whether the target can be reached is not known") as told:
+        inverse_kinematics(THESIS, far, options=InverseOptions(time_limit=1e-9))
+    assert "margin" not in str(told.value)
+    with pytest.raises(SolveError, match=r"out of reach, 1\.6 m beyond the longest arm"):
+        inverse_kinematics(THESIS, far, options=InverseOptions(starts=1))
+    with pytest.raises(InputError, match="time_limit is 0; it must be greater than 0"):
+        InverseOptions(time_limit=0)

@@ -1,0 +1,177 @@
+"""Mirror actuation: the map, its six assignments, and its inverse for a bend and for a tip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.examples import CONFIGS, DEG, MM
+from tubeopt import EccentricRobot, InputError, Tube, forward_kinematics, load_robot
+from tubeopt.inverse.mirror import (
+    ASSIGNMENTS,
+    STRAIGHT,
+    arc_curvature,
+    mirror_inverse,
+    mirror_rotations,
+    mirror_to_tip,
+    permuted_tips,
+)
+
+ETR = load_robot(CONFIGS / "thesis_etr.yaml")
+assert isinstance(ETR, EccentricRobot)
+CENTRED = replace(ETR, offset=0.0)
+MIRRORED = EccentricRobot(replace(ETR.tube, curvature=-ETR.tube.curvature))
+HELD = replace(ETR, offset=1.4 * MM, transmission_length=0.06)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        ((0, 1, 2), (40, 65, 15)),
+        ((0, 2, 1), (40, 15, 65)),
+        ((1, 0, 2), (65, 40, 15)),
+        ((1, 2, 0), (15, 40, 65)),
+        ((2, 0, 1), (65, 15, 40)),
+        ((2, 1, 0), (15, 65, 40)),
+    ],
+)
+def test_the_six_assignments(assignment: tuple[int, ...], expected: tuple[float, ...]) -> None:
+    assert mirror_rotations(40 * DEG, 25 * DEG, assignment) / DEG == pytest.approx(expected)
+    assert assignment in ASSIGNMENTS
+
+
+def test_what_is_no_actuation() -> None:
+    with pytest.raises(InputError, match=r"^assignment is \(0, 1, 1\); it must name the tubes 0, 1 and 2 once each$"):
+        mirror_rotations(0.0, 0.0, (0, 1, 1))
+    with pytest.raises(InputError, match=r"^separation is nan; it must be a finite number$"):
+        mirror_rotations(0.0, float("nan"))
+
+
+@pytest.mark.parametrize("separation", [0.0, 30.0, 75.0, 110.0])
+@pytest.mark.parametrize("direction", [0.0, 90.0, 200.0, -50.0])
+def test_the_arm_bends_a_quarter_turn_behind_its_direction(direction: float, separation: float) -> None:
+    solved = forward_kinematics(CENTRED, mirror_rotations(direction * DEG, separation * DEG))
+    azimuth = np.arctan2(solved.tip_position[1], solved.tip_position[0]) / DEG
+    assert (azimuth - (direction - 90) + 180) % 360 == pytest.approx(180, abs=1e-6)
+    across = np.array([np.cos(direction * DEG), np.sin(direction * DEG), 0.0])
+    assert solved.position @ across == pytest.approx(np.zeros(len(solved.position)), abs=1e-10)
+
+
+def test_curvature_of_an_arc_is_its_own() -> None:
+    solved = forward_kinematics(CENTRED, mirror_rotations(90 * DEG, 0.0))
+    assert arc_curvature(solved) == pytest.approx([1 / 0.12, 0.0], rel=1e-12, abs=1e-12)
+    pushed = replace(CENTRED, transmission_length=0.02)
+    ahead = forward_kinematics(pushed, mirror_rotations(90 * DEG, 0.0), np.full(3, 0.015))
+    assert ahead.tip_position[2] == pytest.approx(solved.tip_position[2] + 0.015)
+    assert arc_curvature(ahead) == pytest.approx([1 / 0.12, 0.0], rel=1e-12, abs=1e-12)
+
+
+def test_largest_deviation_of_the_permutations() -> None:
+    """0.0138 mm near a separation of 40 deg, where the thesis' Figure 3.9 says 0.36 mm."""
+    separations = np.arange(0.0, 121.0, 10.0)
+    worst = []
+    for separation in separations:
+        gaps = [
+            np.linalg.norm(tips - reference, axis=1).max()
+            for tips, reference in (permuted_tips(ETR, d * DEG, separation * DEG) for d in range(0, 120, 20))
+        ]
+        worst.append(max(gaps) / MM)
+    assert max(worst) == pytest.approx(0.0138, abs=5e-5)
+    assert separations[int(np.argmax(worst))] == 40
+
+
+def test_permutations_change_nothing_on_the_centreline() -> None:
+    tips, reference = permuted_tips(CENTRED, 0.3, 40 * DEG)
+    assert tips == pytest.approx(np.tile(reference, (6, 1)), abs=1e-13)
+
+
+@given(azimuth=st.floats(-7.0, 7.0), share=st.floats(0.0, 0.99), which=st.sampled_from([ETR, CENTRED, MIRRORED, HELD]))
+@settings(max_examples=25)
+def test_inverse_for_a_bend(azimuth: float, share: float, which: EccentricRobot) -> None:
+    wanted = share / 0.12
+    found = mirror_inverse(which, azimuth, wanted)
+    reached = arc_curvature(forward_kinematics(which, found.rotations))
+    assert reached == pytest.approx(wanted * np.array([np.cos(azimuth), np.sin(azimuth)]), abs=1e-7)
+    assert found.rotations == pytest.approx(mirror_rotations(found.direction, found.separation))
+    assert 0 <= found.separation <= STRAIGHT + 1e-12
+    assert found.error < 1e-7
+
+
+def test_inverse_starts_from_the_law_and_improves_on_it() -> None:
+    found = mirror_inverse(ETR, 0.0, 5.0)
+    law = np.arccos((3 * 5.0 * 0.12 - 1) / 2)
+    assert found.direction == pytest.approx(np.pi / 2, abs=1e-3)
+    assert abs(found.separation - law) > 1 * DEG
+
+
+def test_a_straight_arm_keeps_the_direction_that_was_asked_for() -> None:
+    found = mirror_inverse(ETR, 1.0, 0.0)
+    assert found.separation == pytest.approx(STRAIGHT, abs=1e-9)
+    assert found.direction == pytest.approx(1.0 + np.pi / 2)
+    assert found.equilibrium.tip_position == pytest.approx([0, 0, 94 * MM], abs=1e-9)
+
+
+@pytest.mark.parametrize("assignment", ASSIGNMENTS)
+def test_inverse_for_every_assignment(assignment: tuple[int, ...]) -> None:
+    found = mirror_inverse(ETR, 0.4, 6.0, assignment=assignment)
+    assert found.rotations == pytest.approx(mirror_rotations(found.direction, found.separation, assignment))
+    assert np.linalg.norm(arc_curvature(found.equilibrium)) == pytest.approx(6.0, abs=1e-9)
+
+
+def test_more_than_the_precurvature_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^curvature is 9 per m; towards 30 deg this robot bends with at most 8\.33"):
+        mirror_inverse(ETR, 30 * DEG, 9.0)
+    with pytest.raises(InputError, match=r"^curvature is -1; it must be at least 0$"):
+        mirror_inverse(ETR, 0.0, -1.0)
+    most = float(np.linalg.norm(arc_curvature(forward_kinematics(ETR, [0.0, 0.0, 0.0]))))
+    assert mirror_inverse(ETR, -np.pi / 2, most).separation == pytest.approx(0.0, abs=1e-3)
+
+
+@given(direction=st.floats(-np.pi, np.pi), separation=st.floats(0.0, 2.0), which=st.sampled_from([ETR, MIRRORED, HELD]))
+@settings(max_examples=25)
+def test_inverse_for_a_tip(direction: float, separation: float, which: EccentricRobot) -> None:
+    tip = forward_kinematics(which, mirror_rotations(direction, separation)).tip_position
+    found = mirror_to_tip(which, tip)
+    assert found.error < 1e-8
+    assert forward_kinematics(which, found.rotations).tip_position == pytest.approx(tip, abs=1e-8)
+    assert found.separation == pytest.approx(separation, abs=1e-3)
+
+
+def test_inverse_in_front_of_the_plate() -> None:
+    robot, shift = replace(ETR, transmission_length=0.05), np.full(3, 0.03)
+    tip = forward_kinematics(robot, mirror_rotations(1.0, 0.8), shift).tip_position
+    found = mirror_to_tip(robot, tip, translations=shift)
+    assert (found.direction, found.separation) == pytest.approx((1.0, 0.8), abs=1e-6)
+    behind = np.full(3, -0.04)
+    tip = forward_kinematics(robot, mirror_rotations(1.0, 0.8), behind).tip_position
+    assert mirror_to_tip(robot, tip, translations=behind).separation == pytest.approx(0.8, abs=1e-6)
+
+
+@pytest.mark.parametrize("distance", [1e-5, 1e-4, 2e-3])
+def test_a_target_off_the_surface(distance: float) -> None:
+    solved = forward_kinematics(ETR, mirror_rotations(0.6, 0.9))
+    tips = [forward_kinematics(ETR, mirror_rotations(0.6 + a, 0.9 + b)).tip_position for a, b in ((1e-4, 0), (0, 1e-4))]
+    normal = np.cross(tips[0] - solved.tip_position, tips[1] - solved.tip_position)
+    target = solved.tip_position + distance * normal / np.linalg.norm(normal)
+    with pytest.raises(InputError, match=rf"^position lies {distance * 1e3:.3g}\d* mm off the surface"):
+        mirror_to_tip(ETR, target)
+    near = mirror_to_tip(ETR, target, tolerance=2 * distance)
+    assert near.error == pytest.approx(distance, rel=1e-3)
+    assert near.equilibrium.tip_position == pytest.approx(solved.tip_position, abs=1e-3 * distance + 1e-9)
+
+
+@pytest.mark.parametrize("target", [(0.0, 0.0, 0.1), (0.0, 0.0, 0.0), (0.0, 0.0, -0.1), (0.2, 0.0, 0.01)])
+def test_targets_far_away(target: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match=r"mm off the surface that the tip can reach"):
+        mirror_to_tip(ETR, target)
+
+
+def test_nothing_to_bend() -> None:
+    with pytest.raises(InputError, match=r"tubes are straight; they cannot bend it$"):
+        mirror_inverse(EccentricRobot(Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0)), 0.0, 1.0)
+    with pytest.raises(InputError, match=r"withdrawn behind the plate"):
+        mirror_to_tip(ETR, (0.0, 0.0, 0.0), translations=np.full(3, -0.094))

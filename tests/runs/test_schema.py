@@ -1,0 +1,47 @@
+"""The JSON Schemas in configs/schema say what the files are checked against."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tubeopt.runs.schema import schemas, write_schemas
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.mark.parametrize("name", schemas())
+def test_the_files_are_in_step(name: str) -> None:
+    written = (CONFIGS / "schema" / name).read_text(encoding="utf-8")
+    assert written == schemas()[name], "run `python -m tubeopt.runs.schema`"
+
+
+def test_they_are_written_where_asked(tmp_path: Path) -> None:
+    assert {path.name for path in write_schemas(tmp_path / "schema")} == set(schemas())
+    assert json.loads((tmp_path / "schema" / "robot.schema.json").read_text())["title"] == "tubeopt robot"
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)
+def test_every_file_passes_its_schema(path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    name = {
+        "studies": "study",
+        "molds": "mold",
+        "rigs": "rig",
+        "tubes": "tubes",
+        "joints": "joints",
+        "obstacles": "obstacles",
+    }.get(path.parent.name, "robot")
+    schema: Any = json.loads(schemas()[f"{name}.schema.json"])
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(yaml.safe_load(path.read_text(encoding="utf-8")), schema)
+
+
+def test_bounds_and_units_are_in_the_schema() -> None:
+    tube = json.loads(schemas()["robot.schema.json"])["$defs"]["TubeEntry"]
+    assert tube["properties"]["outer_diameter_mm"] == {"exclusiveMinimum": 0, "type": "number"}
+    assert tube["additionalProperties"] is False

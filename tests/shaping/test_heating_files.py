@@ -1,0 +1,163 @@
+"""Files of heating: rigs there and back, logs, trials, the header in a C compiler, pictures."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tubeopt import InputError, Material, Tube, load_rig, save_rig
+from tubeopt.robots.file import robot_from_dict, robot_to_dict
+from tubeopt.robots.materials import NITINOL
+from tubeopt.runs.rig_file import load_heating_log, load_heating_trials, rig_from_dict
+from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
+from tubeopt.shaping.heating.files import arduino_header
+from tubeopt.shaping.heating.rig import Battery
+from tubeopt.shaping.heating.robust import assess
+from tubeopt.show.plots.heating import plot_heating, plot_rig_fit
+
+from .heating_reference import CONFIGS, TUBE, mold_of, thesis_plan, thesis_rig, with_mold
+
+READER = """
+#include <stdio.h>
+#include "schedule.h"
+int main(void) {
+    printf("%u %u\\n", (unsigned)HEATING_SLOT_MS, (unsigned)sizeof HEATING_DUTY);
+    for (unsigned k = 0; k < HEATING_SLOTS; k++) printf("%u\\n", (unsigned)HEATING_DUTY[k]);
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_the_header_compiles_and_reads_back(tmp_path: Path) -> None:
+    plan = thesis_plan()
+    (tmp_path / "schedule.h").write_text(arduino_header(plan))
+    (tmp_path / "reader.c").write_text(READER)
+    program = tmp_path / "reader"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    subprocess.run(["gcc", *flags, str(tmp_path / "reader.c"), "-o", str(program)], check=True)
+    lines = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout.splitlines()
+    assert lines[0] == f"500 {len(plan.duty)}"
+    assert [int(line) for line in lines[1:]] == plan.duty.tolist()
+
+
+@pytest.mark.parametrize("path", sorted((CONFIGS / "rigs").glob("*.yaml")), ids=lambda path: path.stem)
+def test_rigs_there_and_back(path: Path, tmp_path: Path) -> None:
+    rig = load_rig(path)
+    assert rig.tube == TUBE
+    save_rig(rig, tmp_path / "rig.yaml")
+    assert load_rig(tmp_path / "rig.yaml") == rig
+
+
+def test_unusual_rigs_there_and_back(tmp_path: Path) -> None:
+    rig = replace(
+        with_mold(thesis_rig(), material=mold_of(0.2), vents=(0.1, 1 / 3), gap=1 / 3e4),
+        ambient=293.7,
+        convection=31.7,
+        loss_factor=1.0 / 3,
+        tube=Tube(1e-3, 0.8e-3, 0.1, 0.05, 20.0, Material("alloy", 60e9, 22e9, thermal=NITINOL.thermal)),
+        battery=Battery(state_of_charge=0.77, internal_resistance=0.0123),
+    )
+    save_rig(rig, tmp_path / "rig.yaml")
+    assert load_rig(tmp_path / "rig.yaml") == rig
+
+
+def test_a_battery_may_be_given_by_its_voltage() -> None:
+    rig = rig_from_dict({"kind": "rig", "battery": {"voltage_V": 12.37}})
+    assert rig.battery.state_of_charge == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"kind": "rig"}, "battery is missing"),
+        ({"battery": {}}, "kind is missing; it must be rig"),
+        (
+            {"kind": "rig", "battery": {"internal_resistance_mohm": -8}},
+            "battery.internal_resistance_mohm is -8; it must be",
+        ),
+        (
+            {"kind": "rig", "battery": {"capacity": 3}},
+            "battery.capacity is not a known key; did you mean 'capacity_Ah'?",
+        ),
+        (
+            {"kind": "rig", "battery": {}, "mold": {"material": "wood"}},
+            "mold.material is 'wood'; it must be steel, mdf",
+        ),
+        ({"kind": "rig", "battery": {}, "mold": {"vents_percent": [80]}}, "they must be fractions from 0 to 0.5"),
+        (
+            {"kind": "rig", "battery": {"voltage_V": 12, "state_of_charge_percent": 50}},
+            "gives both state_of_charge_percent and voltage_V",
+        ),
+        ({"kind": "rig", "battery": {"voltage_V": 15}}, "voltage is 15 V; it must be 11.51 to 12.73 V"),
+    ],
+)
+def test_bad_rig_files(data: object, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        rig_from_dict(data, "rig.yaml")
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("rig.yaml: ")
+
+
+def test_materials_keep_their_thermal_data_in_robot_files() -> None:
+    alloy = Material("alloy", 60e9, 22e9, thermal=replace(NITINOL.thermal, resistivity=0.9e-6))  # type: ignore[type-var]
+    tube = Tube(1e-3, 0.8e-3, 0.1, 0.05, 20.0, alloy)
+    robot = robot_from_dict({"kind": "concentric", "tubes": [{
+        "outer_diameter_mm": 1, "inner_diameter_mm": 0.8, "straight_length_mm": 100, "curved_length_mm": 50,
+        "curvature_per_m": 20, "material": "nitinol"}]})  # fmt: skip
+    changed = replace(robot, tubes=(tube,))
+    assert robot_from_dict(robot_to_dict(changed)).tubes[0].material == alloy
+
+
+def test_logs_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("time_s,duty,temperature_degC,current_A\n0,3,25,90\n1,4,,89\n2,5,60,\n")
+    log = load_heating_log(file, 0.01)
+    np.testing.assert_allclose(log.temperature, [298.15, np.nan, 333.15])
+    np.testing.assert_allclose(log.current, [90, 89, np.nan])
+    assert log.voltage is None
+    assert log.position == 0.01
+    file.write_text("time_s,duti,temperature_degC\n0,3,25\n")
+    with pytest.raises(InputError, match=re.escape("column duti is not known; columns are time_s, duty")):
+        load_heating_log(file)
+    file.write_text("time_s,duty,voltage_V\n0,3,x\n1,2,3\n")
+    with pytest.raises(InputError, match=r"row 1 \(line 2\), column voltage_V is 'x'; it must be a number"):
+        load_heating_log(file)
+    file.write_text("time_s,duty\n0,3\n1,2\n2,2\n")
+    with pytest.raises(InputError, match=r"log.csv: the log holds neither temperature"):
+        load_heating_log(file)
+
+
+def test_trials_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "trials.csv"
+    file.write_text("duty,time_s,ramp_s,spring_back_percent,result\n8,60,20,30,\n10,60,,2,\n12,60,,,over\n")
+    trials = load_heating_trials(file)
+    assert [trial.result for trial in trials] == ["under", "set", "over"]
+    assert [trial.ramp for trial in trials] == [20, 0, 0]
+    file.write_text("duty,time_s,result\n8,60,godo\n300,60,good\n")
+    with pytest.raises(InputError) as caught:
+        load_heating_trials(file)
+    first, second = str(caught.value).splitlines()
+    assert "column result is 'godo'; it must be under, good, over or set; did you mean 'good'?" in first
+    assert "row 2 (line 3): duty of a trial is 300; it must be at most 255" in second
+    file.write_text("duty,time_s\n8,60\n")
+    with pytest.raises(InputError, match="column result or spring_back_percent is missing"):
+        load_heating_trials(file)
+
+
+def test_pictures(tmp_path: Path) -> None:
+    plan = thesis_plan()
+    plot_heating(plan, tmp_path / "plan.png", band=assess(plan, samples=4), title="a title")
+    time = np.arange(0.0, 20.0, 2.0)
+    log = HeatingLog(time, np.full(10, 8.0), temperature=300 + 10 * time, voltage=np.full(10, 12.0))
+    plot_rig_fit(calibrate(TUBE, thesis_rig(), log, ["loss"]), tmp_path / "fit.png")
+    for name in ("plan.png", "fit.png"):
+        with Image.open(tmp_path / name) as image:
+            assert image.size[0] > 1000

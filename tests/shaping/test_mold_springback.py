@@ -1,0 +1,111 @@
+"""Spring-back fitted to trials, and the molds that follow from it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tubeopt import InputError
+from tubeopt.runs.mold_file import load_springback, load_trials, save_springback
+from tubeopt.shaping import Springback, calibrate_springback
+
+RADII = np.array([40e-3, 60e-3, 80e-3, 120e-3, 200e-3])
+
+
+@given(fraction=st.floats(-0.1, 0.6), slope=st.floats(-4e-3, 4e-3), curvature=st.floats(-40.0, 40.0))
+def test_the_mold_yields_what_was_wanted(fraction: float, slope: float, curvature: float) -> None:
+    back = Springback(fraction, slope)
+    if (1 - fraction) ** 2 <= 4.0001 * slope * abs(curvature):
+        with (
+            pytest.raises(InputError, match="no mold yields more")
+            if (1 - fraction) ** 2 < 4 * slope * abs(curvature)
+            else pytest.MonkeyPatch.context()
+        ):
+            back.mold(curvature)
+        return
+    assert back.obtained(back.mold(curvature)) == pytest.approx(curvature, rel=1e-9, abs=1e-12)
+    assert math.copysign(1, back.mold(curvature)) == math.copysign(1, curvature)
+
+
+@given(fraction=st.floats(0.0, 0.5))
+def test_a_constant_fraction_is_found(fraction: float) -> None:
+    fit = calibrate_springback(RADII, RADII / (1 - fraction))
+    assert fit.model == "constant"
+    assert fit.springback.fraction == pytest.approx(fraction, abs=1e-12)
+    assert fit.springback.curvature_range == pytest.approx((5.0, 25.0))
+
+
+def test_a_fraction_that_grows_is_found() -> None:
+    lost = 0.04 + 2e-3 / RADII
+    fit = calibrate_springback(RADII, RADII / (1 - lost))
+    assert fit.model == "linear"
+    assert (fit.springback.fraction, fit.springback.slope) == pytest.approx((0.04, 2e-3), rel=1e-9)
+    flat = calibrate_springback(RADII, RADII / (1 - lost), model="constant")
+    assert flat.springback.slope == 0
+    assert flat.springback.fraction == pytest.approx(lost.mean())
+
+
+def test_intervals_hold_what_they_promise() -> None:
+    rng = np.random.default_rng(7)
+    hits = 0
+    for _ in range(400):
+        lost = 0.08 + rng.normal(0, 0.01, 6)
+        fit = calibrate_springback(np.full(6, 0.1), 0.1 / (1 - lost), model="constant")
+        assert fit.fraction_interval is not None
+        hits += fit.fraction_interval[0] <= 0.08 <= fit.fraction_interval[1]
+    assert 0.92 <= hits / 400 <= 0.98
+
+
+def test_few_trials_are_remarked_upon() -> None:
+    one = calibrate_springback([0.1], [0.11])
+    assert one.springback.fraction == pytest.approx(1 - 0.1 / 0.11)
+    assert one.fraction_interval is None
+    assert math.isnan(one.noise)
+    assert any("too few" in remark for remark in one.remarks)
+    assert any("one mold radius" in r for r in calibrate_springback([0.1] * 3, [0.11, 0.111, 0.109]).remarks)
+    assert any("right way round" in r for r in calibrate_springback([0.11, 0.06], [0.1, 0.055]).remarks)
+
+
+def test_trials_that_make_no_sense() -> None:
+    with pytest.raises(InputError, match="obtained_radius of trial 2 is 0"):
+        calibrate_springback([0.1, 0.2], [0.1, 0.0])
+    with pytest.raises(InputError, match="they must be pairs"):
+        calibrate_springback([0.1, 0.2], [0.1])
+    with pytest.raises(InputError, match="at least one trial"):
+        calibrate_springback([], [])
+    with pytest.raises(InputError, match="at least 2 different radii"):
+        calibrate_springback([0.1, 0.1], [0.11, 0.12], model="linear")
+    with pytest.raises(InputError, match="model is 'cubic'"):
+        calibrate_springback([0.1], [0.1], model="cubic")
+    with pytest.raises(InputError, match="must lie between -1 and 1"):
+        Springback(1.0)
+
+
+def test_trials_and_fit_as_files(tmp_path: Path) -> None:
+    table = tmp_path / "trials.csv"
+    table.write_text("mold_radius_mm,obtained_radius_mm,note\n100,108,first\n60,65,\n", encoding="utf-8")
+    trials = load_trials(table)
+    assert trials.mold_radius == pytest.approx([0.1, 0.06])
+    fit = calibrate_springback(trials.mold_radius, trials.obtained_radius)
+    save_springback(fit, tmp_path / "back.yaml")
+    again = load_springback(tmp_path / "back.yaml")
+    assert again.fraction == fit.springback.fraction
+    assert again.curvature_range == pytest.approx(fit.springback.curvature_range)
+
+
+def test_every_bad_cell_is_named(tmp_path: Path) -> None:
+    table = tmp_path / "trials.csv"
+    table.write_text("mold_radius_mm,obtained_radius_mm\n100,-3\nx,65\n", encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        load_trials(table)
+    lines = str(error.value).splitlines()
+    assert "row 1 (line 2), column obtained_radius_mm is -3; it must be greater than 0" in lines[1] + lines[0]
+    assert "row 2 (line 3), column mold_radius_mm is 'x'; it must be a number" in lines[0] + lines[1]
+    table.write_text("mold_radius,obtained_radius_mm\n100,3\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"column mold_radius is not known; .* did you mean 'mold_radius_mm'"):
+        load_trials(table)

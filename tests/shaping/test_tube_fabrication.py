@@ -1,0 +1,103 @@
+"""Mold and heating of one tube belong together: the schedule holds the window on the mold that is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tubeopt import HeatingPlan, HeatingSpec, MoldSpec, Rig, Tube
+from tubeopt.shaping import Springback, tube_fabrication
+from tubeopt.shaping.heating.ideal import joined
+from tubeopt.shaping.heating.simulation import integrate
+from tubeopt.shaping.heating.thermal import FINE, thermal_model
+from tubeopt.shaping.mold.holes import open_area
+from tubeopt.shaping.mold.mold import plan_mold
+from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
+from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
+
+from .heating_reference import TUBE, thesis_plan, thesis_rig, with_mold
+
+SHORT = HeatingSpec(hold_time=5)
+
+
+def drawn_again(made: TubeFabrication, rig: Rig) -> tuple[Tube, Rig]:
+    """Tube and rig with the numbers of the drawing, taken from its centreline."""
+    groove = made.groove
+    curve = groove.centreline
+    bed = replace(rig.mold, lead=curve.lead_in.length, gap=(groove.width - groove.tube.outer_diameter) / 2)
+    clamps = replace(rig.clamps, clearance=float(np.hypot(*np.subtract(groove.clamps[0].face, curve.lead_in.start))))
+    return replace(groove.tube, curved_length=curve.bend.length), replace(rig, mold=bed, clamps=clamps)
+
+
+def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
+    """Plate and lid apart, which hardly warm up, everything of the rig as given but what the drawing says."""
+    rig = thesis_rig()
+    made = plan_tube(TUBE, rig, MoldSpec(springback=Springback(0.08, shrinkage=0.005)), SHORT)
+    assert made.agreed
+    assert made.heating.feasible
+    tube, drawn = drawn_again(made, rig)
+    between = 2 * (drawn.clamps.clearance + drawn.mold.lead) + tube.curved_length
+    assert made.groove.free_length == pytest.approx(between, abs=1e-6)
+    assert made.heating.free_length == pytest.approx(between, abs=1e-5)
+    assert drawn.mold.gap == pytest.approx(rig.mold.gap)
+    plan, low, high = made.heating, *SHORT.window_degC
+    model = thermal_model(tube, drawn, replace(FINE, clearance=8, lead=18, curved=24, shells=18))
+    history = integrate(model, SHORT.slot, plan.duty[:-1] / 255, rtol=1e-5)
+    held = joined(model, history.tube[plan.in_hold, 0]) - 273.15
+    assert low <= held.min() <= held.max() <= high
+    # With the leads of the rig's file the tube would be another one.
+    given = integrate(thermal_model(TUBE, rig, FINE), SHORT.slot, plan.duty[:-1] / 255)
+    assert given.tube.max() - 273.15 > high + 50
+
+
+def test_the_mold_takes_what_the_heating_knows() -> None:
+    made = plan_tube(TUBE, thesis_rig(), None, SHORT, number=3)
+    groove, plan, heat = made.groove, made.heating, made.mold.spec.heat
+    assert groove.number == 3
+    assert groove.growth == pytest.approx(plan.growth, abs=1e-6)
+    assert groove.cold.length == pytest.approx(plan.cold_end, abs=1e-6)
+    assert groove.extra_length == pytest.approx(plan.extra_length, abs=1e-5)
+    assert (heat.set_temperature - heat.tolerance, heat.hold_time) == (pytest.approx(773.15), 5.0)
+    assert heat.clamps == pytest.approx(273.15 + float(np.interp(plan.hold_end, plan.time, plan.clamp_temperature)))
+
+
+def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cold ends reach into the bend, and longer leads leave the plate."""
+
+    def cold(tube: Tube, rig: Rig, spec: HeatingSpec) -> HeatingPlan:
+        plan = thesis_plan()
+        return replace(plan, tube=tube, rig=rig, spec=spec, temperature=plan.temperature - 30.0, feasible=False)
+
+    monkeypatch.setattr(tube_fabrication, "plan_heating", cold)
+    rig = with_mold(thesis_rig(), lead=3e-3)
+    plate = PlateSpec(size=(0.1, 0.05), bolt_diameter=3e-3, dowel_diameter=2e-3)
+    made = plan_tube(TUBE, rig, MoldSpec(plate=plate, clamps=ClampSpec(least_lead=2e-3)), SHORT)
+    assert not made.heating.feasible
+    assert not made.agreed
+    assert "mm from clamp to bend, the mold has" in made.disagreement
+    assert "leaves the plate" in made.disagreement
+
+
+def test_vents_are_heated_as_they_are_drawn() -> None:
+    """Their area, over the tube's surface: holes of the lid bare the upper half of the tube below them."""
+    spec = MoldSpec(vents=VentSpec(1.5e-3, (0.2, 0.4, 0.2)))
+    mold = plan_mold(TUBE, spec)
+    groove = mold.grooves[0]
+    vents = np.array(drawn_vents(groove, spec))
+    lead, half = groove.centreline.lead_in.length, groove.bend_length / 2
+    along = np.linspace(0.0, lead + half, len(vents))
+    assert (vents[along < lead - 1e-3] == 0).all()
+    area = 2 * np.trapezoid(vents, along) * np.pi * TUBE.outer_diameter
+    # Half of the surface below a hole, of which the groove's width sees the diameter.
+    holes = len(groove.vents) * open_area(groove.width, 1.5e-3) / groove.width
+    assert area == pytest.approx(holes * np.pi * TUBE.outer_diameter / 2, rel=0.03)
+    assert rig_as_drawn(thesis_rig(), mold).mold.vents == tuple(vents.tolist())
+
+
+def test_a_hole_opens_of_a_groove_what_lies_between_its_walls() -> None:
+    assert open_area(2e-3, 1.5e-3) == pytest.approx(np.pi / 4 * 1.5e-3**2)
+    x = np.linspace(-0.75e-3, 0.75e-3, 200001)
+    chord = np.minimum(2 * np.sqrt(0.75e-3**2 - x**2), 1e-3)
+    assert open_area(1e-3, 1.5e-3) == pytest.approx(np.trapezoid(chord, x), rel=1e-6)

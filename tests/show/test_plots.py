@@ -1,0 +1,270 @@
+"""Pictures: true to scale, complete, and either whole on disk or absent."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from tubeopt import ConcentricRobot, Equilibrium, InputError, Tube, forward_kinematics
+from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, plot_torsions, tube_colour
+from tubeopt.show.plots.mesh import Centreline, Mesh, ring_mesh, tube_mesh
+from tubeopt.show.plots.shape import exposed, robot_mesh
+from tubeopt.show.plots.stage import Box, View, rule_step, widest_view
+from tubeopt.show.plots.style import number
+from tubeopt.show.plots.torsion import breakpoints
+
+ROBOT = ConcentricRobot(
+    (
+        Tube(1.0e-3, 0.9e-3, 0.2, 0.2, 10.0),
+        Tube(1.2e-3, 1.05e-3, 0.15, 0.15, 5.0),
+        Tube(1.4e-3, 1.25e-3, 0.1, 0.1, 2.5),
+    ),
+    name="three tubes",
+)
+RED = np.array([1.0, 0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def home() -> Equilibrium:
+    return forward_kinematics(ROBOT, (0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def actuated() -> Equilibrium:
+    return forward_kinematics(ROBOT, (0.0, 1.0, 2.0))
+
+
+@pytest.fixture(scope="module")
+def circle() -> Equilibrium:
+    """One tube, bent to a circle of radius 50 mm in the plane x = 0 about the point (0, -50, 0) mm."""
+    return forward_kinematics(ConcentricRobot((Tube(2e-3, 1e-3, 0.02, 0.1, 20.0),)), (0.0,))
+
+
+def distance_to_circle(points: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Distance of points (..., 3) to the centreline of `circle`, m."""
+    in_plane = np.hypot(points[..., 1] + 0.05, points[..., 2]) - 0.05
+    return np.asarray(np.hypot(in_plane, points[..., 0]))
+
+
+def test_tube_surface_has_the_true_radius(circle: Equilibrium) -> None:
+    line, s = Centreline(circle), np.linspace(0.0, 0.1, 40)
+    mesh = tube_mesh(line, s, 1e-3, RED)
+    first = mesh.corners.reshape(39, 24, 4, 3)[:, :, :2]
+    np.testing.assert_allclose(np.linalg.norm(first - line.position(s[:-1])[:, None, None], axis=-1), 1e-3, rtol=1e-12)
+    np.testing.assert_allclose(distance_to_circle(mesh.corners), 1e-3, rtol=1e-3)
+
+
+def test_normals_point_outwards(circle: Equilibrium) -> None:
+    mesh = tube_mesh(Centreline(circle), np.linspace(0.0, 0.1, 40), 1e-3, RED)
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
+    middle = mesh.corners.mean(axis=1)
+    assert np.all(distance_to_circle(middle + 1e-4 * mesh.normals) > distance_to_circle(middle) + 0.9e-4)
+
+
+def test_ring_lies_across_the_arm(actuated: Equilibrium) -> None:
+    mesh = ring_mesh(Centreline(actuated), 0.2, (0.4e-3, 0.5e-3), RED)
+    from_tip = mesh.corners - actuated.tip_position
+    np.testing.assert_allclose(from_tip @ actuated.tip_rotation[:, 2], 0.0, atol=1e-12)
+    radii = np.linalg.norm(from_tip, axis=-1)
+    np.testing.assert_allclose([radii.min(), radii.max()], [0.4e-3, 0.5e-3])
+
+
+def test_surfaces_reach_from_the_plate_to_the_tip(actuated: Equilibrium) -> None:
+    mesh = robot_mesh(actuated)
+    assert abs(mesh.corners[..., 2].min()) < 1e-12
+    rim = np.linalg.norm(mesh.corners - actuated.tip_position, axis=-1).min()
+    np.testing.assert_allclose(rim, 0.0, atol=1e-12)
+    from_tip = mesh.corners.reshape(-1, 3) - actuated.tip_position
+    assert (from_tip @ actuated.tip_rotation[:, 2]).max() < 1e-12
+
+
+def test_each_tube_shows_from_the_end_of_the_next_outer_one(home: Equilibrium) -> None:
+    assert [tube for tube, _, _ in exposed(home)] == [2, 1, 0]
+    stretches = [stretch for _, *stretch in exposed(home)]
+    np.testing.assert_allclose(stretches, [[0.0, 0.1], [0.1, 0.15], [0.15, 0.2]])
+
+
+def test_a_tube_inside_an_outer_one_does_not_show() -> None:
+    equilibrium = forward_kinematics(ROBOT, (0.0, 0.5, -1.0), (-0.15, 0.01, -0.11))
+    assert [tube for tube, _, _ in exposed(equilibrium)] == [1]
+    colours = robot_mesh(equilibrium).colours
+    assert not np.any(np.all(np.isclose(colours, matplotlib.colors.to_rgba(tube_colour(0))), axis=1))
+
+
+def test_every_view_keeps_lengths() -> None:
+    for view in (View(18.0, -60.0), View(90.0, 10.0), View(-30.0, 200.0)):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-15)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(
+            view.project(np.array([3.0, 4.0, 12.0])) @ view.project(np.array([3.0, 4.0, 12.0])), 169e6
+        )
+
+
+def test_axes_have_one_scale(actuated: Equilibrium, home: Equilibrium) -> None:
+    figure = plot_shapes([home, actuated])
+    figure.canvas.draw()
+    scales = []
+    for scene in figure.axes[:2]:
+        right, up = scene.transData.transform([[1.0, 0.0], [0.0, 1.0]]) - scene.transData.transform([0.0, 0.0])
+        np.testing.assert_allclose(right[0], up[1], rtol=1e-9)
+        scales.append(right[0])
+    assert scales[0] == pytest.approx(scales[1], rel=1e-9)
+
+
+def test_automatic_view_looks_across_the_shape(home: Equilibrium) -> None:
+    view = widest_view(home.position)
+    tip = view.project(home.tip_position)
+    assert tip[0] > 0.8 * 90.758
+    assert abs(tip[2] - view.project(np.array([0.0, 0.0, home.tip_position[2]]))[2]) < 0.6 * 90.758
+
+
+def test_box_ends_on_whole_rules() -> None:
+    box = Box.around(np.array([[-0.003, 0.0, -0.001], [0.081, 0.02, 0.17]]))
+    np.testing.assert_allclose(box.low, [-20.0, 0.0, -1.0])
+    np.testing.assert_allclose(box.high, [100.0, 20.0, 180.0])
+    np.testing.assert_allclose(box.rules(2), np.arange(0.0, 181.0, 20.0))
+
+
+@pytest.mark.parametrize(("span", "step"), [(180.0, 20.0), (80.0, 20.0), (9.0, 2.0), (0.4, 0.1), (4000.0, 1000.0)])
+def test_rules_are_round(span: float, step: float) -> None:
+    assert rule_step(span) == pytest.approx(step)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(57.29578, 1, "57.3"), (-0.04, 1, "0"), (100.0, 0, "100"), (-90.0, 3, "\N{MINUS SIGN}90"), (1.05, 3, "1.05")],
+)
+def test_numbers_are_short(value: float, digits: int, text: str) -> None:
+    assert number(value, digits) == text
+
+
+def test_light_keeps_colours_in_range(actuated: Equilibrium) -> None:
+    mesh, view = robot_mesh(actuated, opacity=0.3), View(18.0, -60.0)
+    lit = mesh.lit(view.towards_viewer, view.towards_light)
+    assert lit.min() >= 0.0
+    assert lit.max() <= 1.0
+    np.testing.assert_array_equal(lit[:, 3], mesh.colours[:, 3])
+    assert Mesh.join([mesh, mesh]).corners.shape == (2 * len(mesh.corners), 4, 3)
+
+
+def test_torsion_curves_end_with_their_tubes(actuated: Equilibrium) -> None:
+    figure = plot_torsion(actuated)
+    above, below = figure.axes
+    for axes in (above, below):
+        assert "mm" in below.get_xlabel()
+        assert "deg" in axes.get_ylabel()
+        for i, end in enumerate((200.0, 150.0, 100.0)):
+            (curve,) = [line for line in axes.lines if line.get_label() == f"tube {i + 1}"]
+            assert np.max(np.asarray(curve.get_xdata())) == pytest.approx(end)
+            assert curve.get_color() == tube_colour(i)
+    (inner,) = [line for line in above.lines if line.get_label() == "tube 1"]
+    np.testing.assert_allclose(np.asarray(inner.get_ydata())[[0, -1]], np.degrees(actuated.rotation[0, [0, -1]]))
+    (inner,) = [line for line in below.lines if line.get_label() == "tube 1"]
+    np.testing.assert_allclose(np.asarray(inner.get_ydata())[0], np.degrees(actuated.torsion[0, 0]) / 1e3)
+
+
+def test_breakpoints_are_named() -> None:
+    equilibrium = forward_kinematics(ROBOT, (0.0, 0.4, 1.0), (0.02, 0.02, 0.0))
+    assert breakpoints(equilibrium) == {
+        20.0: "tube 1 curves, 2 curves",
+        100.0: "tube 3 ends",
+        170.0: "tube 2 ends",
+        220.0: "tube 1 ends",
+    }
+
+
+def test_constant_torsion_is_not_magnified(home: Equilibrium) -> None:
+    above, below = plot_torsion(home).axes
+    assert np.ptp(above.get_ylim()) >= 20.0
+    assert np.ptp(below.get_ylim()) >= 0.02
+
+
+def test_a_robot_wholly_behind_the_plate(tmp_path: Path) -> None:
+    withdrawn = forward_kinematics(ROBOT, (0.0, 1.0, 2.0), (-0.2, -0.15, -0.1))
+    assert exposed(withdrawn) == []
+    plot_shape(withdrawn, tmp_path / "shape.png")
+    plot_torsion(withdrawn, tmp_path / "torsion.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["shape.png", "torsion.png"]
+
+
+@pytest.mark.parametrize("translations", [(0.0, 0.0, 0.0), (0.02, 0.01, 0.015), (-0.15, 0.01, -0.11)])
+def test_pictures_are_whole(translations: tuple[float, ...], tmp_path: Path) -> None:
+    equilibrium = forward_kinematics(ROBOT, (0.0, 1.0, 2.0), translations)
+    for plot, name in ((plot_shape, "shape.png"), (plot_torsion, "torsion.png")):
+        path = tmp_path / "new" / name
+        plot(equilibrium, path)
+        with Image.open(path) as image:
+            assert image.format == "PNG"
+            assert image.size == (1400, 1000)
+            assert [round(dpi) for dpi in image.info["dpi"]] == [200, 200]
+            pixels = np.asarray(image.convert("L"))
+        assert 0.01 < np.mean(pixels < 200) < 0.5
+        edge = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
+        assert edge.min() == 255, "something is cut off at the edge"
+
+
+def test_ghosts_are_drawn_translucent(home: Equilibrium, actuated: Equilibrium) -> None:
+    scene = plot_shape(actuated, ghosts=[home]).axes[0]
+    opacities = np.concatenate([np.asarray(collection.get_facecolor())[:, 3] for collection in scene.collections[2:]])
+    assert np.any(opacities < 0.5)
+    assert np.any(opacities == 1.0)
+
+
+def test_equal_data_give_equal_files(actuated: Equilibrium, tmp_path: Path) -> None:
+    for suffix in ("png", "pdf", "svg"):
+        files = [tmp_path / f"{name}.{suffix}" for name in "ab"]
+        for file in files:
+            plot_torsions([actuated, actuated], file, titles=["left", "right"])
+        assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_unknown_format_is_refused(actuated: Equilibrium, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"must end in \.png, \.pdf, \.svg"):
+        plot_shape(actuated, tmp_path / "shape.jpeg")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failure_leaves_the_old_picture(actuated: Equilibrium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_off(self: Figure, file: Any, **_: Any) -> None:
+        Path(file).write_bytes(b"half a picture")
+        raise RuntimeError("the disk broke")
+
+    path = tmp_path / "torsion.png"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(Figure, "savefig", break_off)
+    with pytest.raises(RuntimeError, match="the disk broke"):
+        plot_torsion(actuated, path)
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["torsion.png"]
+
+
+def test_callers_settings_neither_matter_nor_change(actuated: Equilibrium, tmp_path: Path) -> None:
+    plot_torsion(actuated, tmp_path / "plain.png")
+    with matplotlib.rc_context({"font.size": 30, "lines.linewidth": 9, "axes.grid": True}):
+        plot_torsion(actuated, tmp_path / "other.png")
+        assert matplotlib.rcParams["font.size"] == 30
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "other.png").read_bytes()
+
+
+def test_neither_display_nor_pyplot_is_needed(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "from tubeopt import ConcentricRobot, Tube, forward_kinematics\n"
+        "from tubeopt.show.plots import plot_shape\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "robot = ConcentricRobot((Tube(2e-3, 1e-3, 0.02, 0.1, 20.0),))\n"
+        "plot_shape(forward_kinematics(robot, (0.0,)), sys.argv[1])\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+    )
+    environment = {**os.environ, "MPLBACKEND": "tkagg", "DISPLAY": ""}
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "shape.png")], check=True, env=environment)
+    assert (tmp_path / "shape.png").exists()

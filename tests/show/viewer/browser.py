@@ -1,0 +1,124 @@
+"""A real, headless Chromium without a graphics card, and what tests do on the viewer's page."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from tubeopt.show.viewer import View, serve
+from tubeopt.typing import Array
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+]
+
+PATIENCE = 30_000
+"""Longest wait, ms: software draws slowly where others keep the processor busy."""
+
+
+@contextmanager
+def served(view: View, **options: Any) -> Iterator[str]:
+    """The address of a page that shows a view."""
+    address: list[str] = []
+    ready, stop = threading.Event(), threading.Event()
+
+    def tell(url: str) -> None:
+        address.append(url)
+        ready.set()
+
+    thread = threading.Thread(target=serve, args=(view,), kwargs={"port": 0, "ready": tell, "stop": stop, **options})
+    thread.start()
+    try:
+        assert ready.wait(30)
+        yield address[0]
+    finally:
+        stop.set()
+        thread.join(30)
+        assert not thread.is_alive()
+
+
+class Tab:
+    """A tab with the viewer's page."""
+
+    def __init__(self, context: Any, address: str) -> None:
+        self.page = context.new_page()
+        self.page.set_default_timeout(PATIENCE)
+        self.page.goto(address)
+        # That drawing by software is slow is not for tests to be told, least of all over the buttons.
+        self.page.add_style_tag(content=".mantine-Notifications-root { display: none !important }")
+        self.page.bring_to_front()
+        self.page.wait_for_selector("[data-testid=tip]")
+        self.wait_for("certificate", "certificate \N{MINUS SIGN}", "certificate 0")
+
+    def read(self, name: str) -> str:
+        """The text of a part of the readout."""
+        return str(self.page.locator(f"[data-testid={name}]").first.inner_text())
+
+    @property
+    def tip(self) -> Array:
+        """(3,) m as it is read."""
+        return np.array([float(x) for x in self.read("tip").split(",")]) * 1e-3
+
+    def wait_for(self, name: str, *texts: str) -> str:
+        """Wait until a part of the readout holds one of some texts."""
+        self.page.wait_for_function(
+            "([name, texts]) => [...document.querySelectorAll(`[data-testid=${name}]`)]"
+            ".some(e => texts.some(t => e.innerText.includes(t)))",
+            arg=[name, list(texts)],
+            polling=100,
+        )
+        return self.read(name)
+
+    def wait_for_tip(self, tip: Array) -> None:
+        """Wait until the tip reads so, to a tenth of a micrometre."""
+        words = ", ".join(f"{x + 0.0:.4f}" for x in np.round(tip * 1e3, 4))
+        self.page.wait_for_function(
+            "words => document.querySelector('[data-testid=tip]').innerText === words",
+            arg=words,
+            polling=100,
+        )
+
+    def tab(self, name: str) -> None:
+        """Turn to a page of the controls."""
+        self.page.get_by_role("tab", name=name, exact=True).click()
+
+    def press(self, label: str) -> None:
+        """Press a button, after what was typed is sent: viser bundles that over 50 ms."""
+        self.page.wait_for_timeout(200)
+        self.page.get_by_role("button", name=label, exact=True).click()
+
+    def box(self, label: str) -> Any:
+        """The number box with this label."""
+        row = self.page.locator("label", has_text=label).locator("xpath=ancestor::*[.//input][1]")
+        return row.locator("input").last
+
+    def type(self, label: str, value: float | str) -> None:
+        """Write into a number box."""
+        self.box(label).fill(str(value))
+        self.page.wait_for_timeout(100)
+
+    def wait_for_box(self, label: str, value: str) -> None:
+        """Wait until a number box holds this."""
+        self.page.wait_for_function(
+            "([box, value]) => box.value === value", arg=[self.box(label).element_handle(), value]
+        )
+
+    def download(self, label: str) -> bytes:
+        """What a button saves."""
+        with self.page.expect_download() as waiting:
+            self.press(label)
+        path = waiting.value.path()
+        with open(path, "rb") as file:
+            return file.read()

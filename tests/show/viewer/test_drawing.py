@@ -1,0 +1,214 @@
+"""What is drawn: closed surfaces of true size, plots and words that say what is so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
+from tubeopt import ConcentricRobot, InputError, forward_kinematics, load_robot, save_robot, stability_map, trace_branch
+from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
+from tubeopt.planning.file import load_trajectory
+from tubeopt.show.plots.mesh import Centreline
+from tubeopt.show.viewer import export, plots, words
+from tubeopt.show.viewer.reel import Waypoints, load_waypoints, make_reel, play_to, snaps_between, state_at
+from tubeopt.show.viewer.session import move_joint, note, open_session, record
+from tubeopt.show.viewer.surfaces import Surface, between, margin_colour, obstacle_surface, plate_part, robot_parts
+from tubeopt.show.viewer.swept import swept_volume
+
+ETR = load_robot(CONFIGS / "thesis_etr.yaml")
+SEGMENTS = load_robot(CONFIGS / "example_three_segment_etr.yaml")
+ROOT = Path(__file__).parents[3]
+
+
+def enclosed(surface: Surface) -> float:
+    """Volume inside a closed surface, by the divergence theorem; positive where triangles face outwards."""
+    a, b, c = (surface.vertices[surface.faces[:, k].astype(int)] for k in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, ETR, SEGMENTS], ids=lambda robot: robot.name)
+def test_tubes_have_their_true_diameter_everywhere(robot: ConcentricRobot) -> None:
+    rotations = np.linspace(0.0, 1.0, robot.n_tubes)
+    equilibrium = forward_kinematics(robot, rotations)
+    line = Centreline(equilibrium)
+    fine = line.position(np.linspace(0, line.length, 4001))
+    assembly = robot.assembly(equilibrium.translations)
+    for part in robot_parts(equilibrium):
+        assert np.isfinite(part.surface.vertices).all()
+        assert part.surface.faces.max() < len(part.surface.vertices)
+        if part.name.startswith("tube"):
+            tube = int(part.name.split("_")[1]) - 1
+            near = np.linalg.norm(part.surface.vertices[::7, None] - fine, axis=2).min(1)
+            radius, offset = robot.tubes[tube].outer_diameter / 2, assembly.offset[tube]
+            assert near.max() <= radius + offset + 1e-6
+            assert near.min() >= abs(radius - offset) - 1e-6
+            if offset == 0:
+                assert near == pytest.approx(radius, rel=1e-3)
+
+
+def test_parts_keep_their_number_of_vertices_while_the_robot_moves() -> None:
+    shapes = [[len(p.surface.vertices) for p in robot_parts(forward_kinematics(THESIS, (a, 0, 0)))] for a in (0, 1, 2)]
+    assert shapes[0] == shapes[1] == shapes[2]
+
+
+def test_bodies_enclose_their_volume() -> None:
+    ball = obstacle_surface(Sphere((0.1, 0, 0), 0.02), 1.0)
+    assert enclosed(ball) == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.02)
+    rod = obstacle_surface(Capsule((0, 0, 0), (0, 0.03, 0.04), 0.01), 1.0)
+    assert enclosed(rod) == pytest.approx(np.pi * 0.01**2 * (0.05 + 4 / 3 * 0.01), rel=0.02)
+    assert enclosed(obstacle_surface(Box((0, 0, 0), (0.1, 0.2, 0.3)), 1.0)) == pytest.approx(6e-3)
+    vessel = Corridor(((0, 0, 0), (0, 0, 0.1), (0.1, 0, 0.1)), 0.01)
+    assert np.abs(vessel.signed_distance(obstacle_surface(vessel, 1.0).vertices)).min() < 1e-9
+    plane = obstacle_surface(HalfSpace((0, 0, 0.1), (0, 0, 1)), 0.5)
+    assert plane.vertices[:, 2] == pytest.approx(0.1)
+    assert enclosed(plate_part(forward_kinematics(THESIS, np.zeros(3))).surface) > 0
+
+
+def test_a_snap_is_shown_from_where_it_was_to_where_it_lands() -> None:
+    session, _ = move_joint(open_session(THESIS), 0, np.radians(220))
+    (snap,) = session.last
+    frames = between(snap.before, snap.after, 12)
+    tips = np.array([snap.before.tip_position, *(f.position[-1] for f in frames), snap.after.tip_position])
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    assert steps.sum() >= snap.tip_jump
+    assert steps.max() < 0.4 * snap.tip_jump
+    for frame in frames:
+        lengths = np.linalg.norm(np.diff(frame.position, axis=0), axis=1)
+        assert lengths.sum() == pytest.approx(snap.after.arc_length[-1], rel=0.01)
+
+
+def test_colours_go_from_red_to_green() -> None:
+    assert margin_colour(-1) == margin_colour(0.0) == (200, 30, 30)
+    assert margin_colour(1.0) == (0, 150, 90)
+
+
+# --- plots and words -------------------------------------------------------------------------------------------------
+
+
+def test_plots_show_the_branch_and_the_place() -> None:
+    equilibrium = forward_kinematics(THESIS, np.radians([100, 0, 0]))
+    branch = trace_branch(THESIS, np.radians([-360, 0, 0]), np.radians([360, 0, 0]))
+    curve = plots.s_curve_plot(branch, equilibrium, 0)
+    assert curve.count("<circle") == len(branch.folds) + 1 == 5
+    assert curve.count("stroke-dasharray") == 2
+    torsion = plots.torsion_plot(equilibrium)
+    assert torsion.count("<polyline") == 3
+    chart = stability_map(THESIS, samples=5, directions=1, workers=1)
+    assert plots.map_plot(chart, equilibrium).count("<rect") == 25
+    assert plots.torsion_plot(forward_kinematics(TWO_TUBE, np.zeros(2))).count("<polyline") == 2
+
+
+def test_ticks_are_round() -> None:
+    assert plots.ticks(-360, 360, angle=True).tolist() == [-360, -180, 0, 180, 360]
+    assert plots.ticks(0.0, 0.31).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
+
+
+def test_words_are_escaped() -> None:
+    session = open_session(replace(THESIS, name="<script>alert(1)</script>"))
+    assert "<script" not in words.readout(session, None) + words.log_words(note(session, "<b>").log)
+    assert "&lt;b&gt;" in words.message_words("<b>", bad=True)
+    assert "cannot snap at any rotation" in words.certificate_words(0.2)
+    assert "not proved" in words.certificate_words(-0.2)
+
+
+# --- trajectories ----------------------------------------------------------------------------------------------------
+
+
+def test_a_trajectory_has_its_own_history() -> None:
+    reel = make_reel(THESIS, load_waypoints(ROOT / "configs" / "paths" / "turn_and_back.csv", THESIS))
+    assert reel.duration == pytest.approx(16.0)
+    assert len(reel.path.snaps) == 2
+    forth, back = state_at(reel, 200 / 45), state_at(reel, 16 - 200 / 45)
+    assert forth.rotations == pytest.approx(back.rotations)
+    assert np.linalg.norm(forth.tip_position - back.tip_position) > 0.05
+    assert [len(snaps_between(reel, a, b)) for a, b in ((0, 4.7), (4.7, 4.8), (4.8, 16), (0, 16))] == [0, 1, 1, 2]
+    session = open_session(THESIS)
+    assert len(play_to(session, reel, 5.0, since=4.0).log) == 1
+    assert not play_to(session, reel, 5.0).log
+    assert np.degrees(play_to(session, reel, 5.0).equilibrium.rotations[0]) == pytest.approx(225)
+    played = play_to(record(play_to(session, reel, 4.0), True), reel, 5.0, since=4.0)
+    assert [len(each.recording or ()) for each in (played, play_to(played, reel, 5.0), play_to(played, reel, 2.0))] == [
+        2,
+        3,
+        1,
+    ]
+
+
+def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
+    """From beyond the snap, so that the joint values alone would begin on another branch."""
+    session, _ = move_joint(open_session(THESIS), 0, np.radians(250))
+    session = record(move_joint(session, 0, np.radians(170))[0], True)
+    for angle in (165, 160, 155):
+        session, _ = move_joint(session, 0, np.radians(angle))
+    path = tmp_path / "recording.csv"
+    path.write_text(export.recording_csv(session))
+    assert load_trajectory(path, THESIS).start_tips is not None
+    reel = make_reel(THESIS, load_waypoints(path, THESIS))
+    end = reel.path.equilibria[-1]
+    assert end.tip_position == pytest.approx(session.equilibrium.tip_position, abs=1e-9)
+    alone = forward_kinematics(THESIS, end.rotations)
+    assert np.linalg.norm(alone.tip_position - end.tip_position) > 0.03
+    assert reel.duration == pytest.approx(15 / 45)
+    with pytest.raises(InputError, match="nothing is recorded"):
+        export.recording_csv(open_session(THESIS))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n0,1,0,0\n", "time_s does not increase"),
+        ("rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0\n0,999,0\n", "row 2: rotation of tube 2 is 999 deg"),
+        ("rotation_1_deg,rotation_2_deg\n0,0\n", "column rotation_3_deg is missing"),
+    ],
+)
+def test_bad_trajectories_are_refused(tmp_path: Path, rows: str, message: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(rows)
+    with pytest.raises(InputError, match=message):
+        load_waypoints(path, THESIS)
+
+
+def test_the_swept_volume_of_a_turn_is_that_of_its_body_of_revolution() -> None:
+    """All tubes turned together sweep what the resting arc, turned about z, sweeps: by Pappus per piece of the arc."""
+    angles = np.linspace(0.0, 2 * np.pi, 37)
+    way = Waypoints(np.arange(37.0), np.tile(angles[:, None], (1, 2)), np.zeros((37, 2)))
+    reel = make_reel(TWO_TUBE, way)
+    swept = swept_volume(reel)
+    line = Centreline(reel.path.equilibria[0])
+    s = np.linspace(0, line.length, 2001)
+    points, tangent = line.position(s), line.axes(s)[2]
+    radius = np.hypot(points[:, 0], points[:, 1])
+    outer = np.array([tube.outer_diameter for tube in TWO_TUBE.tubes])
+    ends = reel.path.equilibria[0].tube_end
+    width = np.where(s[:, None] <= ends + 1e-9, outer, 0.0).max(1)
+    # The sheet that the centreline sweeps is as thick as the arm, seen across it.
+    expected = float(np.trapezoid(2 * np.pi * radius * width, s))
+    assert swept.volume == pytest.approx(expected, rel=0.12)
+    assert np.abs(tangent[:, 0]).max() < 1e-6 or np.abs(tangent[:, 1]).max() < 1e-6
+    assert enclosed(swept.surface) == pytest.approx(swept.volume, rel=1e-3)
+
+
+def test_saved_files_are_read_back(tmp_path: Path) -> None:
+    from tubeopt.runs.target_file import load_joints
+
+    session, _ = move_joint(open_session(THESIS), 0, 1.0)
+    (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
+    rotations, translations = load_joints(tmp_path / "joints.yaml", THESIS)
+    assert np.array_equal(rotations, session.equilibrium.rotations)
+    assert np.array_equal(translations, session.equilibrium.translations)
+    (tmp_path / "robot.yaml").write_text(export.robot_yaml(THESIS))
+    assert load_robot(tmp_path / "robot.yaml") == THESIS
+    save_robot(THESIS, tmp_path / "other.yaml")
+    assert (tmp_path / "other.yaml").read_text() == (tmp_path / "robot.yaml").read_text()
+
+
+def test_a_page_for_a_colleague_needs_nothing_else() -> None:
+    page = export.scene_html(open_session(replace(THESIS, name="A & B")), {})
+    assert "<title>A &amp; B, tubeopt</title>" in page
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert "__VISER_EMBED_DATA__" in page

@@ -1,0 +1,207 @@
+"""Bodies to stay inside of, or outside of, that are given by data: vessels along a centreline, triangle meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import RegularGridInterpolator
+
+from ..errors import InputError, positive
+from ..typing import Array
+from .obstacles import Capsule, Point3, _greater, _points, _triple
+from .scene import Scene
+from .triangles import Triangles
+
+CELLS = 24
+"""Cells along the longest side of the grid on which the smooth distance from a mesh is interpolated."""
+
+AROUND = 0.25
+"""By how much the grid is larger than the mesh, to each side, as a share of its longest side."""
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """Everything but the points within `radius` of a polyline: a vessel, in which the arm must stay.
+
+    It is closed at both ends by half balls: let the centreline begin behind the plate and go on beyond the target.
+
+    Args:
+        centreline: (k, 3) points, m, at least two.
+        radius: m.
+
+    Raises:
+        InputError: fewer than two points, numbers that are not finite, a radius that is not greater than 0.
+    """
+
+    centreline: tuple[Point3, ...]
+    radius: float
+
+    def __post_init__(self) -> None:
+        try:
+            rows = tuple(self.centreline)
+        except TypeError:
+            raise InputError(
+                f"centreline of the corridor is {self.centreline!r}; it must be a table of points"
+            ) from None
+        points = tuple(_triple(f"point {k + 1} of the centreline", p) for k, p in enumerate(rows))
+        if len(points) < 2:
+            raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
+        object.__setattr__(self, "centreline", points)
+        object.__setattr__(self, "radius", positive("radius of the corridor", self.radius))
+
+    @cached_property
+    def _parts(self) -> tuple[Capsule, ...]:
+        ends = zip(self.centreline[:-1], self.centreline[1:], strict=True)
+        return tuple(Capsule(a, b, self.radius) for a, b in ends)
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance from the wall, m; positive inside the vessel."""
+        inside = -self._parts[0].distance(x, y, z)
+        for part in self._parts[1:]:
+            inside = _greater(inside, -part.distance(x, y, z))
+        return inside
+
+    @cached_property
+    def _inside(self) -> Scene:
+        return Scene(self._parts)
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3) from the wall, m; positive inside the vessel."""
+        array = _points(points)
+        return -self._inside.nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors towards the centreline."""
+        array = _points(points)
+        nearest = np.argmin([part.signed_distance(array) for part in self._parts], axis=0)
+        towards = np.array([-part.gradient(array) for part in self._parts])
+        return np.asarray(np.take_along_axis(towards, nearest[None, ..., None], axis=0)[0])
+
+
+@dataclass(frozen=True)
+class MeshObstacle:
+    """A body bounded by triangles, which the library trimesh reads, closes and asks for nearest points.
+
+    Args:
+        vertices: (k, 3) m.
+        faces: (f, 3) corners of every triangle, from 0.
+
+    Raises:
+        InputError: tables of wrong shape, a surface that is not closed, trimesh is not installed.
+    """
+
+    vertices: tuple[Point3, ...] = field(repr=False)
+    faces: tuple[tuple[int, int, int], ...] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            vertices, faces = np.array(self.vertices, dtype=float), np.array(self.faces, dtype=int)
+        except (TypeError, ValueError):
+            raise InputError("vertices and faces of the mesh must be tables of numbers") from None
+        if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
+            raise InputError("vertices of the mesh must be a table of finite numbers, x, y, z in m")
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or faces.min(initial=0) < 0 or faces.max() >= len(vertices):
+            raise InputError("faces of the mesh must be a table of three numbers of vertices each, from 0")
+        object.__setattr__(self, "vertices", tuple(map(tuple, vertices.tolist())))
+        object.__setattr__(self, "faces", tuple(map(tuple, faces.astype(int).tolist())))
+        if not self._mesh.is_watertight:
+            raise InputError("the mesh is not closed; inside and outside must be told apart")
+
+    @cached_property
+    def _mesh(self) -> Any:
+        try:
+            import trimesh
+        except ImportError:
+            raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
+        mesh = trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
+        mesh.fix_normals()
+        return mesh
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Numbers only: symbols are interpolated in `grid`."""
+        if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
+            raise InputError("a mesh has no formula for its distance; it is for plans, not for inverse kinematics")
+        return self.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m: exact for the nearest of a call, farther away a lower bound.
+
+        A distance changes by no more than its point moves, so that the table in `grid` tells it to within a cell.
+        """
+        array = _points(points)
+        flat = array.reshape(-1, 3)
+        bound, cell = self._bound(flat)
+        near = bound <= max(float(bound.min(initial=np.inf)), 0.0) + 2 * cell
+        bound[near] = self._exact(flat[near])
+        return np.asarray(bound.reshape(array.shape[:-1]))
+
+    def distance_within(self, points: Array, least: Array) -> Array:
+        """(N,) distance of points (N, 3) from the surface where it is less than `least` (N,), else no less than it."""
+        bound, _ = self._bound(points)
+        near = bound < least
+        bound[near] = self._exact(points[near])
+        return bound
+
+    def _bound(self, points: Array) -> tuple[Array, float]:
+        """(N,) lower bounds of the distance of points (N, 3), from the table in `grid`, and the size of its cells."""
+        axes, table = self.grid
+        low, high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
+        inside = np.clip(points, low, high)
+        beyond = np.linalg.norm(points - inside, axis=1)
+        cell = float(np.linalg.norm([axis[1] - axis[0] for axis in axes]))
+        # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
+        near = RegularGridInterpolator(axes, table)(inside) - cell
+        return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
+
+    @cached_property
+    def _surface(self) -> Triangles:
+        return Triangles(np.asarray(self._mesh.triangles))
+
+    def _exact(self, points: Array) -> Array:
+        return self._surface.signed_distance(points)
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
+        array = _points(points)
+        flat = array.reshape(-1, 3)
+        nearest, _, face = self._mesh.nearest.on_surface(flat)
+        away = (flat - nearest) * np.where(self.signed_distance(flat) < 0, -1.0, 1.0)[:, None]
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        normal = self._mesh.face_normals[face]
+        return np.asarray(np.where(length > 1e-12, away / np.maximum(length, 1e-300), normal).reshape(array.shape))
+
+    @cached_property
+    def grid(self) -> tuple[tuple[Array, Array, Array], Array]:
+        """Coordinates along x, y, z of a grid around the mesh, and (a, b, c) exact distances on it, m."""
+        low, high = self._mesh.bounds
+        size = float((high - low).max())
+        axes = []
+        for a, b in zip(low - AROUND * size, high + AROUND * size, strict=True):
+            axes.append(np.linspace(a, b, int(np.ceil(CELLS * (b - a) / size)) + 1))
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        distance = self._exact(places.reshape(-1, 3)).reshape(places.shape[:-1])
+        return (axes[0], axes[1], axes[2]), distance
+
+
+def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3) -> MeshObstacle:
+    """The body in an STL (or other mesh) file, whose unit is `scale` m: by default mm.
+
+    Raises:
+        InputError: no such file, or one without a closed surface; trimesh is not installed.
+    """
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
+    positive("scale", scale)
+    try:
+        mesh: Any = trimesh.load(str(path), force="mesh")
+    except (OSError, ValueError, NotImplementedError) as error:
+        raise InputError(f"{path}: no mesh can be read from it: {error}") from None
+    vertices, faces = np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces)
+    return MeshObstacle(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))

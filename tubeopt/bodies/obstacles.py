@@ -1,0 +1,310 @@
+"""Obstacles: bodies with a signed distance, positive outside, to keep an arm away from.
+
+Every body says its distance three ways: `signed_distance` of NumPy points, exact; `gradient`, the unit vector away from
+it; and `distance`, written with arithmetic alone, so that the same formula takes numbers, arrays and symbols of an
+optimal control problem. There a kink (the edges of a box, the centre of a sphere) is rounded off within `SMOOTH`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, positive, vector
+from ..typing import Array
+from .scene import FEW, scene_of
+
+SMOOTH = 1e-7
+"""Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that."""
+
+PIECES = 16
+"""Balls at most that cover a long body."""
+
+Point3 = tuple[float, float, float]
+
+Balls = tuple[Array, Array]
+"""Centres (k, 3) and radii (k,) of balls that cover a body; m."""
+
+
+class Obstacle(Protocol):
+    """A body with a signed distance. Frozen and hashable, so that what is built for it can be cached."""
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance of points given by coordinates of any arithmetic kind, m."""
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) exact distance of points (..., 3) to the surface, m; negative inside."""
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors along which the distance of points (..., 3) grows."""
+
+    def __hash__(self) -> int: ...
+
+
+def _root(square: Any) -> Any:
+    return (square + SMOOTH**2) ** 0.5
+
+
+def _greater(a: Any, b: Any) -> Any:
+    return (a + b + _root((a - b) ** 2)) / 2
+
+
+def _unit(vectors: Array, otherwise: Array) -> Array:
+    """Vectors (..., 3) over their length; `otherwise` (3,) where that is 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise)
+
+
+def _points(points: ArrayLike) -> Array:
+    array = np.asarray(points, dtype=float)
+    if array.shape[-1:] != (3,):
+        raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
+    return array
+
+
+def _triple(name: str, value: ArrayLike) -> Point3:
+    x, y, z = vector(name, value, 3, "x, y, z").tolist()
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball.
+
+    Args:
+        centre: (3,) m.
+        radius: m.
+
+    Raises:
+        InputError: a number that is not finite, a radius that is not greater than 0.
+    """
+
+    centre: Point3
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", _triple("centre of the sphere", self.centre))
+        object.__setattr__(self, "radius", positive("radius of the sphere", self.radius))
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance, m."""
+        a, b, c = self.centre
+        return _root((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) - self.radius
+
+    ROUND = True
+    """Whether the ball that covers the body is the body."""
+
+    def balls(self) -> Balls:
+        """Itself."""
+        return np.array([self.centre]), np.array([self.radius])
+
+    def numbers(self) -> tuple[float, ...]:
+        """Centre and radius."""
+        return (*self.centre, self.radius)
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from spheres of `numbers` (..., 4), m."""
+        return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 3])
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return self.distances(_points(points), np.array(self.numbers()))
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors away from the centre."""
+        return _unit(_points(points) - self.centre, np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within `radius` of the segment from `start` to `end`.
+
+    Args:
+        start, end: (3,) m; equal, they make a ball.
+        radius: m.
+
+    Raises:
+        InputError: a number that is not finite, a radius that is not greater than 0.
+    """
+
+    start: Point3
+    end: Point3
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", _triple("start of the capsule", self.start))
+        object.__setattr__(self, "end", _triple("end of the capsule", self.end))
+        object.__setattr__(self, "radius", positive("radius of the capsule", self.radius))
+
+    def _axis(self) -> tuple[Point3, float]:
+        x, y, z = (b - a for a, b in zip(self.start, self.end, strict=True))
+        return (x, y, z), x * x + y * y + z * z
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance, m."""
+        (u, v, w), square = self._axis()
+        a, b, c = x - self.start[0], y - self.start[1], z - self.start[2]
+        if square == 0:
+            return _root(a**2 + b**2 + c**2) - self.radius
+        # The fraction along the axis, held between 0 and 1; in metres while it is rounded off.
+        length = square**0.5
+        along = _greater((a * u + b * v + c * w) / length, 0.0)
+        t = -_greater(-along, -length) / length
+        return _root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
+
+    def balls(self) -> Balls:
+        """Around pieces of the axis, no longer than the capsule is thick, where that does not take too many."""
+        length = float(np.sqrt(self._axis()[1]))
+        count = int(np.clip(np.ceil(length / (2 * self.radius)), 1, PIECES))
+        x = (np.arange(count)[:, None] + 0.5) / count
+        a, b = np.array(self.start), np.array(self.end)
+        return a + x * (b - a), np.full(count, self.radius + length / (2 * count))
+
+    def numbers(self) -> tuple[float, ...]:
+        """Both ends and the radius."""
+        return (*self.start, *self.end, self.radius)
+
+    @staticmethod
+    def _from_axis(points: Array, numbers: Array) -> Array:
+        """(..., 3) vectors to points from the nearest place of the axis."""
+        from_start, axis = points - numbers[..., :3], numbers[..., 3:6] - numbers[..., :3]
+        square = (axis**2).sum(-1)
+        along = (from_start * axis).sum(-1)
+        t = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0.0, 1.0)
+        return np.asarray(from_start - t[..., None] * axis)
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from capsules of `numbers` (..., 7), m."""
+        return np.asarray(np.linalg.norm(Capsule._from_axis(points, numbers), axis=-1) - numbers[..., 6])
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return self.distances(_points(points), np.array(self.numbers()))
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors away from the axis; on it, one square to it."""
+        axis = np.array(self._axis()[0])
+        aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        length = float(np.linalg.norm(aside))
+        away = self._from_axis(_points(points), np.array(self.numbers()))
+        return _unit(away, aside / length if length else np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Everything behind a plane.
+
+    Args:
+        point: (3,) any point of the plane, m.
+        normal: (3,) out of the body, towards where the arm may be; of any length.
+
+    Raises:
+        InputError: a number that is not finite, a normal without length.
+    """
+
+    point: Point3
+    normal: Point3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _triple("point of the half-space", self.point))
+        normal = np.array(_triple("normal of the half-space", self.normal))
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            raise InputError("normal of the half-space is (0, 0, 0); it must have a direction")
+        object.__setattr__(self, "normal", tuple((normal / length).tolist()))
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Signed distance, m."""
+        (a, b, c), (u, v, w) = self.point, self.normal
+        return (x - a) * u + (y - b) * v + (z - c) * w
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return np.asarray((_points(points) - self.point) @ np.array(self.normal))
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) the normal."""
+        return np.broadcast_to(np.array(self.normal), _points(points).shape).copy()
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cuboid along the axes of the plate.
+
+    Args:
+        low, high: (3,) opposite corners, m.
+
+    Raises:
+        InputError: a number that is not finite, a corner `low` that is not below `high` along every axis.
+    """
+
+    low: Point3
+    high: Point3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "low", _triple("low corner of the box", self.low))
+        object.__setattr__(self, "high", _triple("high corner of the box", self.high))
+        for axis, a, b in zip("xyz", self.low, self.high, strict=True):
+            if not a < b:
+                raise InputError(f"corners of the box are {a:g} and {b:g} m along {axis}; low must be less than high")
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Smooth signed distance, m."""
+        beyond = [
+            _root((value - (a + b) / 2) ** 2) - (b - a) / 2
+            for value, a, b in zip((x, y, z), self.low, self.high, strict=True)
+        ]
+        outside = [_greater(each, 0.0) for each in beyond]
+        inside = _greater(_greater(beyond[0], beyond[1]), beyond[2])
+        return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - _greater(-inside, 0.0)
+
+    def balls(self) -> Balls:
+        """The one through its corners."""
+        low, high = np.array(self.low), np.array(self.high)
+        return ((low + high) / 2)[None], np.array([np.linalg.norm(high - low) / 2])
+
+    def numbers(self) -> tuple[float, ...]:
+        """Both corners."""
+        return (*self.low, *self.high)
+
+    @staticmethod
+    def _beyond(points: Array, numbers: Array) -> tuple[Array, Array]:
+        """How far points lie beyond the faces along each axis, and on which side of the middle."""
+        low, high = numbers[..., :3], numbers[..., 3:]
+        shifted = points - (low + high) / 2
+        return np.abs(shifted) - (high - low) / 2, np.where(shifted < 0, -1.0, 1.0)
+
+    @staticmethod
+    def distances(points: Array, numbers: Array) -> Array:
+        """(...) distances of points (..., 3) from boxes of `numbers` (..., 6), m."""
+        beyond, _ = Box._beyond(points, numbers)
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(beyond.max(-1), 0.0))
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """(...) distance of points (..., 3), m."""
+        return self.distances(_points(points), np.array(self.numbers()))
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
+        beyond, side = self._beyond(_points(points), np.array(self.numbers()))
+        nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
+        outside = np.maximum(beyond, 0.0) * side
+        return np.where((beyond.max(-1) > 0)[..., None], _unit(outside, np.array([0.0, 0.0, 1.0])), nearest)
+
+
+def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
+    """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
+    array = _points(points)
+    if len(obstacles) > FEW:
+        return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
+    distance = np.full(array.shape[:-1], np.inf)
+    for obstacle in obstacles:
+        distance = np.minimum(distance, obstacle.signed_distance(array))
+    return distance

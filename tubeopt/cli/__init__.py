@@ -1,0 +1,7 @@
+"""The command line, a module per group of commands. Each turns flags into a question, and an answer into text."""
+
+from __future__ import annotations
+
+from .app import app, main
+
+__all__ = ["app", "main"]

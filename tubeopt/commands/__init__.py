@@ -1,1 +1,0 @@
-"""The commands of the command line, a module per group. Each turns flags into a question, and an answer into text."""

@@ -1,0 +1,1 @@
+"""What the actuators allow, and the robot between two configurations."""

@@ -1,0 +1,62 @@
+"""Least squares with linear inequalities, small and dense."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.optimize import nnls
+
+from ..typing import Array, Mask
+
+FEASIBLE = 1e-9
+"""Share of the right-hand side by which an inequality may be missed before it counts as violated."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """Minimiser x (m,), and which inequalities (k,) hold it back."""
+
+    x: Array
+    active: Mask
+
+
+def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: Array) -> LeastSquares | None:
+    """min |matrix x - right| subject to rows x >= bounds, or None where no x satisfies these.
+
+    Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23: a QR factorisation makes it a problem of least
+    distance, whose dual is a non-negative least-squares problem (`scipy.optimize.nnls`).
+
+    Args:
+        matrix: (r, m) of full column rank.   right: (r,).
+        rows: (k, m).   bounds: (k,); -inf where there is none.
+    """
+    q, r = qr(matrix, mode="economic", check_finite=False)
+    free = q.T @ right
+    none = np.zeros(len(bounds), dtype=bool)
+    kept = np.flatnonzero(np.isfinite(bounds))
+    cone = solve_triangular(r, rows[kept].T, trans="T", check_finite=False).T
+    length = np.linalg.norm(cone, axis=1)
+    gap = bounds[kept] - cone @ free
+    if (length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))).any():
+        idle = length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))
+        if (gap[idle] > FEASIBLE).any():
+            return None
+        kept, cone, length, gap = kept[~idle], cone[~idle], length[~idle], gap[~idle]
+    gap = gap / np.where(length > 0, length, 1.0)
+    cone = cone / length[:, None]
+    scale = float(gap.max(initial=0.0))
+    if scale <= 0:
+        return LeastSquares(solve_triangular(r, free, check_finite=False), none)
+    # Least |y| with cone y >= gap / scale: y is the residual of the dual over its last entry.
+    dual = np.vstack([cone.T, gap / scale])
+    weights, _ = nnls(dual, np.append(np.zeros(len(free)), 1.0), maxiter=50 * len(gap))
+    residual = dual @ weights
+    residual[-1] -= 1.0
+    if -residual[-1] <= FEASIBLE:
+        return None
+    y = -scale * residual[:-1] / residual[-1]
+    active = none.copy()
+    active[kept[weights > 0]] = True
+    return LeastSquares(solve_triangular(r, free + y, check_finite=False), active)

@@ -1,0 +1,1 @@
+"""An equilibrium: solved, followed, verified, saved; and its derivatives."""

@@ -1,0 +1,225 @@
+"""Forward kinematics of many configurations, each solved by itself."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError, SolveError, choice, positive
+from ..robots.assembly import ROUND_OFF
+from ..robots.robot import Robot
+from ..solvers.compiled.binding import solve_many_compiled
+from ..typing import Array, Mask
+from .kinematics import check_turn, forward_kinematics
+from .result import Equilibrium
+
+CHUNK = 2048
+"""Configurations that one worker takes at a time: enough that its start costs nothing, few enough to share out."""
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumBatch:
+    """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN.
+
+    Attributes:
+        rotations, translations: (N, n) joint values, rad and m.
+        tip_position (N, 3), tip_rotation (N, 3, 3): pose of the end of the longest tube in the plate frame, m.
+        tip_rotations: (N, n) theta_i at each tube's own end, rad.
+        margin: (N,) stability margin.   energy: (N,) J.
+        residual (N,), mesh_error (N,): of theta, rad.   tip_error (N,): estimated error of the tip, m.
+        converged: (N,) whether a stable equilibrium was found to the tolerance.
+        failures: (row, reason in words) of those that were not.
+    """
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    tip_position: Array
+    tip_rotation: Array
+    tip_rotations: Array
+    margin: Array
+    energy: Array
+    residual: Array
+    mesh_error: Array
+    tip_error: Array
+    converged: Mask
+    failures: tuple[tuple[int, str], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    @property
+    def stable(self) -> Mask:
+        """(N,) whether a stable equilibrium was found."""
+        return np.asarray(self.converged & (self.margin > 0))
+
+
+def forward_kinematics_batch(
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    tolerance: float = 1e-8,
+    workers: int = 1,
+    on_failure: str = "return",
+    progress: Callable[[int], object] | None = None,
+) -> EquilibriumBatch:
+    """Equilibria of N configurations, each the one that `forward_kinematics` finds without a guess.
+
+    Robots are solved by the compiled kernel where there is a C compiler; what it leaves over is solved by
+    `forward_kinematics` one by one.
+
+    Args:
+        rotations: (N, n) rad.
+        translations: (N, n) m, or (n,) for all; None is home.
+        tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm.
+        workers: threads of the kernel; 0 is one per core.
+        on_failure: "return" marks what has no stable equilibrium; "raise" raises SolveError for the first.
+        progress: called with the number of configurations done, now and then.
+
+    Raises:
+        InputError: arrays of wrong shape, a value that is not finite, a tube out of its actuator (the row is named).
+        SolveError: with on_failure="raise", a configuration without a stable equilibrium that could be found.
+    """
+    alpha, shift = joint_arrays(robot, rotations, translations)
+    positive("tolerance", tolerance)
+    choice("on_failure", on_failure, ("return", "raise"))
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+        raise InputError(f"workers is {workers!r}; it must be 0 (one per core) or a number of threads")
+    _admissible(robot, shift)
+    table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
+    failures: list[tuple[int, str]] = []
+
+    def run(rows: slice) -> int:
+        failures.extend(_solve_rows(robot, alpha, shift, rows, table, tolerance))
+        return len(alpha[rows])
+
+    done = 0
+    for count in _shared_out(run, len(alpha), workers or os.cpu_count() or 1):
+        done += count
+        if progress is not None:
+            progress(done)
+        if failures and on_failure == "raise":
+            row, reason = min(failures)
+            raise SolveError(f"configuration {row}: {reason}")
+    return _batch(robot, alpha, shift, table, sorted(failures))
+
+
+def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations and translations as finite (N, n) arrays; raises InputError naming what is wrong."""
+    n = robot.n_tubes
+    alpha = _table("rotations", rotations)
+    if alpha.ndim != 2 or alpha.shape[1] != n:
+        raise InputError(f"rotations has the shape {alpha.shape}; it must be (N, {n}), one column per tube")
+    check_turn("rotations", alpha)
+    shift = _table("translations", robot.home_translations if translations is None else translations)
+    if shift.shape == (n,):
+        shift = np.tile(shift, (len(alpha), 1))
+    if shift.shape != alpha.shape:
+        raise InputError(f"translations has the shape {shift.shape}; it must be {alpha.shape} or ({n},)")
+    return alpha, shift
+
+
+def _table(name: str, values: ArrayLike) -> Array:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} is no array of numbers; it must be (N, n)") from None
+    if not array.ndim:
+        raise InputError(f"{name} is {values!r}; it must be an array (N, n)")
+    if not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(array))[0][0])
+        raise InputError(f"{name}[{row}] is {array[row].tolist()}; every number must be finite")
+    return array
+
+
+def _admissible(robot: Robot, shift: Array) -> None:
+    """Raise InputError naming the first row of translations (N, n) at which the robot cannot be."""
+    straight = np.array([tube.straight_length for tube in robot.tubes])
+    out = np.argwhere(shift - straight > ROUND_OFF)
+    if len(out):
+        row, tube = (int(k) for k in out[0])
+        raise InputError(
+            f"translations[{row}] of tube {tube + 1} is {shift[row, tube]:g} m, which pulls it out of its actuator; "
+            f"it must be at most its straight_length, {straight[tube]:g} m"
+        )
+    if all(len(tubes) == 1 for tubes in robot.moving_together):
+        return
+    for row, values in enumerate(shift):
+        try:
+            robot.assembly(values)
+        except InputError as error:
+            raise InputError(f"translations[{row}]: {error}") from None
+
+
+def _shared_out(run: Callable[[slice], int], count: int, workers: int) -> Iterator[int]:
+    """Run chunks of rows on so many threads."""
+    chunks = [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
+    if workers == 1 or len(chunks) == 1:
+        yield from map(run, chunks)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        yield from pool.map(run, chunks)
+
+
+def _solve_rows(
+    robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float
+) -> list[tuple[int, str]]:
+    """Solve some rows into `table`; returns those without a stable equilibrium, with the reason."""
+    solved = solve_many_compiled(robot, alpha[rows], shift[rows])
+    left: NDArray[np.intp]
+    if solved is None:
+        left = np.arange(rows.start, rows.stop)
+    else:
+        found, declined = solved
+        length = _lengths(robot, shift[rows])
+        n = robot.n_tubes
+        coarse = np.maximum(found[:, n + 14], found[:, n + 15] / length) > tolerance
+        table[rows] = found
+        left = rows.start + np.flatnonzero(declined | coarse)
+    failures = []
+    for row in left.tolist():
+        try:
+            table[row] = _row(forward_kinematics(robot, alpha[row], shift[row], tolerance=tolerance))
+        except SolveError as error:
+            table[row] = np.nan
+            failures.append((row, str(error)))
+    return failures
+
+
+def _lengths(robot: Robot, shift: Array) -> Array:
+    """(N,) length of the arm, m."""
+    curved = np.array([tube.curved_length for tube in robot.tubes])
+    straight = np.array([tube.straight_length for tube in robot.tubes])
+    return np.asarray(np.maximum((np.minimum(shift, straight) + curved).max(1), 1e-300))
+
+
+def _row(e: Equilibrium) -> Array:
+    rest = [e.margin, e.residual, e.mesh_error, e.tip_error, e.energy]
+    return np.concatenate([e.tip_position, e.tip_rotation.ravel(), e.tip_rotations, rest])
+
+
+def _batch(robot: Robot, alpha: Array, shift: Array, table: Array, failures: list[tuple[int, str]]) -> EquilibriumBatch:
+    n = robot.n_tubes
+    converged = np.ones(len(alpha), dtype=bool)
+    converged[[row for row, _ in failures]] = False
+    return EquilibriumBatch(
+        robot=robot,
+        rotations=alpha,
+        translations=shift,
+        tip_position=table[:, :3],
+        tip_rotation=table[:, 3:12].reshape(-1, 3, 3),
+        tip_rotations=table[:, 12 : 12 + n],
+        margin=table[:, n + 12],
+        residual=table[:, n + 13],
+        mesh_error=table[:, n + 14],
+        tip_error=table[:, n + 15],
+        energy=table[:, n + 16],
+        converged=converged,
+        failures=tuple(failures),
+    )

@@ -1,0 +1,163 @@
+"""What tubes off the centreline add to an equilibrium: where each runs and how long it is; segments as a chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import SolveError, vector
+from ..robots.assembly import ROUND_OFF
+from ..robots.eccentric import SegmentedEccentricRobot
+from ..transcription.buffered import section_function
+from ..typing import Array
+from .kinematics import forward_kinematics
+from .result import Equilibrium
+from .solving import polish
+
+
+def tube_centrelines(equilibrium: Equilibrium) -> Array:
+    """(n, m, 3) m: the centreline of every tube, p + R (d cos phi, d sin phi, 0), at the m arc lengths of the arm.
+
+    NaN beyond a tube's own end, and everywhere for a tube that does not reach past the plate.
+    """
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    angle = assembly.offset_angle
+    across = assembly.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    lines = equilibrium.position + np.einsum("mab,nb->nma", equilibrium.frame, across)
+    lines[equilibrium.arc_length > assembly.end[:, None] + ROUND_OFF] = np.nan
+    return np.asarray(lines)
+
+
+def tube_lengths(equilibrium: Equilibrium) -> Array:
+    """(n,) m: arc length of every tube's own centreline from the plate to its own end, int g ds.
+
+    Tubes on the inside of a bend are shorter than the arm, tubes on the outside longer: the sheath ends all three of a
+    segment in one plane, so that they slide against one another behind the plate. The integral is taken at the
+    collocation points, and is as accurate as the rotations there; where the whole arm is straight, g = 1.
+
+    Raises:
+        SolveError: the equilibrium is a fold, which cannot be solved again at its own collocation points.
+    """
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    ends = np.maximum(assembly.end, 0.0)
+    if not assembly.eccentric:
+        return ends
+    solution = polish(equilibrium)
+    problem, count = solution.problem, len(solution.problem.weight)
+    if not count:
+        return ends
+    moment = section_function("moment", count, assembly.n_tubes, True)
+    place = (assembly.offset, assembly.offset_angle)
+    stretch = moment(solution.result.state.theta, problem.stiffness, problem.moment, *place)[1]
+    there = problem.arc_length[:, None] < ends
+    return np.asarray(ends + problem.weight @ ((stretch - 1) * there))
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentChain:
+    """A segmented eccentric robot as a chain of segments, each solved for itself with its tubes on the centreline.
+
+    Attributes:
+        robot, rotations (3 k,), translations (3 k,): the input.
+        segments: equilibrium of every segment in front of the plate in its own frame, base to tip.
+        start: (len(segments),) arc length where each begins to curve, m.
+        arc_length (m,), position (m, 3): the chained centreline, m.
+        tip_position (3,), tip_rotation (3, 3): pose of its end in the plate frame.
+    """
+
+    robot: SegmentedEccentricRobot
+    rotations: Array
+    translations: Array
+    segments: tuple[Equilibrium, ...]
+    start: Array
+    arc_length: Array
+    position: Array
+    tip_position: Array
+    tip_rotation: Array
+
+    def full_model(self) -> Equilibrium:
+        """The coupled equilibrium of the whole robot on the chain's branch: followed from the same tubes at d = 0.
+
+        Raises:
+            SolveError: the branch ends on the way, or the whole robot at d = 0 settles elsewhere than the chain.
+        """
+        centred = replace(self.robot, offset=0.0)
+        guess = forward_kinematics(centred, self.rotations, self.translations)
+        apart = self.deviation(guess)[0]
+        if apart > 1e-6:
+            raise SolveError(f"the whole robot at d = 0 settles {1e3 * apart:.3g} mm from the chain: on another branch")
+        return forward_kinematics(self.robot, self.rotations, self.translations, guess=guess)
+
+    def deviation(self, equilibrium: Equilibrium) -> tuple[float, float]:
+        """Distance (m) of the chain's tip from that of `equilibrium`, and the same as a part of the arm's length.
+
+        With long transmissions a robot has several stable equilibria: compare with the one of `full_model`.
+        """
+        distance = float(np.linalg.norm(self.tip_position - equilibrium.tip_position))
+        length = float(equilibrium.arc_length[-1])
+        return distance, distance / length if length else 0.0
+
+
+def chained_approximation(
+    robot: SegmentedEccentricRobot, rotations: ArrayLike, translations: ArrayLike | None = None
+) -> SegmentChain:
+    """The robot as a chain of concentric three-tube arms: the fast approximation that the thesis recommends (3.4.2).
+
+    Of every segment the three tubes lie on the centreline (d = 0), together with the straight tubes of the inner
+    segments that pass through and make it stiffer. Torsion of a segment's tubes on their way to it, behind the plate
+    and through outer segments, is linear and kept: they are held as far back as they truly are. Left out is the offset
+    alone, with the stretch g of tubes on either side of a bend: without overlap of curved parts nothing else couples
+    the segments.
+
+    Args:
+        rotations, translations: (3 k,) rad and m, ordered as `robot.tubes`; translations default to home.
+
+    Raises:
+        InputError: wrong number of joint values, or joint values that `robot` does not allow.
+        SolveError: a segment has no stable equilibrium that could be found.
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    shift = vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
+    bundle = robot.assembly(shift)
+    transition, end = bundle.transition[::3], bundle.end[::3]
+    segments, starts, lines, lengths = [], [], [np.zeros((1, 3))], [np.zeros(1)]
+    position, frame, reached = np.zeros(3), np.eye(3), 0.0
+    for k in reversed(range(len(robot.segments))):
+        if end[k] <= ROUND_OFF:
+            continue
+        start = max(float(transition[k]), 0.0)
+        position = position + frame[:, 2] * (start - reached)
+        segment = _segment(robot, k, alpha[3 * k : 3 * k + 3], min(float(shift[3 * k]), 0.0))
+        segments.append(segment)
+        starts.append(start)
+        lines.append(position + segment.position @ frame.T)
+        lengths.append(start + segment.arc_length)
+        position = lines[-1][-1]
+        frame = frame @ segment.tip_rotation
+        reached = float(end[k])
+    return SegmentChain(
+        robot=robot,
+        rotations=alpha,
+        translations=shift,
+        segments=tuple(segments),
+        start=np.array(starts),
+        arc_length=np.concatenate(lengths),
+        position=np.concatenate(lines),
+        tip_position=position,
+        tip_rotation=frame,
+    )
+
+
+def _segment(robot: SegmentedEccentricRobot, k: int, rotations: Array, advance: float) -> Equilibrium:
+    """Segment `k` for itself, advanced by `advance` <= 0, with the straight tubes of the inner segments in it.
+
+    Its tubes' straight parts, with rotation and torsion unchanged along them, lie behind its own plate.
+    """
+    own = robot.segments[k]
+    inner = tuple(replace(tube, straight_length=own.length, curved_length=0.0) for tube in robot.segments[:k])
+    alone = SegmentedEccentricRobot((*inner, own), offset=0.0)
+    turned = np.concatenate([np.zeros(3 * k), rotations])
+    shifts = np.repeat([advance + own.curved_length] * k + [advance], 3)
+    return forward_kinematics(alone, turned, shifts)

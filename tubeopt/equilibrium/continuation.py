@@ -1,0 +1,141 @@
+"""Following a branch of equilibria along a straight path of joint values, up to the fold where it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import ROUND_OFF
+from ..robots.robot import Robot
+from ..solvers.newton import newton
+from ..transcription import arm as arms
+from ..transcription.reduced import ReducedProblem, margin, to_unknowns
+from ..typing import Array
+from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
+
+LARGEST_RATIO = 0.3
+"""Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
+
+LARGEST_TURN = 0.3
+"""Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
+looks like the one that is followed."""
+
+LARGEST_TWIST = 0.6
+"""Largest change (rad) of the twist theta - alpha at a point in one step."""
+
+SOFT_TWIST = 0.1
+"""The same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther apart."""
+
+LARGEST_SHIFT = 0.05
+"""Largest change of a translation in one step, as a fraction of the longest tube."""
+
+SHORTEST_STEP = 1e-11
+"""Fraction of the path below which a step that fails means that the branch has ended."""
+
+
+def largest_twist(margin: float) -> float:
+    """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
+
+    The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
+    hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
+    """
+    return float(np.clip(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST, LARGEST_TWIST))
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """The straight path from `start` to `end`, (2n,) rotations then translations, for fractions t in [0, 1]."""
+
+    robot: Robot
+    start: Array
+    end: Array
+    discretisation: Discretisation = DEFAULT_DISCRETISATION
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Rotations and translations at fraction t."""
+        joint = self.end if t == 1.0 else self.start + t * (self.end - self.start)
+        rotations, translations = np.split(joint, 2)
+        return rotations, translations
+
+    def problem(self, t: float) -> ReducedProblem:
+        """The reduced problem at fraction t."""
+        return reduced_problem(self.robot, tuple(self.at(t)[1].tolist()), self.discretisation)
+
+    def largest_step(self) -> float:
+        """Largest fraction of the path in one step."""
+        turn, shift = np.split(np.abs(self.end - self.start), 2)
+        longest = max(tube.length for tube in self.robot.tubes)
+        steps = max(turn.max() / LARGEST_TURN, shift.max() / (LARGEST_SHIFT * longest), 1.0)
+        return 1.0 / float(steps)
+
+    def events(self) -> list[float]:
+        """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""
+        rates = np.split(self.end - self.start, 2)[1]
+        assembly = self.robot.assembly(np.split(self.start, 2)[1])
+        points = np.concatenate([assembly.transition, assembly.end, [0.0]])
+        speeds = np.concatenate([rates, rates, [0.0]])
+        gap, closing = points[:, None] - points, speeds - speeds[:, None]
+        moving = np.abs(closing) > ROUND_OFF
+        times = gap[moving] / closing[moving]
+        return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A solved equilibrium at fraction t of a path."""
+
+    t: float
+    solution: Solution
+
+
+def solve_at(path: JointPath, t: float, near: Point, before: Point | None = None) -> Point | None:
+    """The equilibrium at fraction t on the branch of `near`, or None where Newton is not at ease.
+
+    The guess is that the twist goes on changing as it did from `before` to `near`.
+    """
+    problem = path.problem(t)
+    rotations = path.at(t)[0]
+    twist = _twist(near, problem.arc_length)
+    if before is not None and near.t > before.t:
+        rate = (twist - _twist(before, problem.arc_length)) * ((t - near.t) / (near.t - before.t))
+        twist = twist + np.clip(rate, -LARGEST_TWIST, LARGEST_TWIST)
+    guess = rotations + twist
+    result = newton(problem, rotations, to_unknowns(problem, rotations, guess), iterations=8)
+    if not result.converged or result.contraction > LARGEST_RATIO:
+        return None
+    # Only the coupled tubes: theta of the others is carried along, not solved for.
+    change = (result.state.theta - rotations - _twist(near, problem.arc_length)).ravel()[problem.flat]
+    if np.abs(change).max(initial=0.0) > largest_twist(near.solution.margin):
+        return None
+    return Point(t, Solution(problem, rotations, result, margin(problem, result.state)))
+
+
+def _twist(point: Point, arc_length: Array) -> Array:
+    """theta - alpha (len(arc_length), n); at its own points, of the coupled tubes only."""
+    solution = point.solution
+    if arc_length is solution.problem.arc_length:
+        return solution.result.state.theta - solution.rotations
+    return arms.interpolate(solution.problem, solution.arm, arc_length) - solution.rotations
+
+
+def follow_to(path: JointPath, start: Point, goal: float, *, stable: bool = True) -> tuple[list[Point], bool]:
+    """Points of the branch from `start` up to fraction `goal`, or to just before it ends (if `stable`, turns unstable).
+
+    Returns the points after `start`, and whether the goal was reached.
+    """
+    points: list[Point] = []
+    longest = path.largest_step()
+    here, before, step = start, None, longest
+    while here.t < goal:
+        t = goal if here.t + step >= goal - 1e-12 else here.t + step
+        there = solve_at(path, t, here, before)
+        if there is None or (stable and there.solution.margin <= 0):
+            step /= 4 if there is None else 2
+            if step < SHORTEST_STEP:
+                return points, False
+            continue
+        points.append(there)
+        here, before = there, here
+        step = min(2 * step, longest)
+    return points, True

@@ -1,0 +1,395 @@
+"""Derivatives of an equilibrium by the implicit function theorem: of the tip, of any point of the arm, of energy and
+margin, with respect to joint values and to every dimension and stiffness of the tubes.
+
+What moves along the arm is taken at fixed arc lengths; a breakpoint that moves uncovers a stretch on which another
+cross-section takes over, which is a jump of the rates there. The pose follows from d phi = int R du ds and
+dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change of the second variation at its mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.breakpoints import DIMENSIONS
+from ..transcription.buffered import section_function
+from ..transcription.collocated import ENDS
+from ..transcription.linear import (
+    Arm,
+    Chain,
+    Response,
+    Slopes,
+    along,
+    chain_of,
+    poses_inside,
+    respond,
+    rotation_change,
+    rotation_rates_at,
+    rotations_at,
+    slopes_at,
+)
+from ..transcription.reduced import ReducedProblem
+from ..typing import Array
+from .jumps import Jumps, moving_breakpoints
+from .margin import AtSolution, Variation, quotient_change
+from .offset import offset_change
+
+PARAMETERS = ("rotations", "translations", *DIMENSIONS)
+"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
+
+FLAT = 1 - 1e-9
+"""Margin above which nothing softens: the greatest value, 1, which does not change."""
+
+
+class Derivatives:
+    """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for.
+
+    Args:
+        arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
+        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
+            to its translation in equal parts, so that the chain rule holds for every motion that is possible.
+        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
+            derivatives differ.
+        margin: of the equilibrium.
+        problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
+
+    Raises:
+        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        assembly: Assembly,
+        carriages: tuple[tuple[int, ...], ...],
+        *,
+        wrt: Sequence[str] = ("rotations", "translations"),
+        side: int = 1,
+        margin: float = 1.0,
+        problem: Callable[[], ReducedProblem] | None = None,
+    ) -> None:
+        if side not in (1, -1):
+            raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
+        for name in wrt:
+            if name not in PARAMETERS:
+                raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+        self.arm, self.assembly, self.carriages = arm, assembly, carriages
+        self.wrt, self.side, self.value, self._problem = tuple(wrt), side, margin, problem
+        self._blocks = [len(carriages) if name == "translations" else arm.n_tubes for name in self.wrt]
+
+    # --- what changes -------------------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number of columns, by carriages."""
+        return sum(self._blocks)
+
+    def first(self, name: str) -> int | None:
+        """The first column of a parameter, None where it is not asked for."""
+        return sum(self._blocks[: self.wrt.index(name)]) if name in self.wrt else None
+
+    @cached_property
+    def data(self) -> Array:
+        """(P, 3n, Q) change of kb, m and kt."""
+        arm, n = self.arm, self.arm.n_tubes
+        out = np.zeros((arm.n_pieces, 3 * n, self.size))
+        present, tube = arm.stiffness > 0, np.arange(n)
+        kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
+        curved = self._curved
+        for name, rows in (
+            ("curvature", ((n, kb * curved),)),
+            ("bending_stiffness", ((0, present), (n, kappa * curved))),
+            ("torsional_stiffness", ((2 * n, np.ones((arm.n_pieces, n))),)),
+        ):
+            first = self.first(name)
+            if first is not None:
+                for row, values in rows:
+                    out[:, row + tube, first + tube] = values
+        return out
+
+    @property
+    def _curved(self) -> Array:
+        """(P, n) whether each tube is on its curved part, straight or not."""
+        middle = (self.arm.start + self.arm.length / 2)[:, None]
+        return np.asarray((middle > self.assembly.transition) & (middle < self.assembly.end))
+
+    @cached_property
+    def transmitted(self) -> Array:
+        """(n, Q) change of |beta|."""
+        out = np.zeros((self.arm.n_tubes, self.size))
+        first = self.first("translations")
+        if first is not None:
+            for c, tubes in enumerate(self.carriages):
+                out[list(tubes), first + c] = -1.0
+        first = self.first("straight_length")
+        if first is not None:
+            out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
+        return out
+
+    @cached_property
+    def movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
+        """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
+        out: list[tuple[int, tuple[int, ...], tuple[int, ...]]] = []
+        first = self.first("translations")
+        if first is not None:
+            out += [(first + c, tubes, tubes) for c, tubes in enumerate(self.carriages)]
+        first = self.first("curved_length")
+        if first is not None:
+            out += [(first + i, (), (i,)) for i in range(self.arm.n_tubes)]
+        return out
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Every breakpoint in front of the plate that a parameter moves."""
+        return moving_breakpoints(self)
+
+    @cached_property
+    def cuts(self) -> Array:
+        """(P + 1,) arc lengths between the pieces, plate and tip included."""
+        return np.append(self.arm.start, self.assembly.total_length)
+
+    @cached_property
+    def states(self) -> tuple[Array, Array]:
+        """(P + 1, n) theta and w between the pieces."""
+        tip = rotations_at(self.arm, self.slopes, np.ones(1))[-1]
+        return np.concatenate([self.arm.theta, tip]), np.concatenate([self.arm.twist, np.zeros_like(tip)])
+
+    @cached_property
+    def _gains(self) -> tuple[Array, Array, Array, Array]:
+        """What theta' and w' (J, n), u (J, 2), and energy per length and |u|^2 (J, 2) gain at the jumps, per unit of
+        their parameters."""
+        jumps, n, place, kt = self.jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
+        count = len(jumps)
+        if not count:
+            return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, 2)), np.zeros((0, 2))
+        theta, twist = (np.concatenate([table[jumps.index]] * 2) for table in self.states)
+        kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
+        empty = ~kb.any(1)
+        kb[empty] = 1.0
+        function = section_function("linear", 2 * count, n, bool(place))
+        moment, stretch, u, bending = (part.copy() for part in function(theta, kb, m, *place)[:4])
+        stretch[empty], u[empty], bending[empty] = 1.0, 0.0, 0.0
+        density = bending[:, 0] + (stretch * twist**2) @ kt / 2
+        scalars = np.column_stack([density, (u**2).sum(1)])
+        rates = stretch * twist, moment / kt, u, scalars
+        turned, gained, bent, more = (self.side * (rate[:count] - rate[count:]) for rate in rates)
+        return turned, gained, bent, more
+
+    # --- torsion ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Cross-sections at the points, with their derivatives."""
+        return slopes_at(self.arm, self.arm.inner)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Linear maps of the pieces."""
+        return chain_of(self.arm, self.slopes)
+
+    @cached_property
+    def response(self) -> Response:
+        """Change of theta and w along the arm, by carriages."""
+        arm, n = self.arm, self.arm.n_tubes
+        base = self.transmitted * arm.twist[:1].sum(0)[:, None]
+        first = self.first("rotations")
+        if first is not None:
+            base[np.arange(n), first + np.arange(n)] = 1.0
+        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
+        turned, gained, *_ = self._gains
+        for k, (index, column) in enumerate(zip(self.jumps.index, self.jumps.column, strict=True)):
+            jumps[index, :, column] += np.concatenate([turned[k], gained[k]])
+        return respond(arm, self.chain, base, self.data, jumps)
+
+    @cached_property
+    def tip_rotations(self) -> Array:
+        """(n, Q) of theta at each tube's own end."""
+        n = self.arm.n_tubes
+        ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
+        index = np.argmin(np.abs(self.cuts - ends[:, None]), axis=1)
+        return self.per_tube(self.response.end[index, np.arange(n)])
+
+    # --- shape --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def along(self) -> tuple[Array, Array, Array, Array]:
+        """theta and theta' (P, 5, n), u and u' (P, 5, 2) at ENDS of every piece."""
+        theta, slope = (function(self.arm, self.slopes, ENDS) for function in (rotations_at, rotation_rates_at))
+        here = self._ends
+        return theta, slope, here.curvature, (here.curvature_slope[..., : self.arm.n_tubes] @ slope[..., None])[..., 0]
+
+    @cached_property
+    def _ends(self) -> Slopes:
+        """Cross-sections at ENDS, with their derivatives."""
+        return slopes_at(self.arm, rotations_at(self.arm, self.slopes, ENDS))
+
+    @cached_property
+    def along_change(self) -> tuple[Array, Array]:
+        """(P, 5, n, Q) of theta and (P, 5, 2, Q) of u at ENDS of every piece, at fixed arc lengths, by carriages."""
+        theta = rotation_change(self.arm, self.slopes, self.response, self.data, ENDS)
+        n, slope = self.arm.n_tubes, self._ends.curvature_slope
+        return theta, slope[..., :n] @ theta + slope[..., n:] @ self.data[:, None, : 2 * n]
+
+    @cached_property
+    def _turned(self) -> tuple[Array, Array, Array]:
+        """World turn rates R du (P, K, 3, Q) at the points, positions there, and turns of the jumps (J, 3)."""
+        frame, position = poses_inside(self.arm, self.slopes)
+        change = self.slopes.curvature_slope @ self.columns
+        own = self.arm.frame[self.jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
+        return frame[..., :2] @ change, position, own[..., 0]
+
+    @cached_property
+    def _tip(self) -> tuple[Array, Array]:
+        """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
+        rate, position, jumps = self._turned
+        weighted = rate * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
+        turn = weighted.sum((0, 1))
+        lever = self.arm.position[-1] - position
+        moved = _cross(weighted, lever).sum((0, 1)) + self.pushed
+        behind = self.arm.position[-1] - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
+        np.add.at(turn.T, self.jumps.column, jumps)
+        np.add.at(moved.T, self.jumps.column, _cross(jumps[..., None], behind)[..., 0])
+        return moved, turn
+
+    @property
+    def pushed(self) -> Array:
+        """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
+        out = np.zeros((3, self.size))
+        longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
+        for column, _, tubes in self.movers:
+            mine = sum(longest[i] for i in tubes)
+            if mine and (self.side > 0 or mine == longest.sum()):
+                out[:, column] = self.arm.frame[-1][:, 2]
+        return out
+
+    @property
+    def tip_position(self) -> Array:
+        """(3, Q) of the tip, m."""
+        return self.per_tube(self._tip[0])
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, Q) turn vector of the tip frame in the plate frame, rad."""
+        return self.per_tube(self._tip[1])
+
+    @cached_property
+    def position(self) -> Array:
+        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        rate, place, jumps = self._turned
+        turn = _cumulate(self.arm, rate)
+        out = _cross(turn, self.arm.position) - _cumulate(self.arm, _cross(rate, place))
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
+            k = index * (len(ENDS) - 1)
+            out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
+        out[-1] = self._tip[0]
+        return self.per_tube(out)
+
+    @cached_property
+    def turn_ahead(self) -> Array:
+        """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
+        breakpoint there adds."""
+        rate, _, jumps = self._turned
+        out = _cumulate(self.arm, rate)
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
+            out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
+        return out
+
+    @property
+    def total_bend(self) -> float:
+        """int |u|^2 ds along the arm, 1/m."""
+        weights = self.arm.length[:, None] * self.arm.tableau.weights
+        return float((weights * (self.slopes.curvature**2).sum(2)).sum())
+
+    @cached_property
+    def bend(self) -> Array:
+        """(Q,) of int |u|^2 ds, 1/m."""
+        weights, at = self.arm.length[:, None] * self.arm.tableau.weights, self.slopes
+        out = 2 * np.einsum("px,pxa,pxaq->q", weights, at.curvature, at.curvature_slope @ self.columns)
+        np.add.at(out, self.jumps.column, self._gains[3][:, 1])
+        return self.per_tube(out)
+
+    # --- energy and margin --------------------------------------------------------------------------------------------
+
+    @cached_property
+    def energy(self) -> Array:
+        """(Q,) of the elastic energy, J."""
+        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
+        t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
+        columns, dw = self.columns, self.twist_change
+        w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
+        density = at.bending_slope[..., None, :] @ columns + (kt * at.stretch * w)[..., None, :] @ dw
+        density += (at.stretch * w**2 / 2)[..., None, :] @ self.data[:, None, 2 * n :]
+        if arm.place:
+            density += (kt * w**2 / 2)[..., None, :] @ (at.stretch_slope @ columns)
+        out = (arm.length[:, None] * t.weights).ravel() @ density.reshape(-1, self.size)
+        np.add.at(out, self.jumps.column, self._gains[3][:, 0])
+        base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
+        out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change
+        first = self.first("torsional_stiffness")
+        if first is not None:
+            out[first : first + n] += arm.transmission * base**2 / 2
+        return self.per_tube(out)
+
+    @cached_property
+    def twist_change(self) -> Array:
+        """(P, K, n, Q) change of w at the points, by carriages."""
+        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
+        stiffer = (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
+        rate = at.rate_slope @ self.columns - stiffer
+        gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
+        return np.asarray(self.response.state[:-1, None, n:] + gained)
+
+    @cached_property
+    def columns(self) -> Array:
+        """(P, K, 3n, Q) change of theta, kb and m at the points."""
+        n, inner = self.arm.n_tubes, self.response.inner
+        data = np.broadcast_to(self.data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self.size))
+        return np.concatenate([inner, data], axis=2)
+
+    @cached_property
+    def margin(self) -> Array:
+        """(Q,) of the margin; NaN where it is a double eigenvalue."""
+        if not self.arm.n_pieces:
+            return self.per_tube(np.zeros(self.size))
+        if not self.arm.place:
+            return self.quotient(self.value, AtSolution())
+        if self.value >= FLAT or self._problem is None:
+            return self.per_tube(np.zeros(self.size))
+        return self.per_tube(offset_change(self, self._problem()))
+
+    def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
+        """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""
+        # No elastic coupling (or none that softens): it stays at its greatest value, 1.
+        if value >= FLAT:
+            return self.per_tube(np.zeros(self.size))
+        return self.per_tube(quotient_change(self, value, variation, one_of_two=one_of_two))
+
+    def per_tube(self, columns: Array) -> Array:
+        """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
+        n, first = self.arm.n_tubes, self.first("translations")
+        if first is None or len(self.carriages) == n:
+            return columns
+        parts = [columns[..., :first], np.zeros((*columns.shape[:-1], n)), columns[..., first + len(self.carriages) :]]
+        for c, tubes in enumerate(self.carriages):
+            parts[1][..., list(tubes)] = columns[..., first + c, None] / len(tubes)
+        return np.concatenate(parts, axis=-1)
+
+
+def _cumulate(arm: Arm, values: Array) -> Array:
+    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
+    up_to = arm.tableau.lagrange(ENDS, integrals=1)
+    inner = np.einsum("jk,pk...->pj...", up_to, values) * arm.length.reshape(-1, *[1] * (values.ndim - 1))
+    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
+    table = before[:, None] + inner
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
+
+
+def _cross(columns: Array, arm: Array) -> Array:
+    """(..., 3, c) cross product of every column with vectors (..., 3)."""
+    x, y, z = (columns[..., k, :] for k in range(3))
+    a, b, c = (arm[..., k, None] for k in range(3))
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-2)

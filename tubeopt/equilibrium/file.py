@@ -1,0 +1,86 @@
+"""Results on disk: `result.json` to read, `arrays.npz` for what runs along the arm. SI units, as in the library."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import typing
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, create_model
+
+from ..errors import InputError
+from ..files.checked import check
+from ..files.files import atomic_write, read_bytes, read_text, write_text
+from ..robots.file import AnyRobot
+from .result import ARRAYS, Equilibrium, Status
+
+ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
+"""Arrays with a value per point; the others are short enough to be read in the JSON file."""
+
+_IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
+
+_StatusByName = Annotated[
+    Status,
+    BeforeValidator(lambda name: Status.__members__.get(name, name) if isinstance(name, str) else name),
+    PlainSerializer(lambda status: status.name),
+]
+
+
+def _record_model() -> type[BaseModel]:
+    """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
+    types: dict[str, Any] = typing.get_type_hints(Equilibrium)
+    types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName, "robot": AnyRobot}
+    fields: dict[str, Any] = {name: (types[name], ...) for name in _IN_JSON}
+    # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
+    config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
+    return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
+
+
+_Record = _record_model()
+
+
+def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -> list[Path]:
+    """Write `result.json` and `arrays.npz` into `directory`, each whole or not at all, and return their paths.
+
+    Raises:
+        InputError: the files cannot be written.
+    """
+    result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
+    content = io.BytesIO()
+    np.savez(content, **{name: getattr(equilibrium, name) for name in ALONG_THE_ARM})
+    values = {name: getattr(equilibrium, name) for name in _IN_JSON}
+    for name in values.keys() & ARRAYS:
+        values[name] = values[name].tolist()
+    record = _Record.model_construct(arrays_sha256=hashlib.sha256(content.getvalue()).hexdigest(), **values)
+    with atomic_write(arrays) as temporary:
+        temporary.write_bytes(content.getvalue())
+    write_text(result, record.model_dump_json(indent=2) + "\n")
+    return [result, arrays]
+
+
+def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
+    """The equilibrium that `save_equilibrium` wrote into `directory`, equal in every bit.
+
+    Raises:
+        InputError: a file is missing, is not what was written, or the two are not of the same solve.
+    """
+    result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
+    try:
+        record = check(_Record, json.loads(read_text(result)), result)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{result}: not valid JSON: line {error.lineno}: {error.msg}") from None
+    values = {name: getattr(record, name) for name in _Record.model_fields}
+    for name in values.keys() & ARRAYS:
+        values[name] = np.array(values[name], dtype=float)
+    content = read_bytes(arrays)
+    if hashlib.sha256(content).hexdigest() != values.pop("arrays_sha256"):
+        raise InputError(f"{arrays}: these are not the arrays that belong to {result}")
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        values |= {name: stored[name] for name in ALONG_THE_ARM}
+    return Equilibrium(**values)

@@ -1,0 +1,83 @@
+"""The Jacobian of an equilibrium: tip pose, tips of the tubes, margin and energy by joint values and dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SolveError
+from ..typing import Array
+from .derivatives import Derivatives
+from .result import Equilibrium
+from .state import arm_of_equilibrium, problem_of
+
+SOLVED = 1e-6
+"""Largest error (rad) of the rotations at the plate of an equilibrium that is differentiated."""
+
+JOINTS = ("rotations", "translations")
+"""What a Jacobian is taken with respect to unless asked otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian:
+    """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
+
+    Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
+    translation in equal parts, so that the chain rule holds for every motion that is possible.
+
+    Attributes:
+        wrt: of what the columns are: "rotations", "translations", or a dimension of the tubes.
+        position: (3, Q) of tip_position.  rotation: (3, Q) turn vector of the tip frame, in the plate frame, rad.
+        tip_rotations: (n, Q) of theta at each tube's own end.
+        margin: (Q,); NaN where the margin is a double eigenvalue.  energy: (Q,), J.
+    """
+
+    wrt: tuple[str, ...]
+    position: Array
+    rotation: Array
+    tip_rotations: Array
+    margin: Array
+    energy: Array
+
+
+def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, side: int = 1) -> Derivatives:
+    """Derivatives of an equilibrium, computed where they are asked for; see `Derivatives`."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    arm = arm_of_equilibrium(equilibrium, assembly)
+    if arm.n_pieces:
+        off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
+        if off > SOLVED:
+            raise SolveError(
+                f"the equilibrium is a fold or was not solved: its base rotations are off by {off:.1e} rad"
+            )
+    return Derivatives(
+        arm,
+        assembly,
+        equilibrium.robot.moving_together,
+        wrt=wrt,
+        side=side,
+        margin=equilibrium.margin,
+        problem=lambda: problem_of(equilibrium),
+    )
+
+
+def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int = 1) -> Jacobian:
+    """Derivatives of tip pose, tube tips, margin and energy of an equilibrium, by the implicit function theorem.
+
+    Where breakpoints coincide (at home, for instance, every transition lies at the plate) a translation or a length
+    changes the order of the sections, and the derivatives differ to either side.
+
+    Args:
+        wrt: any of "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
+            "torsional_stiffness"; n columns each. Lengths change with the translations held: a longer straight part
+            is a longer transmission.
+        side: 1 for breakpoints that move towards the tip, -1 for those that move towards the plate.
+
+    Raises:
+        InputError: an unknown name, or a side that is neither.
+        SolveError: the equilibrium is a fold, where derivatives are infinite.
+    """
+    of = derivatives_of(equilibrium, wrt, side=side)
+    return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)

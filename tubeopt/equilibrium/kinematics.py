@@ -1,0 +1,321 @@
+"""Forward kinematics: joint values -> the equilibrium that the robot takes."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, SolveError, choice, positive, vector
+from ..robots.robot import Robot
+from ..solvers.compiled.binding import Start, solve_compiled
+from ..solvers.ipopt import solve_ipopt
+from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
+from ..transcription import arm as arms
+from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
+from ..typing import Array
+from .continuation import (
+    LARGEST_RATIO,
+    LARGEST_SHIFT,
+    LARGEST_TURN,
+    LARGEST_TWIST,
+    JointPath,
+    Point,
+    follow_to,
+    largest_twist,
+)
+from .result import Equilibrium, Status
+from .solving import (
+    DEFAULT_DISCRETISATION,
+    Discretisation,
+    Solution,
+    from_compiled,
+    polish,
+    reduced_problem,
+    sample_rotation,
+    to_equilibrium,
+)
+from .verification import verify_equilibrium
+
+METHODS = ("newton", "ipopt", "energy")
+
+FINEST = 6
+"""Most times that the pieces of the mesh are halved."""
+
+HOMOTOPY_STEP = np.pi / 8
+"""Largest turn (rad) of a tube per step of the way from home."""
+
+MOST_TURN = 1e3
+"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
+
+
+def forward_kinematics(
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    method: str = "newton",
+    guess: Equilibrium | None = None,
+    tolerance: float = 1e-8,
+    verify: bool = False,
+    discretisation: Discretisation = DEFAULT_DISCRETISATION,
+) -> Equilibrium:
+    """Equilibrium of a robot at given joint values.
+
+    Without a guess the answer is a stable equilibrium: the one that energy descent (method "newton") reaches from
+    tubes without torsion, or, where that is unstable, the one that is reached by turning all tubes together from home.
+    With a guess, an equilibrium at other joint values, the branch of the guess is followed, stable or not.
+
+    Args:
+        rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
+        method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
+            nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only).
+        tolerance: wanted accuracy of theta(s), rad; the mesh is refined until the estimate is below.
+        verify: also re-integrate adaptively and report the difference in `.verification`.
+        discretisation: collocation family and degree.
+
+    Raises:
+        InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
+            actuator, unknown method.
+        SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), or the tolerance
+            is out of reach; `.solution` holds the best equilibrium found, where there is one.
+    """
+    began = time.perf_counter()
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    check_turn("rotations", alpha)
+    home = robot.home_translations if translations is None else translations
+    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    choice("method", method, METHODS)
+    positive("tolerance", tolerance)
+    if guess is not None and guess.robot.n_tubes != robot.n_tubes:
+        raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+    if method == "newton" and discretisation == DEFAULT_DISCRETISATION:
+        quick = _compiled(robot, alpha, shift, guess, began)
+        if quick is not None and _error(quick) <= tolerance:
+            return verify_equilibrium(quick) if verify else quick
+    if guess is None:
+        solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, method)
+    else:
+        solution, start = follow_branch(robot, guess, alpha, shift, discretisation), "guess"
+        if method != "newton":
+            solution = _resolve(solution.problem, alpha, solution.arm, method)
+    equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (method, start, began))
+    return verify_equilibrium(equilibrium) if verify else equilibrium
+
+
+def check_turn(name: str, rotations: Array) -> None:
+    """Raise InputError naming a rotation beyond MOST_TURN."""
+    most = rotations.ravel()[int(np.argmax(np.abs(rotations)))] if rotations.size else 0.0
+    if abs(most) > MOST_TURN:
+        raise InputError(f"{name} has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
+
+
+def _to_tolerance(
+    robot: Robot,
+    solution: Solution,
+    shift: tuple[float, ...],
+    discretisation: Discretisation,
+    tolerance: float,
+    how: tuple[str, str, float],
+) -> Equilibrium:
+    """The equilibrium on the first mesh whose estimated error is small enough; `how` is method, start, and when begun.
+
+    Raises:
+        SolveError: no mesh is fine enough, or finer ones no longer help.
+    """
+    method, start, began = how
+    before, finest = np.inf, max(FINEST, discretisation.refinement)
+    for level in range(discretisation.refinement, finest + 1):
+        equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
+        error = _error(equilibrium)
+        if error <= tolerance:
+            return equilibrium
+        if level == finest or error > before / 2:
+            why = "" if level == finest else "; finer pieces no longer help"
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", equilibrium)
+        before = error
+        finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
+        solution = _refine(robot, solution, shift, finer, method)
+    raise AssertionError("the finest mesh either holds the tolerance or raises")
+
+
+def _error(equilibrium: Equilibrium) -> float:
+    """Estimated error of theta(s), rad, or of the tip as a fraction of the arm, whichever is larger."""
+    length = max(float(equilibrium.arc_length[-1]), 1e-300)
+    return max(equilibrium.mesh_error, equilibrium.tip_error / length)
+
+
+def _compiled(
+    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, began: float
+) -> Equilibrium | None:
+    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines."""
+    _check_translations(robot, shift)
+    start, translations = None, np.array(shift)
+    if guess is not None:
+        turn = rotations - guess.rotations
+        if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
+            return None
+        start = Start(guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation, turn)
+    answer = solve_compiled(robot, rotations, translations, start)
+    if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
+        return None
+    if answer["largest_change"] > (LARGEST_TWIST if guess is None else largest_twist(guess.margin)):
+        return None
+    how = "tubes without torsion" if start is None else "guess"
+    return from_compiled(robot, rotations, shift, answer, (how, began))
+
+
+@lru_cache(maxsize=256)
+def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
+    """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
+    if any(len(tubes) > 1 for tubes in robot.moving_together):
+        robot.assembly(np.array(shift))
+
+
+def _small(turn: Array, shift: Array, length: float) -> bool:
+    """Whether a motion is so small that one step of Newton from the old equilibrium stays on its branch."""
+    moved = abs(shift).max() / max(length, 1e-300)
+    return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
+
+
+def _cold(problem: ReducedProblem, rotations: Array, method: str) -> tuple[Solution, str]:
+    """A stable equilibrium from tubes without torsion, else by way of home."""
+    failure = ""
+    try:
+        untwisted = _untwisted(problem, rotations)
+        solution = _resolve(problem, rotations, untwisted, method)
+        if solution.margin > 0:
+            return solution, "tubes without torsion"
+    except SolveError as error:
+        failure = f" ({error})"
+    solution = _from_home(problem, rotations)
+    if solution.margin <= 0 or not solution.result.converged:
+        raise SolveError(f"no stable equilibrium was found: the best has margin {solution.margin:.3g}{failure}")
+    if method != "newton":
+        solution = _resolve(problem, rotations, solution.arm, method)
+    return solution, "the way from home"
+
+
+def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
+    pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
+    extra = np.zeros((pieces, problem.mesh.tableau.degree, n)) if problem.assembly.eccentric else None
+    still = np.zeros((pieces, problem.mesh.tableau.degree, n))
+    return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
+
+
+def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: str) -> Solution:
+    """Solve from a guess by the named method; raises SolveError where it does not converge."""
+    if method == "newton":
+        z = _unknowns(problem, rotations, guess)
+        result = (_by_centreline if problem.assembly.eccentric else descend)(problem, rotations, z)
+    elif method == "energy" and problem.assembly.eccentric:
+        raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
+    else:
+        result = solve_ipopt(problem, rotations, guess, "energy" if method == "energy" else "equations")
+    if not result.converged:
+        raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
+    return Solution(problem, rotations, result, margin(problem, result.state))
+
+
+def _by_centreline(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
+    """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
+    concentric = on_centreline(problem)
+    theta = evaluate(problem, rotations, z).theta
+    start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta))
+    return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta))
+
+
+def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) -> Array:
+    nodes = tuple(problem.mesh.tableau.nodes.tolist())
+    theta = arms.rotations_at(problem, guess, nodes)[problem.mesh.collocated]
+    return to_unknowns(problem, rotations, theta.reshape(-1, len(rotations)))
+
+
+def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
+    """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
+    concentric = on_centreline(problem)
+    steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / HOMOTOPY_STEP)))
+    z = np.zeros(concentric.size)
+    for k in range(1, steps + 1):
+        alpha = rotations * k / steps
+        result = descend(concentric, alpha, z)
+        if result.converged and margin(concentric, result.state) <= 0:
+            sides = [descend(concentric, alpha, start) for start in leave_saddle(concentric, result.state)]
+            result = min(sides, key=lambda side: side.state.energy)
+        z = result.state.z
+    if problem.assembly.eccentric:
+        theta = result.state.theta
+        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
+    return Solution(problem, rotations, result, margin(problem, result.state))
+
+
+def _refine(robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str) -> Solution:
+    """The same equilibrium on a finer mesh, started from the coarse one."""
+    problem = reduced_problem(robot, shift, finer)
+    theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
+    z = to_unknowns(problem, coarse.rotations, theta)
+    result = newton(problem, coarse.rotations, z)
+    if not result.converged:
+        raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
+    solution = Solution(problem, coarse.rotations, result, margin(problem, result.state))
+    return solution if method == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
+
+
+def one_step(
+    robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...], *, tolerance: float = 1e-8
+) -> Equilibrium | None:
+    """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
+    ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
+    began = time.perf_counter()
+    quick = _compiled(robot, rotations, translations, guess, began)
+    if quick is None:
+        solution = _near(robot, guess, rotations, translations, DEFAULT_DISCRETISATION)
+        if solution is None:
+            return None
+        quick = to_equilibrium(robot, solution, translations, ("newton", "guess", time.perf_counter() - began))
+    if _error(quick) <= tolerance:
+        return quick
+    return forward_kinematics(robot, rotations, translations, guess=quick, tolerance=tolerance)
+
+
+def _near(
+    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
+) -> Solution | None:
+    """The solution after a small motion, from the guess itself, without solving for it once more; None where Newton's
+    method is not at ease, or the motion is not small."""
+    problem = reduced_problem(robot, shift, discretisation)
+    turn = rotations - guess.rotations
+    if not _small(turn, shift - guess.translations, problem.assembly.total_length):
+        return None
+    theta = sample_rotation(guess, problem.arc_length) + turn
+    result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
+    # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
+    far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
+    if not result.converged or result.contraction > LARGEST_RATIO or far:
+        return None
+    return Solution(problem, rotations, result, margin(problem, result.state))
+
+
+def follow_branch(
+    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
+) -> Solution:
+    """Follow the branch of `guess`, stable or not, along the straight path of joint values.
+
+    Raises:
+        SolveError: the branch ends on the way.
+    """
+    near = _near(robot, guess, rotations, shift, discretisation)
+    if near is not None:
+        return near
+    own = np.concatenate([guess.rotations, guess.translations])
+    path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
+    points, reached = follow_to(path, Point(0.0, polish(guess, discretisation)), 1.0, stable=False)
+    if not reached:
+        at = points[-1].t if points else 0.0
+        raise SolveError(
+            f"{Status.BRANCH_ENDED}: it ends {100 * at:.2f} % of the way from the guess to the goal", guess
+        )
+    return points[-1].solution

@@ -1,0 +1,128 @@
+"""The result of a forward-kinematics solve: plain arrays, saved as JSON + npz."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from os import PathLike
+from typing import TYPE_CHECKING
+
+from ..robots.robot import Robot
+from ..typing import Array
+
+if TYPE_CHECKING:
+    from .jacobian import Jacobian
+
+
+class Status(Enum):
+    """What became of a solve; every value reads as a sentence."""
+
+    STABLE = "a stable equilibrium was found"
+    UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
+    NOT_CONVERGED = "no equilibrium was found"
+    BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
+    MESH_TOO_COARSE = "the wanted tolerance was not reached on the finest mesh"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """How a solve went: method, iterations, elements of the mesh and their degree, how the answer was reached, and on
+    which points: family of collocation, and how often the pieces of the default mesh were halved."""
+
+    method: str
+    iterations: int
+    elements: int
+    degree: int
+    start: str
+    seconds: float
+    family: str = "gauss"
+    refinement: int = 0
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Difference between the solution and an adaptive re-integration of its initial values (DOP853, 1e-12)."""
+
+    tip_position: float
+    tip_rotation: float
+    rotation: float
+    end_torsion: float
+    base_rotation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
+
+    Attributes:
+        robot, rotations (n,), translations (n,): the input.
+        tip_position (3,), tip_rotation (3, 3): pose of the end of the longest tube in the plate frame.
+        arc_length (m,), position (m, 3), frame (m, 3, 3), curvature (m, 2): centreline with its Bishop frame, and the
+            curvature vector in that frame.
+        rotation (n, m), torsion (n, m): theta_i(s) and its derivative; beyond a tube's end constant, and 0.
+        tip_rotations (n,): theta_i at each tube's own end.
+        section_start (k,): arc length of the breakpoints in front of the plate.
+        tube_end (n,): arc length of each tube's end.
+        point (N,), point_rotation (N, n): arc length of the collocation points, and theta_i there of the
+            tubes that are coupled there (their base rotation for the others): where a warm start begins.
+        margin: smallest eigenvalue of the second variation relative to its torsional part; 1 no elastic coupling,
+            0 a snap, below 0 unstable.
+        index: number of negative eigenvalues of the second variation, 0 for a stable equilibrium.
+        energy: bending and torsion in front of the plate and torsion of the transmissions, J.
+        residual: largest violation of the collocation equations, rad.
+        mesh_error: estimated largest error of theta_i(s), rad.   tip_error: estimated error of tip_position, m.
+        status, statistics: how the solve ended, and its cost.
+        verification: comparison with an adaptive re-integration, where asked for.
+    """
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    tip_position: Array
+    tip_rotation: Array
+    arc_length: Array
+    position: Array
+    frame: Array
+    curvature: Array
+    rotation: Array
+    torsion: Array
+    tip_rotations: Array
+    section_start: Array
+    tube_end: Array
+    point: Array
+    point_rotation: Array
+    margin: float
+    index: int
+    energy: float
+    residual: float
+    mesh_error: float
+    tip_error: float
+    status: Status
+    statistics: Statistics
+    verification: Verification | None = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the robot stays in this equilibrium: margin > 0."""
+        return self.margin > 0
+
+    def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
+        """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
+        from .jacobian import jacobian
+
+        return jacobian(self, wrt=wrt, side=side)
+
+    def save(self, directory: str | PathLike[str]) -> None:
+        """Write `result.json` and `arrays.npz` into `directory`; `load_equilibrium` reads them back."""
+        from .file import save_equilibrium
+
+        save_equilibrium(self, directory)
+
+
+ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")
+"""Names of the array fields, in order."""

@@ -1,0 +1,193 @@
+"""A solved torsion problem, on its way from the solver to the plain `Equilibrium`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ..errors import SolveError
+from ..robots.robot import Robot
+from ..solvers.newton import NewtonResult, newton
+from ..transcription import arm as arms
+from ..transcription.mesh import make_mesh, piece_counts
+from ..transcription.piece import STEPS
+from ..transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns, unstable_directions
+from ..typing import Array
+from .result import Equilibrium, Statistics, Status
+
+
+@dataclass(frozen=True)
+class Discretisation:
+    """How the torsion problem is transcribed: collocation family and degree, and halvings of the default pieces."""
+
+    family: str = "gauss"
+    degree: int = 6
+    refinement: int = 0
+
+
+DEFAULT_DISCRETISATION = Discretisation()
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved reduced problem at base rotations (n,)."""
+
+    problem: ReducedProblem
+    rotations: Array
+    result: NewtonResult
+    margin: float
+
+    @property
+    def arm(self) -> arms.Profile:
+        """Torsion along the arm."""
+        return arms.profile(self.problem, self.rotations, self.result.state)
+
+
+@lru_cache(maxsize=64)
+def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
+    """The reduced torsion problem at given translations, built once for all rotations."""
+    assembly = robot.assembly(np.array(translations))
+    d = discretisation
+    pieces = piece_counts(assembly, d.refinement)
+    return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
+
+
+def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
+    """The discretisation on which an equilibrium was solved."""
+    how = equilibrium.statistics
+    return Discretisation(how.family, how.degree, how.refinement)
+
+
+def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
+    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
+    shift = tuple(equilibrium.translations.tolist())
+    problem = reduced_problem(equilibrium.robot, shift, discretisation)
+    theta = sample_rotation(equilibrium, problem.arc_length)
+    result = newton(problem, equilibrium.rotations, to_unknowns(problem, equilibrium.rotations, theta))
+    if not result.converged:
+        raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
+    return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
+
+
+def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
+    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite."""
+    if np.array_equal(arc_length, equilibrium.point):
+        return equilibrium.point_rotation
+    s = equilibrium.arc_length
+    if len(s) < 2:
+        return np.tile(equilibrium.rotation[:, 0], (len(arc_length), 1))
+    k = np.clip(np.searchsorted(s, arc_length, side="right") - 1, 0, len(s) - 2)
+    h = s[k + 1] - s[k]
+    x = np.clip((arc_length - s[k]) / h, 0.0, 1.0)
+    r, w = equilibrium.rotation, equilibrium.torsion
+    value = r[:, k] * (1 + 2 * x) * (1 - x) ** 2 + r[:, k + 1] * x**2 * (3 - 2 * x)
+    value += h * (w[:, k] * x * (1 - x) ** 2 - w[:, k + 1] * x**2 * (1 - x))
+    return np.asarray(value.T)
+
+
+def from_compiled(
+    robot: Robot, rotations: Array, translations: tuple[float, ...], answer: dict[str, Any], how: tuple[str, float]
+) -> Equilibrium:
+    """The equilibrium that the compiled kernel found; `how` is its start, and when (s) the solve began."""
+    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
+    position, frame = answer["position"][:m].copy(), answer["frame"][:m].copy()
+    start, began = how
+    return Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=np.array(translations),
+        tip_position=position[-1],
+        tip_rotation=frame[-1],
+        arc_length=answer["arc_length"][:m].copy(),
+        position=position,
+        frame=frame,
+        curvature=answer["curvature"][:m].copy(),
+        rotation=answer["rotation"][:m].T.copy(),
+        torsion=answer["torsion"][:m].T.copy(),
+        tip_rotations=answer["tip_rotations"].copy(),
+        section_start=answer["section_start"][: int(answer["sections"])].copy(),
+        point=answer["point"][:points].copy(),
+        point_rotation=answer["point_rotation"][:points].copy(),
+        tube_end=answer["tube_end"].copy(),
+        margin=float(answer["margin"]),
+        index=0,
+        energy=float(answer["energy"]),
+        residual=float(answer["residual"]),
+        mesh_error=float(answer["mesh_error"]),
+        tip_error=float(answer["tip_error"]),
+        status=Status.STABLE,
+        statistics=Statistics(
+            method="newton",
+            iterations=int(answer["iterations"]),
+            elements=int(answer["elements"]),
+            degree=DEFAULT_DISCRETISATION.degree,
+            start=start,
+            seconds=time.perf_counter() - began,
+        ),
+    )
+
+
+def to_equilibrium(
+    robot: Robot, solution: Solution, translations: tuple[float, ...], how: tuple[str, str, float]
+) -> Equilibrium:
+    """Shape, energy and error estimates of a solved problem; `how` is method, start, and seconds so far."""
+    problem, rotations, state = solution.problem, solution.rotations, solution.result.state
+    began = time.perf_counter()
+    assembly, mesh = problem.assembly, problem.mesh
+    arm = arms.evaluate_arm(problem, rotations, state, solution.arm)
+    s = arm.arc_length
+    ends = np.maximum(assembly.end, 0.0)
+    # The inverse of the linearised equation amplifies a defect by at most one over the margin.
+    error = arm.defect / max(min(1.0, abs(solution.margin)), 1e-6)
+    # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
+    # |u| itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum kb_i does.
+    ahead = mesh.start[-1:] + mesh.length[-1:] - mesh.start - mesh.length / 2
+    pull = np.abs(problem.piece_moment).sum(1) / np.maximum(problem.piece_stiffness.sum(1), 1e-300)
+    lever = float((pull * mesh.length) @ ahead) if len(mesh.length) else 0.0
+    method, start, seconds = how
+    return Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=np.array(translations),
+        tip_position=arm.position[-1],
+        tip_rotation=arm.frame[-1],
+        arc_length=s,
+        position=arm.position,
+        frame=arm.frame,
+        curvature=arm.curvature,
+        rotation=arm.rotation,
+        torsion=arm.torsion,
+        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(s, ends - 1e-12)],
+        section_start=assembly.start,
+        point=problem.arc_length,
+        point_rotation=state.theta,
+        tube_end=ends,
+        margin=solution.margin,
+        index=0 if solution.margin > 0 else unstable_directions(problem, state),
+        energy=arm.energy,
+        residual=residual(problem, state),
+        mesh_error=error,
+        tip_error=arm.shape_error + error * lever,
+        status=Status.STABLE if solution.margin > 0 else Status.UNSTABLE,
+        statistics=Statistics(
+            method=method,
+            iterations=solution.result.iterations,
+            elements=int(mesh.collocated.sum()),
+            degree=mesh.tableau.degree,
+            start=start,
+            seconds=seconds + time.perf_counter() - began,
+            family=mesh.tableau.family,
+            refinement=_refinement(problem),
+        ),
+    )
+
+
+def _refinement(problem: ReducedProblem) -> int:
+    """How often the pieces of the default mesh were halved."""
+    collocated = problem.mesh.collocated
+    usual = piece_counts(problem.assembly)[problem.assembly.coupled].sum()
+    return round(float(np.log2(collocated.sum() / usual))) if usual else 0

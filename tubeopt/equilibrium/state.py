@@ -1,0 +1,104 @@
+"""A solved equilibrium as the arm that derivatives and blocks are made from."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ..robots.assembly import Assembly
+from ..transcription import arm as arms
+from ..transcription.buffered import section_function
+from ..transcription.collocated import ENDS
+from ..transcription.linear import Arm
+from ..transcription.reduced import ReducedProblem
+from ..transcription.tableau import tableau
+from ..typing import Array
+from .result import Equilibrium
+from .solving import Solution, discretisation_of, polish, reduced_problem
+
+
+def arm_of(solution: Solution) -> Arm:
+    """The arm of a solved problem."""
+    problem, t = solution.problem, solution.problem.mesh.tableau
+    assembly, mesh, torsion = problem.assembly, problem.mesh, solution.arm
+    shape = arms.evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
+    return Arm(
+        tableau=t,
+        start=mesh.start,
+        length=mesh.length,
+        stiffness=problem.piece_stiffness,
+        moment=problem.piece_moment,
+        torsional_stiffness=assembly.torsional_stiffness,
+        transmission=assembly.transmission,
+        place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
+        theta=torsion.rotation,
+        twist=torsion.twist,
+        inner=arms.rotations_at(problem, torsion, tuple(t.nodes.tolist())),
+        position=shape.position,
+        frame=shape.frame,
+    )
+
+
+def problem_of(equilibrium: Equilibrium) -> ReducedProblem:
+    """The reduced problem of an equilibrium, on its own mesh."""
+    return reduced_problem(equilibrium.robot, tuple(equilibrium.translations.tolist()), discretisation_of(equilibrium))
+
+
+HERMITE = 2 * len(ENDS) - 2
+"""Values at ENDS and slopes at those inside a piece: a polynomial with so many coefficients is told by them."""
+
+
+def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
+    """The arm of an equilibrium, whose torsion is read off its shape points.
+
+    Raises:
+        SolveError: the mesh is of a degree that shape points do not tell, and Newton's method does not stay at the
+            equilibrium (a fold).
+    """
+    how = equilibrium.statistics
+    if how.degree + 2 > HERMITE:
+        return arm_of(polish(equilibrium, discretisation_of(equilibrium)))
+    t = tableau(how.family, how.degree)
+    steps, n = len(ENDS) - 1, assembly.n_tubes
+    start = equilibrium.arc_length[:-1:steps]
+    length = equilibrium.arc_length[steps::steps] - start
+    section = np.searchsorted(assembly.start, start + length / 2) - 1
+    stiffness = assembly.bending_stiffness * assembly.present[section]
+    moment = (assembly.bending_stiffness * assembly.curvature) * assembly.curved[section]
+    index = np.arange(len(start))[:, None] * steps + np.arange(len(ENDS))
+    theta, slope = equilibrium.rotation.T[index], equilibrium.torsion.T[index[:, 1:-1]]
+    inner = _hermite(how.family, how.degree) @ np.concatenate([theta, length[:, None, None] * slope], axis=1)
+    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
+    twist = equilibrium.torsion.T[index[:, 0]]
+    if place:
+        kb, m = (np.repeat(table, t.degree, axis=0) for table in (stiffness, moment))
+        function = section_function("moment", len(kb), n, True)
+        gain = function(inner.reshape(-1, n), kb, m, *place)[0].reshape(inner.shape) / assembly.torsional_stiffness
+        turned = length[:, None] * (t.weights @ gain)
+        twist = -np.cumsum(turned[::-1], axis=0)[::-1]
+    return Arm(
+        tableau=t,
+        start=start,
+        length=length,
+        stiffness=stiffness,
+        moment=moment,
+        torsional_stiffness=assembly.torsional_stiffness,
+        transmission=assembly.transmission,
+        place=place,
+        theta=theta[:, 0],
+        twist=twist,
+        inner=inner,
+        position=equilibrium.position,
+        frame=equilibrium.frame,
+    )
+
+
+@lru_cache(maxsize=16)
+def _hermite(family: str, degree: int) -> Array:
+    """(K, HERMITE) values at the collocation points from those at ENDS and slopes at ENDS inside."""
+    power = np.arange(HERMITE)
+    slopes = power * ENDS[1:-1, None] ** np.maximum(power - 1, 0)
+    conditions = np.concatenate([ENDS[:, None] ** power, slopes])
+    nodes = tableau(family, degree).nodes
+    return np.asarray(np.linalg.solve(conditions.T, (nodes[:, None] ** power).T).T)

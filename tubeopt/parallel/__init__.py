@@ -1,0 +1,7 @@
+"""Many independent computations on the cores of this machine, or on a cluster."""
+
+from __future__ import annotations
+
+from .executors import Failure, Outcome, common_data, each, executor
+
+__all__ = ["Failure", "Outcome", "common_data", "each", "executor"]

@@ -1,0 +1,113 @@
+"""Trajectories in CSV: a column of time in s, then one per joint, with units; comments say of which robot they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, nearest
+from ..files.csv_file import read_csv, refuse, to_csv
+from ..files.files import read_text, write_text
+from ..files.units import DEG, MM, RAD, in_unit
+from ..robots.file import load_robot
+from ..robots.robot import Robot
+from ..runs.path_file import joint_columns
+from ..stability.equilibria import find_equilibria
+from ..typing import Array
+from .trajectory import Trajectory
+
+TIME = "time_s"
+ROBOT, BRANCH = "robot: ", "start tip rotations in deg: "
+
+
+@dataclass(frozen=True, eq=False)
+class TimedJoints:
+    """T samples: time (T,) s, rotations (T, n) rad, translations (T, n) m; tip rotations (n,) at the start, rad, where
+    the file tells them."""
+
+    robot: Robot
+    time: Array
+    rotations: Array
+    translations: Array
+    start_tips: Array | None
+
+    def start(self) -> Equilibrium | None:
+        """The equilibrium at the first sample that has the tip rotations of the file; None where it tells none.
+
+        Raises:
+            InputError: no equilibrium there has these tip rotations.
+        """
+        tips = self.start_tips
+        if tips is None:
+            return None
+        found = find_equilibria(self.robot, self.rotations[0], self.translations[0])
+        best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()))
+        if np.abs(best.tip_rotations - tips).max() > 1e-3:
+            raise InputError("no equilibrium at the first sample has the tip rotations that the file gives")
+        return best
+
+
+def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_file: str = "") -> None:
+    """Write the joint values over time; `robot_file` is where the robot is, relative to the file.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    t = trajectory
+    turns, shifts = joint_columns(t.robot.n_tubes)
+    tips = ", ".join(str(in_unit(float(angle), DEG)) for angle in t.start.tip_rotations)
+    comment = [f"{ROBOT}{robot_file}"] if robot_file else []
+    comment += [f"{BRANCH}{tips}", f"least margin {t.proof.least_margin:.6f}, {t.status}"]
+    rows = (
+        [in_unit(float(time), RAD), *(in_unit(float(a), DEG) for a in alpha), *(in_unit(float(d), MM) for d in shift)]
+        for time, alpha, shift in zip(t.time, t.rotations, t.translations, strict=True)
+    )
+    write_text(path, to_csv([TIME, *turns, *shifts], rows, "\n".join(comment)))
+
+
+def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> TimedJoints:
+    """The trajectory in a CSV file: columns time_s, rotation_1_deg, ... and translation_1_mm, ... (by default home).
+
+    Args:
+        robot: whose it is; by default that of the file which a comment `# robot: FILE` names.
+
+    Raises:
+        InputError: no such file, no robot, columns that are unknown or missing, cells that are no numbers.
+    """
+    comments = [line.lstrip("# ").strip() for line in read_text(path).splitlines() if line.startswith("#")]
+    named = [line.removeprefix(ROBOT) for line in comments if line.startswith(ROBOT)]
+    if robot is None and not named:
+        raise InputError(f"{path}: the file names no robot; give --robot ROBOT.yaml")
+    own = robot if robot is not None else load_robot(Path(path).parent / named[0])
+    table = read_csv(path)
+    turns, shifts = joint_columns(own.n_tubes)
+    known = [TIME, *turns, *shifts]
+    problems = [f"column {c} is not known{nearest(c, known)}" for c in table.columns if c not in known]
+    problems += [f"column {c} is missing" for c in [TIME, *turns] if c not in table.columns]
+    moved = [c for c in shifts if c in table.columns]
+    problems += [
+        f"column {c} is missing; it must be there since {moved[0]} is" for c in shifts if moved and c not in moved
+    ]
+    refuse(path, problems)
+    time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
+    home = np.tile(own.home_translations, (len(table.rows), 1))
+    translations = table.numbers(shifts, MM) if moved else home
+    table.check()
+    return TimedJoints(own, time, rotations, translations, _tips(path, comments, own.n_tubes))
+
+
+def _tips(path: str | PathLike[str], comments: list[str], n: int) -> Array | None:
+    told = [line.removeprefix(BRANCH) for line in comments if line.startswith(BRANCH)]
+    if not told:
+        return None
+    try:
+        tips = np.radians([float(part) for part in told[0].split(",")])
+    except ValueError:
+        tips = np.zeros(0)
+    if len(tips) != n or not np.isfinite(tips).all():
+        raise InputError(f"{path}: start tip rotations are {told[0]!r}; they must be {n} numbers")
+    return tips

@@ -1,0 +1,269 @@
+"""A trajectory as one nonlinear program: direct collocation over time, one equilibrium block at every knot.
+
+Time runs from 0 to 1; the duration T is an unknown. Unknowns at every knot are the joint values q, their rates
+q' = T dq/dt, and the tip rotations z, in which the equilibrium block is explicit (see `explicit`): its equations are
+
+    alpha(z_k, d_k) = rotations of q_k,   fields(z_k, d_k, margin) > 0.
+
+Between knots q is cubic, so q'' is linear and q' is quadratic, and the bounds
+
+    |q'| <= rate sqrt(S)   (on the three Bezier coefficients),   |q''| <= acceleration S   (at both ends)
+
+hold everywhere, and are convex in the square of the duration, S = T^2. Length, int |q'|^2, and effort, int |q''|^2, are
+quadratic in q and q'. Joint values alone could jump between knots to another branch with the same joint values: the tip
+rotations change by a bounded amount per interval, and their motion counts as well. The Hessian that IPOPT is given is
+exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..block.quantities import Expression, Quantity
+from ..bodies.corridors import MeshObstacle
+from ..bodies.obstacles import Obstacle
+from ..transcription.explicit import explicit_arm, explicit_joints
+from ..typing import Array
+
+SHARPNESS = 400.0
+"""Sharpness of the smooth least distance over the length of the robot: at most log(points) / 400 too small."""
+
+SPLITS = 4
+"""Points per step of the arm at which its distance from obstacles is measured."""
+
+TIPS = 0.05
+"""Weight of the motion of the tip rotations beside that of the joints, in the length."""
+
+OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-4,
+    "ipopt.constr_viol_tol": 1e-7,
+    "ipopt.acceptable_tol": 1e-2,
+    "ipopt.acceptable_iter": 5,
+    "ipopt.acceptable_constr_viol_tol": 1e-7,
+    "ipopt.acceptable_obj_change_tol": 1e-3,
+    "ipopt.max_iter": 80,
+    "ipopt.mu_init": 1e-2,
+}
+
+PARAMETERS = (
+    "robot",
+    "offset",
+    "scale",
+    "rate",
+    "acceleration",
+    "weights",
+    "order",
+    "step",
+    "twist",
+    "radius",
+    "clearance",
+)
+"""robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,) over the scale, times the unit of
+time and its square; weights (4,) of length, time, effort and margin; order (rows, m) of the joints; step (intervals,)
+share of the time of each interval; twist (intervals,) largest change of a tip rotation, rad; radius (n,) of the arm and
+clearance to keep (1,), m."""
+
+
+@dataclass(frozen=True)
+class PathQuestion:
+    """What makes two programs the same but for numbers.
+
+    n tubes, carriages (groups of tubes, from 0), eccentric; intervals between knots; rows of the order of the joints;
+    obstacles; length (m) of the robot; an own cost: its expression of the quantities of one pose, and its weight, which
+    is negative where more of it is better.
+    """
+
+    n: int
+    carriages: tuple[tuple[int, ...], ...]
+    eccentric: bool
+    intervals: int
+    rows: int
+    obstacles: tuple[Obstacle, ...]
+    length: float
+    extra: tuple[Expression, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PathProgram:
+    """The program. Unknowns, in units of the scale and by columns: joint values (m, K), rates (m, K), tip rotations
+    (n, K), square of the duration, margin.
+
+    `rows`: number of constraints of each kind, in order.   `options`: of IPOPT.
+    """
+
+    problem: dict[str, Any]
+    hessian: ca.Function
+    rows: dict[str, int]
+
+    def solver(self, seconds: float) -> ca.Function:
+        """IPOPT, to spend at most so many seconds."""
+        options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1), "hess_lag": self.hessian}
+        return ca.nlpsol("path", "ipopt", self.problem, options)
+
+
+def parameter_values(**values: Any) -> Array:
+    """Parameters of a program, in the order in which `path_program` reads them."""
+    return np.concatenate([np.ravel(np.asarray(values[name], dtype=float), order="F") for name in PARAMETERS])
+
+
+@lru_cache(maxsize=32)
+def path_program(question: PathQuestion) -> PathProgram:
+    """The program of a question, built once."""
+    n, groups, intervals = question.n, len(question.carriages), question.intervals
+    m, knots = n + groups, question.intervals + 1
+    sizes = {"robot": 7 * n, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
+    sizes |= {"order": question.rows * m, "step": intervals, "twist": intervals, "radius": n, "clearance": 1}
+    p = {name: ca.MX.sym(name, sizes[name]) for name in PARAMETERS}
+    joints, rates, tip = ca.MX.sym("q", m, knots), ca.MX.sym("v", m, knots), ca.MX.sym("z", n, knots)
+    square, margin = ca.MX.sym("S"), ca.MX.sym("mu")
+    q = joints * ca.repmat(p["scale"], 1, knots)
+    spread = ca.DM(np.array([[float(i in g) for g in question.carriages] for i in range(n)]))
+    shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
+    robots = ca.repmat(p["robot"], 1, knots)
+    block = explicit_joints(n, question.eccentric).map(knots)
+    rotations, fields = block(tip, shift, ca.repmat(margin, 1, knots), robots)
+    early, middle, late = _cubic(joints, rates, ca.repmat(p["step"].T, m, 1))
+    speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
+    accelerations = ca.vertcat(early, late) / ca.vertcat(force, force)
+    step = ca.repmat(p["step"].T, m, 1) / 3
+    # The inner Bezier coefficients of q: where they keep ranges and order, so does all of the interval between knots.
+    between = ca.horzcat(joints[:, :-1] + step * rates[:, :-1], joints[:, 1:] - step * rates[:, 1:])
+    order = ca.reshape(p["order"], question.rows, m)
+    turned, twist = tip[:, 1:] - tip[:, :-1], ca.repmat(p["twist"].T, n, 1)
+    speeds = ca.vertcat(ca.vec(rates[:, 1:-1] / ca.repmat(p["rate"], 1, knots - 2)), ca.vec(middle / speed))
+    # |x| <= y as x - y <= 0 and -x - y <= 0: smooth, and linear where y is.
+    parts = {
+        "equilibrium": ca.vec(rotations - q[:n, :]),
+        "fields": ca.vec(fields),
+        "ranges": ca.vec(between),
+        "order": ca.vec(order @ (between * ca.repmat(p["scale"], 1, 2 * intervals))) / question.length,
+        "speed": ca.vertcat(speeds, -speeds) - ca.sqrt(square),
+        "force": ca.vertcat(ca.vec(accelerations), -ca.vec(accelerations)) - square,
+        "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
+    }
+    arm: Any = None
+    if question.obstacles or question.extra is not None:
+        arm = explicit_arm(n, question.eccentric).map(knots)(tip, shift, ca.DM.zeros(1, knots), robots)
+    if question.obstacles:
+        distance = _distance(question).map("distance", "serial", knots, [5], [])
+        least = distance(arm[2], arm[3], arm[4], shift, robots, p["radius"])
+        parts["clearance"] = (ca.vec(least) - p["clearance"]) / question.length
+    h = ca.repmat(p["step"].T, m, 1)
+    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
+    moved = h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30
+    effort = h * (early**2 + early * late + late**2) / 3
+    w, along = p["weights"], TIPS * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
+    objective = (
+        w[0] * (ca.sum1(ca.sum2(moved)) + along) + w[1] * square + w[2] * ca.sum1(ca.sum2(effort)) - w[3] * margin
+    )
+    x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
+    given = ca.vertcat(*p.values())
+    g = ca.vertcat(*parts.values())
+    problem = {"x": x, "f": objective, "g": g, "p": given}
+    bent: Any = 0
+    if question.extra is not None:
+        extra, bent = _extra(question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x)
+        problem["f"] = objective + extra
+    rows = {name: part.numel() for name, part in parts.items()}
+    return PathProgram(problem, _hessian({**problem, "f": objective}, rows, bent), rows)
+
+
+PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
+"""What an own cost on the path may speak of, at every knot."""
+
+
+def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> tuple[Any, Any]:
+    """The mean of an own cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
+    assert question.extra is not None
+    (expression, weight), knots = question.extra, question.intervals + 1
+    last = [known["arm"][2].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
+    known = {**known, "tip_position": known["arm"][2][:, last], "tip_direction": known["arm"][3][:, last]}
+    given = ca.vertcat(*(known[one.name] for one in expression.quantities))
+    share = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
+    y, factor = ca.SX.sym("y", given.shape[0]), ca.SX.sym("share")
+    bent = ca.densify(ca.hessian(factor * expression.value(y), y)[0])
+    blocks = ca.Function("bent", [y, factor], [bent]).map(knots)(given, share.T)
+    slope = ca.jacobian(ca.vec(given), x)
+    mean = ca.dot(expression.value.map(knots)(given), share.T)
+    return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, given.shape[0])) @ slope
+
+
+def path_quantities(one: Quantity) -> bool:
+    """Whether an own cost on the path may speak of a quantity."""
+    return one.pose is not None and one.name in PATH_QUANTITIES
+
+
+def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
+    """q'' at both ends of every interval, and the middle Bezier coefficient of q' in between (m, intervals)."""
+    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
+    return (6 * delta - 4 * a - 2 * b) / h, 3 * delta - a - b, (2 * a + 4 * b - 6 * delta) / h
+
+
+def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
+    """Hessian of the objective, of an own cost (given) and of the bounds on rates, in the form that CasADi's interface
+    to IPOPT wants."""
+    x, p = problem["x"], problem["p"]
+    factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
+    first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
+    pressing = ca.sum1(multipliers[first : first + rows["speed"]])
+    square = x[x.numel() - 2]
+    table = factor * (ca.hessian(problem["f"], x)[0] + extra)
+    bend = ca.MX(
+        ca.Sparsity.triplet(x.numel(), x.numel(), [x.numel() - 2], [x.numel() - 2]), pressing / 4 / square**1.5
+    )
+    names = ["x", "p", "lam_f", "lam_g"]
+    return ca.Function("hess_lag", [x, p, factor, multipliers], [ca.triu(table + bend)], names, ["hess_lag"])
+
+
+def _distance(question: PathQuestion) -> ca.Function:
+    """(obstacles,) smooth least distances of one arm, on the safe side."""
+    n = question.n
+    count = explicit_arm(n, question.eccentric).size2_out(2)
+    inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
+    inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", 7 * n), ca.MX.sym("r", n)]
+    places, thick = _places(n, count)(*inputs)
+    sharp = SHARPNESS / question.length
+    x, y, z = (ca.SX.sym(axis) for axis in "xyz")
+    least = []
+    for k, obstacle in enumerate(question.obstacles):
+        if isinstance(obstacle, MeshObstacle):
+            axes, table = obstacle.grid
+            body = ca.interpolant(f"mesh_{k}", "bspline", [list(axis) for axis in axes], table.ravel(order="F"))
+            distance = body.map(places.shape[1])(_inside(places, axes))
+        else:
+            body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
+            distance = body(places[0, :], places[1, :], places[2, :])
+        least.append(-ca.logsumexp(-sharp * (distance - thick).T) / sharp)
+    return ca.Function("least_distance", inputs, [ca.vertcat(*least)])
+
+
+def _inside(places: Any, axes: tuple[Array, Array, Array]) -> Any:
+    """Places moved into the box of a grid, beyond which it would be extrapolated."""
+    low, high = (ca.repmat(ca.DM([axis[k] for axis in axes]), 1, places.shape[1]) for k in (0, -1))
+    return ca.fmin(ca.fmax(places, low), high)
+
+
+def _places(n: int, count: int) -> ca.Function:
+    """Points along an arm (3, a), and its radius there (1, a)."""
+    points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
+    shift, robot, radius = ca.SX.sym("d", n), ca.SX.sym("robot", 7 * n), ca.SX.sym("r", n)
+    _, _, _, straight, whole, _, _ = ca.vertsplit(robot, n)
+    end = shift - straight + whole
+    places, thick = [], []
+    for k in range(count - 1):
+        h = s[k + 1] - s[k]
+        for x in np.arange(1, SPLITS + 1) / SPLITS:
+            ends = points[:, k] * (1 + 2 * x) * (1 - x) ** 2 + points[:, k + 1] * x**2 * (3 - 2 * x)
+            places.append(ends + h * (tangents[:, k] * x * (1 - x) ** 2 - tangents[:, k + 1] * x**2 * (1 - x)))
+            # A tube shows on all of a section: steps do not reach across its end.
+            thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))
+    out = [ca.horzcat(*places), ca.horzcat(*thick)]
+    return ca.Function("places", [points, tangents, s, shift, robot, radius], out)

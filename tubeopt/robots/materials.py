@@ -1,0 +1,122 @@
+"""Linear-elastic tube materials, and what their heating is computed from (SI)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from ..errors import InputError, finite, positive
+
+ZERO_CELSIUS = 273.15
+"""0 degC in K."""
+
+
+@dataclass(frozen=True)
+class ThermalData:
+    """Thermal and electrical constants of a tube material; a `_slope` is the relative change per K.
+
+    A property with a slope is value * (1 + slope * (T - reference_temperature)).
+
+    Args:
+        density: kg/m^3.
+        heat_capacity, heat_capacity_slope: J/(kg K), 1/K.
+        conductivity, conductivity_slope: thermal, W/(m K), 1/K.
+        resistivity, resistivity_slope: electrical, ohm m, 1/K.
+        expansion: coefficient of linear thermal expansion, 1/K.
+        emissivity: total, in (0, 1].
+        reference_temperature: K.
+
+    Raises:
+        InputError: a constant is not positive, a slope is not finite, or the emissivity is above 1.
+    """
+
+    density: float
+    heat_capacity: float
+    conductivity: float
+    resistivity: float
+    expansion: float
+    emissivity: float
+    heat_capacity_slope: float = 0.0
+    conductivity_slope: float = 0.0
+    resistivity_slope: float = 0.0
+    reference_temperature: float = 25.0 + ZERO_CELSIUS
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check = finite if field.name.endswith("_slope") else positive
+            object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
+        if self.emissivity > 1:
+            raise InputError(f"emissivity is {self.emissivity:g}; it must be at most 1")
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic, linear-elastic tube material.
+
+    Args:
+        name: what to call it.
+        youngs_modulus: E in Pa.
+        shear_modulus: G in Pa; E/3 < G <= E/2, so that Poisson's ratio lies in [0, 1/2).
+        working_strain: strain up to which a tube may be cycled without thought.
+        superelastic_strain: strain beyond which a tube does not spring back.
+        thermal: constants for heating; None where they are not known.
+
+    Raises:
+        InputError: a modulus or strain is not positive, or Poisson's ratio lies outside [0, 1/2).
+    """
+
+    name: str
+    youngs_modulus: float
+    shear_modulus: float
+    working_strain: float = 0.01
+    superelastic_strain: float = 0.06
+    thermal: ThermalData | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("youngs_modulus", "shear_modulus", "working_strain", "superelastic_strain"):
+            object.__setattr__(self, field, positive(f"{field} of material {self.name!r}", getattr(self, field)))
+        if not -1e-9 <= self.poisson_ratio < 0.5:
+            raise InputError(
+                f"shear_modulus of material {self.name!r} is {self.shear_modulus:g} Pa, which makes Poisson's ratio "
+                f"{self.poisson_ratio:.3g}; it must lie in [0, 0.5), so the modulus between E/3 and E/2 "
+                f"({self.youngs_modulus / 3:g} to {self.youngs_modulus / 2:g} Pa)"
+            )
+
+    @property
+    def poisson_ratio(self) -> float:
+        """nu = E / (2 G) - 1."""
+        return self.youngs_modulus / (2.0 * self.shear_modulus) - 1.0
+
+    @classmethod
+    def from_poisson_ratio(cls, name: str, youngs_modulus: float, poisson_ratio: float) -> Material:
+        """The material with shear modulus E / (2 (1 + nu)); raises InputError as the constructor does."""
+        if not 0.0 <= poisson_ratio < 0.5:
+            raise InputError(f"poisson_ratio of material {name!r} is {poisson_ratio:g}; it must lie in [0, 0.5)")
+        return cls(name, youngs_modulus, youngs_modulus / (2.0 * (1.0 + poisson_ratio)))
+
+
+NITINOL = Material(
+    "nitinol",
+    youngs_modulus=58e9,
+    shear_modulus=21.5e9,
+    thermal=ThermalData(
+        density=6450.0,
+        heat_capacity=470.0,
+        heat_capacity_slope=2.5e-4,
+        conductivity=18.0,
+        resistivity=0.82e-6,
+        resistivity_slope=5e-4,
+        expansion=11e-6,
+        emissivity=0.5,
+    ),
+)
+"""Superelastic nitinol with the moduli of the thesis' Tables 2.1 and 3.1 (nu = 0.3488).
+
+The working strain of 1 % and the recoverable strain of 6 % are the usual figures for superelastic nitinol in fatigue
+and in a single loading (Pelton et al., J. Mech. Behav. Biomed. Mater. 1 (2008); Duerig et al., Mater. Sci. Eng. A
+273-275 (1999)).
+
+Thermal data of austenite: density, conductivity and expansion from SMA Inc., Selected Properties of NiTi. Resistivity:
+suppliers give 0.82 (austenite, the usual data sheet) to 1.0 micro-ohm m (SMA Inc.); the slope is assumed, calibrate:
+with it the lower value at 25 degC becomes 1.03 at 525 degC. Heat capacity: 3R per mole of atoms (Dulong and Petit) is
+468 J/(kg K); the slope is assumed. The 837 J/(kg K) (0.20 cal/(g K)) of many data sheets is 1.8 times that of a solid
+of these atoms. Emissivity of the oxidised surface: assumed, calibrate."""

@@ -1,0 +1,308 @@
+"""The parts of a design study as they are written: free dimensions, requirements, objectives, tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ..design import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Free,
+    Length,
+    Nesting,
+    Objective,
+    Poses,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    Target,
+    Tolerances,
+    Wall,
+)
+from ..design.requirements import Requirement
+from ..files.checked import Entry, NotNegative, Number, Positive
+from ..files.units import DEG, MM, PER_M, PERCENT, to_si
+from ..robots.file import Part, Range
+from .base import Whole
+
+Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
+"""x, y and z."""
+
+Row = Annotated[list[Number], Field(min_length=1)]
+"""A number for every tube."""
+
+
+def metres(values: Sequence[Decimal]) -> tuple[float, ...]:
+    """Numbers in mm as SI."""
+    return tuple(to_si(value, MM) for value in values)
+
+
+def point(values: Sequence[Decimal]) -> tuple[float, float, float]:
+    """Three numbers in mm as SI."""
+    x, y, z = metres(values)
+    return x, y, z
+
+
+RANGES = {
+    "curvature_per_m": ("curvature", PER_M, False),
+    "straight_length_mm": ("straight_length", MM, False),
+    "curved_length_mm": ("curved_length", MM, False),
+    "outer_diameter_mm": ("outer_diameter", MM, False),
+    "inner_diameter_mm": ("inner_diameter", MM, False),
+    "curvature_factor": ("curvature", PER_M, True),
+    "straight_length_factor": ("straight_length", PER_M, True),
+    "curved_length_factor": ("curved_length", PER_M, True),
+}
+"""Keys of a free dimension: the field, its unit, and whether the tubes are scaled by one factor."""
+
+
+class FreeEntry(Part):
+    """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
+
+    tubes: Annotated[list[Whole], Field(min_length=1)]
+    equal: bool = Field(False, description="one value for all these tubes, in place of one for each")
+    curvature_per_m: Range | None = None
+    straight_length_mm: Range | None = None
+    curved_length_mm: Range | None = None
+    outer_diameter_mm: Range | None = None
+    inner_diameter_mm: Range | None = None
+    curvature_factor: Range | None = Field(None, description="one factor for the curvatures of all these tubes")
+    straight_length_factor: Range | None = None
+    curved_length_factor: Range | None = None
+
+    def build(self) -> Free:
+        """The free dimension in SI."""
+        given = [(key, getattr(self, key)) for key in RANGES if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
+        (key, (low, high)) = given[0]
+        field, unit, scaled = RANGES[key]
+        if scaled and self.equal:
+            raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
+        tie = "scaled" if scaled else "equal" if self.equal else "each"
+        return Free(field, tuple(i - 1 for i in self.tubes), to_si(low, unit), to_si(high, unit), tie)
+
+
+class SnapFreeEntry(Part):
+    """No snap at any rotation, by certificate."""
+
+    margin: Number = Decimal("0.05")
+    translations_mm: list[Row] | None = None
+    box_mm: Annotated[list[Row], Field(min_length=2, max_length=2)] | None = None
+    tolerance: Positive = Decimal("1e-4")
+
+    def build(self) -> SnapFree:
+        """The requirement in SI."""
+        rows = None if self.translations_mm is None else tuple(metres(row) for row in self.translations_mm)
+        box = None if self.box_mm is None else (metres(self.box_mm[0]), metres(self.box_mm[1]))
+        return SnapFree(float(self.margin), rows, box, float(self.tolerance))
+
+
+class InUseEntry(Part):
+    """No snap where the robot works."""
+
+    margin: Positive = Decimal("0.05")
+    paths: bool = True
+    tolerance: Positive = Decimal("1e-3")
+
+    def build(self) -> SnapFreeInUse:
+        """The requirement."""
+        return SnapFreeInUse(float(self.margin), self.paths, float(self.tolerance))
+
+
+class StrainEntry(Part):
+    """Largest bending strain of every tube."""
+
+    limits_percent: Annotated[list[Positive], Field(min_length=1)]
+    straightened: bool = True
+    in_poses: bool = True
+
+    def build(self) -> Strain:
+        """The requirement in SI."""
+        limits = tuple(to_si(limit, PERCENT) for limit in self.limits_percent)
+        return Strain(limits, self.straightened, self.in_poses)
+
+
+class LengthEntry(Part):
+    """A bound on a length of one tube."""
+
+    length: Literal["overall", "straight", "curved"]
+    tube: Whole
+    at_most_mm: Positive | None = None
+    at_least_mm: Positive | None = None
+
+    def build(self) -> Length:
+        """The requirement in SI."""
+        limit = self.at_least_mm if self.at_most_mm is None else self.at_most_mm
+        if limit is None or None not in (self.at_most_mm, self.at_least_mm):
+            raise ValueError("must give one of at_most_mm and at_least_mm")
+        field = "length" if self.length == "overall" else f"{self.length}_length"
+        return Length(field, self.tube - 1, to_si(limit, MM), self.at_most_mm is None)
+
+
+class TargetEntry(Part):
+    """Where the tip must get."""
+
+    position_mm: Triple
+    tolerance_mm: Positive = Decimal("0.1")
+    direction: Triple | None = None
+    direction_tolerance_deg: Positive = Decimal(2)
+
+    def build(self) -> Target:
+        """The target in SI."""
+        x, y, z = self.direction or (None, None, None)
+        direction = None if x is None or y is None or z is None else (float(x), float(y), float(z))
+        tolerance = to_si(self.direction_tolerance_deg, DEG)
+        return Target(point(self.position_mm), to_si(self.tolerance_mm, MM), direction, tolerance)
+
+
+class CoverageEntry(Part):
+    """A box that the tip must cover."""
+
+    lower_mm: Triple
+    upper_mm: Triple
+    tolerance_mm: Positive = Decimal(1)
+    samples: Annotated[Whole, Field(ge=0)] = 32
+
+    def build(self) -> Coverage:
+        """The requirement in SI."""
+        return Coverage(point(self.lower_mm), point(self.upper_mm), to_si(self.tolerance_mm, MM), self.samples)
+
+
+class PoseEntry(Entry):
+    """A task pose with given joint values."""
+
+    rotations_deg: Row
+    translations_mm: Row
+
+
+class CorridorEntry(Part):
+    """A tube around a polyline in which the whole arm must stay."""
+
+    centreline_mm: Annotated[list[Triple], Field(min_length=2)]
+    radius_mm: Positive
+
+    def build(self) -> Corridor:
+        """The requirement in SI."""
+        return Corridor(tuple(point(row) for row in self.centreline_mm), to_si(self.radius_mm, MM))
+
+
+class ObstacleEntry(Part):
+    """A body: a sphere (centre_mm, radius_mm), a capsule (from_mm, to_mm, radius_mm), a box (low_mm, high_mm) or a
+    half-space (point_mm, normal)."""
+
+    centre_mm: Triple | None = None
+    radius_mm: Positive | None = None
+    from_mm: Triple | None = None
+    to_mm: Triple | None = None
+    low_mm: Triple | None = None
+    high_mm: Triple | None = None
+    point_mm: Triple | None = None
+    normal: Triple | None = None
+
+    def build(self) -> Obstacle:
+        """The body in SI."""
+        match self:
+            case ObstacleEntry(centre_mm=list() as centre, radius_mm=Decimal() as radius):
+                return Sphere(point(centre), to_si(radius, MM))
+            case ObstacleEntry(from_mm=list() as start, to_mm=list() as end, radius_mm=Decimal() as radius):
+                return Capsule(point(start), point(end), to_si(radius, MM))
+            case ObstacleEntry(low_mm=list() as low, high_mm=list() as high):
+                return Box(point(low), point(high))
+            case ObstacleEntry(point_mm=list() as place, normal=list() as normal):
+                x, y, z = (float(value) for value in normal)
+                return HalfSpace(point(place), (x, y, z))
+            case _:
+                raise ValueError(
+                    "must give centre_mm and radius_mm; from_mm, to_mm and radius_mm; low_mm and high_mm; or point_mm "
+                    "and normal"
+                )
+
+
+class AvoidEntry(Part):
+    """Bodies that the whole arm must keep away from."""
+
+    obstacles: Annotated[list[ObstacleEntry], Field(min_length=1)]
+    clearance_mm: NotNegative = Decimal(0)
+
+    def build(self) -> Avoid:
+        """The requirement in SI."""
+        return Avoid(tuple(body.build() for body in self.obstacles), to_si(self.clearance_mm, MM))
+
+
+class Requirements(Part):
+    """What a design must keep."""
+
+    snap_free: SnapFreeEntry | None = None
+    snap_free_in_use: InUseEntry | None = None
+    strain: StrainEntry | None = None
+    clearance_mm: NotNegative | None = Field(None, description="least difference of diameters of nested tubes")
+    wall_mm: Positive | None = Field(None, description="least wall thickness")
+    lengths: list[LengthEntry] = Field([])
+    stroke_mm: Positive | None = Field(None, description="longest travel of a carriage between task poses")
+    reach: list[TargetEntry] = Field([])
+    coverage: CoverageEntry | None = None
+    poses: list[PoseEntry] = Field([])
+    corridor: CorridorEntry | None = None
+    avoid: AvoidEntry | None = None
+
+    def build(self) -> tuple[Requirement, ...]:
+        """All requirements in SI; task poses in the order reach, coverage, poses."""
+        out: list[Requirement] = []
+        for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
+            out += [] if entry is None else [entry.build()]
+        out += [] if self.clearance_mm is None else [Nesting(to_si(self.clearance_mm, MM))]
+        out += [] if self.wall_mm is None else [Wall(to_si(self.wall_mm, MM))]
+        out += [] if self.stroke_mm is None else [Stroke(to_si(self.stroke_mm, MM))]
+        out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
+        out += [] if self.coverage is None else [self.coverage.build()]
+        if self.poses:
+            rotations = tuple(tuple(to_si(x, DEG) for x in pose.rotations_deg) for pose in self.poses)
+            out.append(Poses(rotations, tuple(metres(pose.translations_mm) for pose in self.poses)))
+        out += [] if self.corridor is None else [self.corridor.build()]
+        out += [] if self.avoid is None else [self.avoid.build()]
+        return tuple(out)
+
+
+class ObjectiveEntry(Part):
+    """One aim of a design."""
+
+    kind: Literal["tip_curvature", "turning_radius", "reach_radius", "strain", "length", "margin", "change"]
+    weight: Positive = Field(Decimal(1), description="of the value in SI, where there are several")
+    depth_mm: Number | None = Field(None, description="for reach_radius: height of the tip")
+    translations_mm: Row | None = Field(None, description="for tip_curvature and turning_radius; home if not given")
+
+    def build(self) -> Objective:
+        """The objective in SI."""
+        depth = None if self.depth_mm is None else to_si(self.depth_mm, MM)
+        shift = None if self.translations_mm is None else metres(self.translations_mm)
+        return Objective(self.kind, float(self.weight), depth, shift)
+
+
+class TolerancesEntry(Part):
+    """Errors of manufacture: standard deviations, or half widths where uniform."""
+
+    curvature_percent: NotNegative = Decimal(0)
+    stiffness_percent: NotNegative = Decimal(0)
+    straight_length_mm: NotNegative = Decimal(0)
+    curved_length_mm: NotNegative = Decimal(0)
+    distribution: Literal["normal", "uniform"] = "normal"
+    samples: Annotated[Whole, Field(ge=2)] = 500
+
+    def build(self) -> Tolerances:
+        """The tolerances in SI."""
+        return Tolerances(
+            to_si(self.curvature_percent, PERCENT),
+            to_si(self.stiffness_percent, PERCENT),
+            to_si(self.straight_length_mm, MM),
+            to_si(self.curved_length_mm, MM),
+            self.distribution,
+        )

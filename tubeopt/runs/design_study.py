@@ -1,0 +1,162 @@
+"""The study of a tube design: the task, and what else is asked of its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo, model_validator
+
+from ..design import (
+    DesignSolution,
+    DesignTask,
+    ParetoFront,
+    StockChoice,
+    StockTube,
+    ToleranceAnalysis,
+    choose_from_stock,
+    optimize_design,
+    pareto_front,
+    tolerance_analysis,
+)
+from ..design.exchange import certified_at
+from ..design.pareto import front_tasks
+from ..design.stock import stock_choices, with_sizes
+from ..errors import InputError
+from ..files.checked import Entry, NotNegative, Number
+from ..files.units import MM, shown, to_si
+from ..robots.concentric import ConcentricRobot
+from .base import Progress, RobotPath, Study, Whole
+from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
+from .stock_file import load_stock
+
+
+def _load(value: object, info: ValidationInfo) -> tuple[StockTube, ...]:
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a stock list")
+    return load_stock(info.context["directory"] / value if info.context else value)
+
+
+StockPath = Annotated[
+    tuple[StockTube, ...],
+    PlainValidator(_load, json_schema_input_type=str),
+    Field(description="path of the stock list, relative to this file"),
+]
+"""Sizes of tubes, given as the path of their file."""
+
+
+Count = Annotated[Whole, Field(ge=1)]
+"""A whole number, at least 1."""
+
+Aims = Annotated[
+    Annotated[ObjectiveEntry, Tag("<one>")] | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
+    Discriminator(lambda value: "<several>" if isinstance(value, list) else "<one>"),
+]
+"""One objective, or several."""
+
+
+class StockStudy(Entry):
+    """Sizes to choose from."""
+
+    file: StockPath
+    clearance_mm: NotNegative = Field(description="least difference of diameters of nested tubes")
+    keep: Count = Field(5, description="how many of the best choices are to be found for certain")
+
+
+@dataclass(frozen=True, eq=False)
+class DesignAnswer:
+    """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock."""
+
+    solution: DesignSolution
+    tolerance: ToleranceAnalysis | None
+    front: ParetoFront | None
+    stock: StockChoice | None
+
+
+class DesignStudy(Study):
+    """The best robot that keeps a list of requirements."""
+
+    kind: Literal["design"]
+    name: str = ""
+    robot: RobotPath
+    free: Annotated[list[FreeEntry], Field(min_length=1)]
+    requirements: Requirements
+    objective: Aims
+    ordered: bool = Field(
+        True, description="whether the tubes are in order at home and at all translations that the task names"
+    )
+    starts: Count = Field(1, description="dimensions from which to start: the robot's own, and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = 0
+    turns: Annotated[Whole, Field(ge=0)] = Field(
+        6, description="random full turns per translations on which no certified robot may snap"
+    )
+    tolerances: TolerancesEntry | None = None
+    pareto_margins: Annotated[list[Number], Field(min_length=1)] | None = Field(
+        None, description="margins of the points of the Pareto front"
+    )
+    stock: StockStudy | None = None
+
+    @model_validator(mode="after")
+    def _makes_a_task(self) -> Self:
+        task = self.task()
+        if self.pareto_margins is not None:
+            front_tasks(task, [float(m) for m in self.pareto_margins])
+        if self.stock is not None:
+            stock_choices(task, self.stock.file, to_si(self.stock.clearance_mm, MM))
+        return self
+
+    def task(self) -> DesignTask:
+        """The task in SI; raises InputError where its parts do not fit together."""
+        if not isinstance(self.robot, ConcentricRobot):
+            raise InputError("robot must be a concentric robot; its tubes are what is designed")
+        objectives = self.objective if isinstance(self.objective, list) else [self.objective]
+        return DesignTask(
+            self.robot,
+            tuple(entry.build() for entry in self.free),
+            self.requirements.build(),
+            tuple(entry.build() for entry in objectives),
+            self.name,
+            self.ordered,
+        )
+
+    def run(
+        self,
+        progress: Progress | None = None,
+        *,
+        report: Callable[[str, float], object] | None = None,
+        starts: int | None = None,
+        workers: int = 1,
+    ) -> DesignAnswer:
+        """The design; `starts` overrides those of the file.
+
+        Raises:
+            SolveError: no design meets all requirements, or the one found does not keep them.
+        """
+        task, choice = self.task(), None
+        count = self.starts if starts is None else starts
+        if self.stock is not None:
+            clearance = to_si(self.stock.clearance_mm, MM)
+            choice = choose_from_stock(
+                task, self.stock.file, clearance=clearance, keep=self.stock.keep, workers=workers, progress=progress
+            )
+            assert choice.best is not None
+            task = with_sizes(task, choice.best.sizes)
+        solution = optimize_design(
+            task, starts=count, seed=self.seed, workers=workers, turns=self.turns, progress=progress, report=report
+        )
+        tolerance = None
+        if self.tolerances is not None:
+            tolerance = tolerance_analysis(
+                solution.robot,
+                self.tolerances.build(),
+                translations=certified_at(solution.attempt.program, solution.robot) or None,
+                poses=[(e.rotations, e.translations) for e in solution.equilibria],
+                samples=self.tolerances.samples,
+                workers=workers,
+                progress=progress,
+            )
+        front = None
+        if self.pareto_margins is not None:
+            front = pareto_front(task, [float(m) for m in self.pareto_margins], begin=solution.attempt)
+        return DesignAnswer(solution, tolerance, front, choice)

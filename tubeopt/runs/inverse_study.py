@@ -1,0 +1,229 @@
+"""Studies of inverse kinematics: joint values for a target, all of them, or for one target after another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+
+from ..bodies.obstacles import Obstacle
+from ..errors import SolveError
+from ..files.checked import NotNegative, Positive
+from ..files.units import MM, shown, to_si
+from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
+from ..robots.robot import Robot
+from ..stability.following import follow
+from ..typing import Array
+from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .obstacle_file import Triple, obstacles_beside, point
+from .target_file import Targets, load_joints, load_targets
+
+
+def _targets(value: object, info: ValidationInfo) -> Targets:
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
+    return load_targets(info.context["directory"] / value if info.context else value)
+
+
+def _joints(value: object, info: ValidationInfo) -> tuple[Array, Array] | None:
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a YAML file with rotations_deg, translations_mm")
+    robot = info.data.get("robot")
+    if robot is None:  # it has problems itself
+        return None
+    return load_joints(info.context["directory"] / value if info.context else value, robot)
+
+
+Joints = Annotated[tuple[Array, Array], PlainValidator(_joints, json_schema_input_type=str)]
+
+
+@dataclass(frozen=True, eq=False)
+class Postures:
+    """Answers for one target, best first."""
+
+    robot: Robot
+    solutions: tuple[InverseSolution, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One target of a table: the answer, or why there is none, with the closest pose where it is known.
+
+    number: of the target in the table, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`.
+    """
+
+    number: float
+    position: Array
+    direction: Array | None
+    solution: InverseSolution | None
+    problem: str
+
+    @property
+    def given(self) -> bool:
+        """Whether the target is one of the table."""
+        return self.number == int(self.number)
+
+
+@dataclass(frozen=True, eq=False)
+class TargetTable:
+    """Answers for a table of targets."""
+
+    robot: Robot
+    rows: tuple[Row, ...]
+    followed: bool = False
+
+
+class InverseStudy(Study):
+    """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
+
+    kind: Literal["inverse_kinematics"]
+    robot: RobotPath
+    target_mm: Triple | None = Field(None, description="position of the tip")
+    direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
+    targets: Annotated[Targets, PlainValidator(_targets, json_schema_input_type=str)] | None = Field(
+        None, description="path of a CSV file of targets, in place of target_mm, relative to this file"
+    )
+    start: Joints | None = Field(None, description="path of a YAML file with the joint values where the robot is")
+    reference_deg: OnePerTube | None = Field(None, description="rotations to stay close to")
+    reference_mm: OnePerTube | None = Field(None, description="translations to stay close to")
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
+    objective: Literal["nearest", "margin", "curvature"] | None = Field(None, description="what is best")
+    direction_weight: Positive | None = Field(None, description="make the direction a cost of this weight")
+    obstacles: Annotated[tuple[Obstacle, ...], PlainValidator(obstacles_beside, json_schema_input_type=str)] | None = (
+        Field(None, description="path of a YAML file of obstacles, relative to this file")
+    )
+    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    method: Literal["auto", "gauss_newton", "nlp"] = "auto"
+    starts: Annotated[Whole, Field(ge=1)] = Field(48, description="most starting configurations")
+    all: bool = Field(False, description="all distinct answers, not only the best")
+    closest: bool = Field(False, description="where the target is out of reach, the closest pose instead of an error")
+    follow: bool = Field(False, description="solve each target of a table from the last, on its branch")
+    reachable: bool = Field(True, description="find a way without a snap to every answer, or say that none was found")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.target_mm is None) == (self.targets is None):
+            raise ValueError("one of target_mm and targets must be given, not both")
+        if self.targets is not None and (self.direction is not None or self.all):
+            raise ValueError("direction and all are for a single target, not for a table of targets")
+        if self.follow and self.targets is None:
+            raise ValueError("follow is for a table of targets")
+        if self.follow and self.closest:
+            raise ValueError("closest cannot be had with follow: the way ends where a target is out of reach")
+        pointed = self.direction is not None or (self.targets is not None and self.targets.direction is not None)
+        if self.direction_weight is not None and not pointed:
+            raise ValueError("direction_weight is given without a direction")
+        if self.objective == "nearest" and self.start is None and self._reference() is None:
+            raise ValueError("objective is nearest; it needs a start or a reference to be near to")
+        return self
+
+    def _reference(self) -> tuple[Array, Array] | None:
+        if self.reference_deg is None and self.reference_mm is None:
+            return None
+        rotations = radians(self.reference_deg, np.zeros(self.robot.n_tubes))
+        return rotations, metres(self.reference_mm, self.robot.home_translations)
+
+    def _options(self) -> InverseOptions:
+        return InverseOptions(
+            objective=self.objective,
+            direction_weight=None if self.direction_weight is None else float(self.direction_weight),
+            clearance=to_si(self.clearance_mm, MM),
+            method=self.method,
+            starts=self.starts,
+        )
+
+    def _common(self) -> dict[str, Any]:
+        return {
+            "min_margin": float(self.min_margin),
+            "obstacles": self.obstacles or (),
+            "options": self._options(),
+        }
+
+    def run(self, progress: Progress | None = None) -> Postures | TargetTable:
+        """The answers; raises SolveError where a single target has none, and closest is not asked for."""
+        if progress is not None:
+            progress(0, 0)
+        on_failure = "closest" if self.closest else "raise"
+        if self.targets is not None:
+            return self._table(self.targets, on_failure, progress)
+        if self.target_mm is None:
+            raise AssertionError("a study without a target is refused when it is made")
+        direction = None if self.direction is None else [float(x) for x in self.direction]
+        given: dict[str, Any] = {
+            "direction": direction,
+            "seed": self.start,
+            "reference": self._reference(),
+            "on_failure": on_failure,
+            "reachable": self.reachable,
+        }
+        position = point(self.target_mm)
+        if self.all:
+            found = inverse_kinematics(self.robot, position, all_solutions=True, **given, **self._common())
+            return Postures(self.robot, tuple(found))
+        return Postures(self.robot, (inverse_kinematics(self.robot, position, **given, **self._common()),))
+
+    def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
+        rows: list[Row] = []
+        session = IkSession(self.robot, seed=self.start, **self._common()) if self.follow else None
+        for k, position in enumerate(targets.position):
+            direction = None if targets.direction is None else targets.direction[k]
+            try:
+                if session is not None:
+                    rows += _led(session, k + 1, position, direction)
+                else:
+                    solution = inverse_kinematics(
+                        self.robot,
+                        position,
+                        direction=direction,
+                        seed=self.start,
+                        reference=self._reference(),
+                        on_failure=on_failure,
+                        reachable=self.reachable,
+                        **self._common(),
+                    )
+                    rows.append(Row(k + 1, position, direction, solution, ""))
+            except SolveError as error:
+                rows.append(Row(k + 1, position, direction, None, str(error)))
+            if progress is not None:
+                progress(k + 1, len(targets.position))
+        return TargetTable(self.robot, tuple(_confirmed(self.robot, rows) if self.follow else rows), self.follow)
+
+
+def _led(session: IkSession, number: int, position: Array, direction: Array | None) -> list[Row]:
+    """Rows of the answers that lead to the next target, those before it numbered by their share of the way."""
+    before = session.solution
+    answers = session.lead(position, direction=direction)
+    rows = [Row(number, position, direction, answers[-1], "")]
+    if len(answers) > 1 and before is not None:
+        first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
+        for answer in reversed(answers[:-1]):
+            share = float(np.linalg.norm(answer.target_position - first)) / max(whole, 1e-300)
+            between = round(number - 1 + min(max(share, 1e-4), 1 - 1e-4), 6)
+            rows.insert(0, Row(between, answer.target_position, answer.target_direction, answer, ""))
+    elif len(answers) > 1:  # from the start, to the first target
+        for k, answer in enumerate(answers[:-1], start=1):
+            between = round(number - 1 + k / len(answers), 6)
+            rows.insert(k - 1, Row(between, answer.target_position, answer.target_direction, answer, ""))
+    return rows
+
+
+def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
+    """Rows of answers, followed once more from the first to the last; where the robot snaps, it is said."""
+    solved = [(k, row.solution) for k, row in enumerate(rows) if row.solution is not None]
+    if len(solved) < 2:
+        return rows
+    answers = [solution for _, solution in solved]
+    path = follow(
+        robot, [a.rotations for a in answers], [a.translations for a in answers], start=answers[0].equilibrium
+    )
+    out = list(rows)
+    for snap in path.snaps:
+        k, solution = solved[snap.index + 1]
+        words = f"the robot snaps {100 * snap.fraction:.3g} % of the way from the last row"
+        leaps = f"{solution.leaps}, {words}" if solution.leaps else words
+        told = replace(solution, leaps=leaps, reachable=None, way=None, straight_from_seed=False)
+        out[k] = replace(rows[k], solution=told)
+    return out

@@ -1,0 +1,141 @@
+"""Measured tips and published tables of tip errors, in CSV. Columns carry their unit; the library behind is in SI."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, nearest
+from ..files.csv_file import CsvTable, read_csv, refuse, to_csv
+from ..files.files import write_text
+from ..files.units import DEG, MM, in_unit, to_si
+from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
+from ..robots.eccentric import EccentricRobot
+from ..robots.robot import Robot
+from ..typing import Array
+from ..validation.errors import ErrorTable
+from ..validation.measurements import Measurements
+
+MIRROR = ("direction_deg", "separation_deg")
+ASSIGNMENT, NOTE = "assignment", "note"
+
+
+def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
+    """The measurements of `robot` in a CSV file.
+
+    Columns: `rotation_1_deg` to `rotation_n_deg`, or `direction_deg`, `separation_deg` and optionally `assignment` for
+    the mirror actuation of a one-segment eccentric robot (beside rotations they only label the rows);
+    `translation_1_mm` and so on, home where there is none; `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`,
+    `x2_mm`, ... for several sensors; `note` for any text. An assignment "132" turns tube 1 by the direction, tube 3 by
+    direction plus separation and tube 2 by direction minus separation; it is "123" where not given.
+
+    Raises:
+        InputError: no such file, columns that are unknown or missing, cells that are not what they must be: one line
+            for every problem, with row and column.
+    """
+    table = read_csv(path)
+    n = robot.n_tubes
+    rotations = [f"rotation_{i + 1}_deg" for i in range(n)]
+    translations = [f"translation_{i + 1}_mm" for i in range(n)]
+    sensors = _sensors(table.columns)
+    positions = [name for sensor in sensors for name in sensor]
+    known = {*rotations, *translations, *positions, *MIRROR, ASSIGNMENT, NOTE}
+    problems = [f"column {c} is not known{nearest(c, known)}" for c in table.columns if c not in known]
+    problems += [f"column {c} is missing" for c in positions if c not in table.columns]
+    mirrored = not any(c in table.columns for c in rotations) and any(c in table.columns for c in MIRROR)
+    problems += [f"column {c} is missing" for c in (MIRROR if mirrored else rotations) if c not in table.columns]
+    if mirrored and not isinstance(robot, EccentricRobot):
+        problems.append(
+            f"{MIRROR[0]} and {MIRROR[1]} are for an eccentric robot of one segment; this robot needs "
+            f"{rotations[0]} to {rotations[-1]}"
+        )
+    refuse(path, problems)
+    labels = [table.numbers([c], DEG)[:, 0] if c in table.columns else None for c in MIRROR]
+    direction, separation = labels
+    if mirrored and direction is not None and separation is not None:
+        alpha = _mirrored(table, direction, separation)
+    else:
+        alpha = table.numbers(rotations, DEG)
+    shift = np.tile(robot.home_translations, (len(table.rows), 1))
+    for i, column in enumerate(translations):
+        if column in table.columns:
+            shift[:, i] = table.numbers([column], MM)[:, 0]
+    tips = table.numbers(positions, MM).reshape(len(table.rows), len(sensors), 3)
+    table.check()
+    return Measurements(alpha, shift, tips, direction, separation, source=Path(path).name)
+
+
+def _sensors(columns: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Names of the position columns of every sensor that the header speaks of."""
+    found = sorted({int(match[1]) for c in columns if (match := re.fullmatch(r"[xyz]([1-9]\d*)_mm", c))})
+    several = [(f"x{k}_mm", f"y{k}_mm", f"z{k}_mm") for k in found]
+    plain = ("x_mm", "y_mm", "z_mm")
+    return [plain, *several] if not several or any(c in columns for c in plain) else several
+
+
+def _mirrored(table: CsvTable, direction: Array, separation: Array) -> Array:
+    """(N, 3) rotations of the mirror actuation; bad assignments are noted in the table."""
+    rows = zip(direction, separation, strict=True)
+    return np.array([mirror_rotations(d, apart, _assignment(table, k)) for k, (d, apart) in enumerate(rows)])
+
+
+def _assignment(table: CsvTable, row: int) -> tuple[int, ...]:
+    """Tubes (from 0) that turn by the direction, by direction plus separation, and by direction minus separation."""
+    if ASSIGNMENT not in table.columns:
+        return ASSIGNMENTS[0]
+    text = table.cell(row, ASSIGNMENT)
+    if sorted(text) != ["1", "2", "3"]:
+        table.complain(row, ASSIGNMENT, f"is {text!r}; it must be 123, 132, 213, 231, 312 or 321")
+        return ASSIGNMENTS[0]
+    return tuple(int(digit) - 1 for digit in text)
+
+
+def save_measurements(measurements: Measurements, path: str | PathLike[str], comment: str = "") -> None:
+    """Write measurements as CSV that `load_measurements` reads back to the last bit; raises InputError on failure."""
+    m = measurements
+    count = m.sensors.shape[1]
+    names = [""] if count == 1 else [str(k + 1) for k in range(count)]
+    blocks: list[tuple[list[str], Array]] = [
+        ([f"rotation_{i + 1}_deg" for i in range(m.n_tubes)], m.rotations),
+        ([f"translation_{i + 1}_mm" for i in range(m.n_tubes)], m.translations),
+        ([f"{axis}{name}_mm" for name in names for axis in "xyz"], m.sensors.reshape(len(m), -1)),
+    ]
+    blocks += [([c], v[:, None]) for c, v in zip(MIRROR, (m.direction, m.separation), strict=True) if v is not None]
+    columns = [c for header, _ in blocks for c in header]
+    values = np.hstack([block for _, block in blocks])
+    units = [DEG if c.endswith("_deg") else MM for c in columns]
+    rows = [[in_unit(v, unit) for v, unit in zip(row, units, strict=True)] for row in values.tolist()]
+    write_text(path, to_csv(columns, rows, comment))
+
+
+def load_error_table(path: str | PathLike[str]) -> ErrorTable:
+    """A published table of tip errors: columns `separation_deg`, `error_at_D_deg_mm` for every direction D, `mean_mm`.
+
+    A row for every separation, and a last one, `mean`, with the means over the separations.
+
+    Raises:
+        InputError: no such file, other columns, no last row of means, or cells that are not numbers.
+    """
+    table = read_csv(path)
+    matches = [re.fullmatch(r"error_at_(-?\d+(?:\.\d+)?)_deg_mm", c) for c in table.columns[1:-1]]
+    directions = [match[1] for match in matches if match]
+    if table.columns[0] != "separation_deg" or table.columns[-1] != "mean_mm" or len(directions) < len(matches):
+        raise InputError(f"{path}: the columns must be separation_deg, error_at_D_deg_mm for directions D, mean_mm")
+    last = len(table.rows) - 1
+    if table.cell(last, "separation_deg") != "mean" or last < 1:
+        raise InputError(f"{path}: the last row must begin with mean, below a row for every separation")
+    separation = np.array([to_si(table.number(k, "separation_deg"), DEG) for k in range(last)])
+    values = table.numbers(table.columns[1:], MM)
+    table.check()
+    return ErrorTable(
+        direction=np.radians([float(d) for d in directions]),
+        separation=separation,
+        error=values[:-1, :-1],
+        mean_by_direction=values[-1, :-1],
+        mean_by_separation=values[:-1, -1],
+        mean=float(values[-1, -1]),
+    )

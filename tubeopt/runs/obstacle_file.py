@@ -1,0 +1,148 @@
+"""Obstacles as YAML: a list of bodies, lengths in mm, each with its kind."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, ValidationInfo
+
+from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
+from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ..files.checked import Entry, Number, Positive, check
+from ..files.units import MM, shown, to_si
+from ..files.yaml_file import load_yaml
+from ..robots.file import Part
+
+Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
+"""x, y and z."""
+
+
+def point(values: list[Decimal]) -> tuple[float, float, float]:
+    """Coordinates in m of three numbers in mm."""
+    x, y, z = (to_si(value, MM) for value in values)
+    return x, y, z
+
+
+class SphereEntry(Part):
+    """A ball."""
+
+    kind: Literal["sphere"]
+    centre_mm: Triple
+    radius_mm: Positive
+
+    def build(self) -> Sphere:
+        """The obstacle in SI."""
+        return Sphere(point(self.centre_mm), to_si(self.radius_mm, MM))
+
+
+class CapsuleEntry(Part):
+    """All within a radius of a segment."""
+
+    kind: Literal["capsule"]
+    start_mm: Triple
+    end_mm: Triple
+    radius_mm: Positive
+
+    def build(self) -> Capsule:
+        """The obstacle in SI."""
+        return Capsule(point(self.start_mm), point(self.end_mm), to_si(self.radius_mm, MM))
+
+
+class HalfSpaceEntry(Part):
+    """All behind a plane; the normal points to where the arm may be."""
+
+    kind: Literal["half_space"]
+    point_mm: Triple
+    normal: Triple
+
+    def build(self) -> HalfSpace:
+        """The obstacle in SI."""
+        x, y, z = (float(value) for value in self.normal)
+        return HalfSpace(point(self.point_mm), (x, y, z))
+
+
+class BoxEntry(Part):
+    """A cuboid along the axes of the plate."""
+
+    kind: Literal["box"]
+    low_mm: Triple
+    high_mm: Triple
+
+    def build(self) -> Box:
+        """The obstacle in SI."""
+        return Box(point(self.low_mm), point(self.high_mm))
+
+
+class CorridorEntry(Part):
+    """Everything outside a vessel: farther than a radius from its centreline."""
+
+    kind: Literal["corridor"]
+    centreline_mm: Annotated[list[Triple], Field(min_length=2)]
+    radius_mm: Positive
+
+    def build(self) -> Corridor:
+        """The obstacle in SI."""
+        return Corridor(tuple(point(row) for row in self.centreline_mm), to_si(self.radius_mm, MM))
+
+
+def _mesh(value: object, info: ValidationInfo) -> MeshObstacle:
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a mesh file in mm")
+    return load_mesh(info.context["directory"] / value if info.context else value)
+
+
+class MeshEntry(Part):
+    """A body bounded by the closed surface in a mesh file, in mm."""
+
+    kind: Literal["mesh"]
+    file: Annotated[MeshObstacle, PlainValidator(_mesh, json_schema_input_type=str)]
+
+    def build(self) -> MeshObstacle:
+        """The obstacle in SI."""
+        return self.file
+
+
+KINDS = ("sphere", "capsule", "half_space", "box", "corridor", "mesh")
+
+
+def _known(value: Any) -> Any:
+    kind = value.get("kind") if isinstance(value, dict) else value
+    if not isinstance(value, dict) or kind not in KINDS:
+        raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}")
+    return value
+
+
+ObstacleEntry = Annotated[
+    Annotated[SphereEntry, Tag("<sphere>")]
+    | Annotated[CapsuleEntry, Tag("<capsule>")]
+    | Annotated[HalfSpaceEntry, Tag("<half_space>")]
+    | Annotated[BoxEntry, Tag("<box>")]
+    | Annotated[CorridorEntry, Tag("<corridor>")]
+    | Annotated[MeshEntry, Tag("<mesh>")],
+    Discriminator(lambda value: f"<{value['kind']}>"),
+    BeforeValidator(_known),
+]
+"""Any obstacle, told apart by its kind."""
+
+
+class ObstacleFile(Entry):
+    """A file of obstacles."""
+
+    obstacles: list[ObstacleEntry]
+
+
+def load_obstacles(path: str) -> tuple[Obstacle, ...]:
+    """The obstacles in a YAML file with the key `obstacles`.
+
+    Raises:
+        InputError: no such file, not YAML, or keys or values that make no obstacles: one line for every problem.
+    """
+    return tuple(entry.build() for entry in check(ObstacleFile, load_yaml(path), path).obstacles)
+
+
+def obstacles_beside(value: object, info: ValidationInfo) -> tuple[Obstacle, ...]:
+    """Obstacles of a study, given as the path of their file."""
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a YAML file of obstacles")
+    return load_obstacles(str(info.context["directory"] / value) if info.context else value)

@@ -1,0 +1,59 @@
+"""Waypoints of joint values in CSV: a column per joint, a row per waypoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ..errors import nearest
+from ..files.csv_file import read_csv, refuse
+from ..files.units import DEG, MM
+from ..robots.robot import Robot
+from ..typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """T waypoints: rotations (T, n) rad, translations (T, n) m."""
+
+    rotations: Array
+    translations: Array
+
+
+def joint_columns(n_tubes: int) -> tuple[list[str], list[str]]:
+    """Names of the columns of rotations and translations, inner to outer."""
+    tubes = range(1, n_tubes + 1)
+    return [f"rotation_{i}_deg" for i in tubes], [f"translation_{i}_mm" for i in tubes]
+
+
+def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
+    """The waypoints in a CSV file with the columns `joint_columns`; without those of translations, at home.
+
+    Raises:
+        InputError: no such file, a column that is unknown or missing, a cell that is no number: one line for each
+            problem.
+    """
+    table = read_csv(path)
+    turns, shifts = joint_columns(robot.n_tubes)
+    known = [*turns, *shifts]
+    problems = [
+        f"column {name} is not known; columns are {turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
+        f"{nearest(name, known)}"
+        for name in table.columns
+        if name not in known
+    ]
+    moved = [name for name in shifts if name in table.columns]
+    problems += [f"column {name} is missing" for name in turns if name not in table.columns]
+    problems += [
+        f"column {name} is missing; it must be there since {moved[0]} is"
+        for name in shifts
+        if moved and name not in table.columns
+    ]
+    refuse(path, problems)
+    rotations = table.numbers(turns, DEG)
+    home = np.tile(robot.home_translations, (len(table.rows), 1))
+    translations = table.numbers(shifts, MM) if moved else home
+    table.check()
+    return Waypoints(rotations, translations)

@@ -1,0 +1,130 @@
+"""Studies of plans: a motion to a goal, along a curve of the tip, or a deployment; and whether a trajectory holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..bodies.obstacles import Obstacle
+from ..files.checked import Entry, NotNegative, Positive
+from ..files.units import DEG, MM, to_si
+from ..planning import PlanOptions, Proof, RateLimits, TipGoal, Trajectory, plan_trajectory
+from ..planning.file import TimedJoints
+from ..planning.leader import follow_the_leader
+from ..planning.tip_path import follow_tip_path
+from ..typing import Array
+from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .obstacle_file import ObstacleEntry, Triple, point
+
+Default = PlanOptions()
+
+
+class RatesEntry(Entry):
+    """How fast the actuators are."""
+
+    rotation_deg_per_s: Positive = Decimal(90)
+    translation_mm_per_s: Positive = Decimal(20)
+    rotation_deg_per_s2: Positive = Decimal(180)
+    translation_mm_per_s2: Positive = Decimal(40)
+
+    def build(self) -> RateLimits:
+        """The limits in SI."""
+        return RateLimits(
+            to_si(self.rotation_deg_per_s, DEG),
+            to_si(self.translation_mm_per_s, MM),
+            to_si(self.rotation_deg_per_s2, DEG),
+            to_si(self.translation_mm_per_s2, MM),
+        )
+
+
+class PlanStudy(Study):
+    """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
+
+    kind: Literal["plan"]
+    robot: RobotPath
+    start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
+    start_mm: OnePerTube | None = Field(None, description="translations at the start; home where not given")
+    goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
+    goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
+    modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
+    tip_mm: Triple | None = Field(None, description="goal as a position of the tip")
+    tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
+    tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
+        None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
+    )
+    spline: bool = Field(False, description="the curve is smooth through its points, not a polyline")
+    tolerance_mm: Positive = Field(Decimal("0.5"), description="largest distance of the tip from the curve")
+    leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
+    begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
+    obstacles: list[ObstacleEntry] = Field(default_factory=list)
+    clearance_mm: NotNegative = Decimal(0)
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1)
+    rates: RatesEntry = Field(default_factory=RatesEntry)
+    search: Literal["auto", "rrt_connect", "optimal"] = "auto"
+    objective: Literal["length", "time", "effort", "margin", "none"] = "length"
+    time_limit_s: Positive = Decimal(60)
+    seed: Annotated[Whole, Field(ge=0)] = 0
+
+    @model_validator(mode="after")
+    def _one_goal(self) -> Self:
+        joints = self.goal_deg is not None or self.goal_mm is not None
+        if joints + (self.tip_mm is not None) + (self.tip_path_mm is not None) != 1:
+            raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, or tip_path_mm")
+        if self.tip_direction is not None and self.tip_mm is None:
+            raise ValueError("tip_direction is given without tip_mm")
+        if self.leader and self.tip_path_mm is not None:
+            raise ValueError("leader needs a goal, not a curve for the tip")
+        return self
+
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """The obstacles in SI."""
+        return tuple(entry.build() for entry in self.obstacles)
+
+    def _ends(self) -> tuple[tuple[Array, Array], Any]:
+        alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
+        shift = metres(self.start_mm, self.robot.home_translations)
+        if self.tip_mm is not None:
+            towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
+            return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)
+        return (alpha, shift), (radians(self.goal_deg, alpha), metres(self.goal_mm, shift))
+
+    def run(self, progress: Progress | None = None) -> Trajectory:
+        """The trajectory; raises SolveError where there is none, or none was found in time."""
+        if progress is not None:
+            progress(0, 0)
+        options = PlanOptions(
+            search=self.search,
+            objective=self.objective,
+            time_limit=float(self.time_limit_s),
+            clearance=to_si(self.clearance_mm, MM),
+            modulo_turns=self.modulo_turns,
+            seed=self.seed,
+        )
+        common: dict[str, Any] = {
+            "obstacles": self.bodies(),
+            "min_margin": float(self.min_margin),
+            "rate_limits": self.rates.build(),
+            "options": options,
+        }
+        start, goal = self._ends()
+        if self.tip_path_mm is not None:
+            given = start if self.start_deg is not None or self.start_mm is not None else None
+            path = [point(row) for row in self.tip_path_mm]
+            tolerance = to_si(self.tolerance_mm, MM)
+            return follow_tip_path(self.robot, path, start=given, tolerance=tolerance, spline=self.spline, **common)
+        if self.leader:
+            return follow_the_leader(self.robot, goal, begin=float(self.begin_percent) / 100, **common)
+        return plan_trajectory(self.robot, start, goal, **common)
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A trajectory of whatever origin, and what was found on it."""
+
+    file: str
+    joints: TimedJoints
+    proof: Proof

@@ -1,0 +1,227 @@
+"""Studies of stability: every equilibrium, snaps on a way, motion through waypoints, the verdict, the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
+
+from ..equilibrium.result import Equilibrium
+from ..files.units import shown
+from ..robots.robot import Robot
+from ..stability import (
+    Path,
+    Snap,
+    StabilityMap,
+    Verdict,
+    WorstCertificate,
+    find_equilibria,
+    find_snap,
+    follow,
+    judge,
+    stability_map,
+    worst_certificate,
+)
+from ..typing import Array
+from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .path_file import Waypoints, load_waypoints
+
+HOME = Field(None, description="one per tube; home where not given")
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibria:
+    """All equilibria of a robot at given joint values, the lowest energy first."""
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    equilibria: tuple[Equilibrium, ...]
+
+
+class EquilibriaStudy(Study):
+    """Every equilibrium of a robot at given joint values, stable and unstable."""
+
+    kind: Literal["equilibria"]
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
+    translations_mm: OnePerTube | None = HOME
+
+    def run(self, progress: Progress | None = None) -> Equilibria:
+        """The equilibria; raises SolveError where one is missing."""
+        if progress is not None:
+            progress(0, 0)
+        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
+        translations = metres(self.translations_mm, self.robot.home_translations)
+        found = find_equilibria(self.robot, rotations, translations)
+        return Equilibria(self.robot, rotations, translations, tuple(found))
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one.
+
+    start, end: (rotations (n,), translations (n,)), rad and m.
+    """
+
+    robot: Robot
+    start: tuple[Array, Array]
+    end: tuple[Array, Array]
+    snap: Snap | None
+    arrived: Equilibrium | None
+
+
+class SnapStudy(Study):
+    """The first snap on the straight way between two sets of joint values."""
+
+    kind: Literal["snap"]
+    robot: RobotPath
+    from_deg: OnePerTube | None = Field(None, description="rotations, one per tube; all 0 where not given")
+    to_deg: OnePerTube | None = Field(None, description="rotations, one per tube; those of the start where not given")
+    from_mm: OnePerTube | None = Field(None, description="translations, one per tube; home where not given")
+    to_mm: OnePerTube | None = Field(None, description="translations, one per tube; those of the start where not given")
+
+    def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        alpha = radians(self.from_deg, np.zeros(self.robot.n_tubes))
+        shift = metres(self.from_mm, self.robot.home_translations)
+        return (alpha, shift), (radians(self.to_deg, alpha), metres(self.to_mm, shift))
+
+    @model_validator(mode="after")
+    def _goes_somewhere(self) -> Self:
+        start, end = self._ends()
+        if np.array_equal(start, end):
+            raise ValueError("the way ends at the joint values at which it starts; give to_deg or to_mm others")
+        return self
+
+    def run(self, progress: Progress | None = None) -> Way:
+        """The snap; raises SolveError where there is no stable equilibrium to start from or to land on."""
+        if progress is not None:
+            progress(0, 0)
+        start, end = self._ends()
+        snap = find_snap(self.robot, start, end)
+        if snap is not None:
+            return Way(self.robot, start, end, snap, None)
+        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]])
+        return Way(self.robot, start, end, None, motion.equilibria[-1])
+
+
+def _waypoints(value: object, info: ValidationInfo) -> Waypoints | None:
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
+    robot = info.data.get("robot")
+    if robot is None:  # it has problems itself
+        return None
+    return load_waypoints(info.context["directory"] / value if info.context else value, robot)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a robot does along waypoints."""
+
+    robot: Robot
+    path: Path
+
+
+class FollowStudy(Study):
+    """Slow motion through waypoints of joint values, with the snaps on the way."""
+
+    kind: Literal["follow"]
+    robot: RobotPath
+    path: Annotated[
+        Waypoints,
+        PlainValidator(_waypoints, json_schema_input_type=str),
+        Field(description="path of the CSV file of waypoints, relative to this file"),
+    ]
+
+    def run(self, progress: Progress | None = None) -> Motion:
+        """The motion; raises SolveError where there is no stable equilibrium to start from or to land on."""
+        last = len(self.path.rotations) - 1
+
+        def step(waypoint: int) -> None:
+            if progress is not None:
+                progress(waypoint, last)
+
+        return Motion(self.robot, follow(self.robot, self.path.rotations, self.path.translations, progress=step))
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for."""
+
+    robot: Robot
+    verdict: Verdict
+    box: WorstCertificate | None
+
+
+class CertifyStudy(Study):
+    """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
+
+    kind: Literal["certify"]
+    robot: RobotPath
+    translations_mm: OnePerTube | None = HOME
+    box: bool = Field(False, description="over all translations that the robot's limits allow")
+    lower_mm: OnePerTube | None = Field(None, description="least translations of the box, in place of the limits")
+    upper_mm: OnePerTube | None = Field(None, description="largest translations of the box, in place of the limits")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.over_box and self.translations_mm is not None:
+            raise ValueError("translations_mm are given as well as a box of translations; give one of them")
+        return self
+
+    @property
+    def over_box(self) -> bool:
+        """Whether the question is about a box of translations."""
+        return self.box or self.lower_mm is not None or self.upper_mm is not None
+
+    def run(self, progress: Progress | None = None) -> Certification:
+        """The verdict; raises SolveError where `judge` does."""
+        if progress is not None:
+            progress(0, 0)
+        if not self.over_box:
+            translations = metres(self.translations_mm, self.robot.home_translations)
+            return Certification(self.robot, judge(self.robot, translations, progress=progress), None)
+        low, high = np.array(self.robot.limits.translations).T
+        worst = worst_certificate(self.robot, metres(self.lower_mm, low), metres(self.upper_mm, high))
+        verdict = judge(self.robot, worst.certificate.translations, progress=progress)
+        return Certification(self.robot, verdict, worst)
+
+
+def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:
+    robot = info.data.get("robot")
+    most = "n" if robot is None else robot.n_tubes
+    unknown = robot is not None and not all(1 <= tube <= robot.n_tubes for tube in tubes)
+    if len(tubes) != 2 or tubes[0] == tubes[-1] or unknown:
+        raise ValueError(f"is {tubes}; it must be two different tubes from 1 to {most}")
+    return tubes
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMap:
+    """A stability map, and the robot that it is of."""
+
+    robot: Robot
+    translations: Array
+    map: StabilityMap
+
+
+class StabilityMapStudy(Study):
+    """The margin and the snap boundary over two rotations."""
+
+    kind: Literal["stability_map"]
+    robot: RobotPath
+    translations_mm: OnePerTube | None = HOME
+    tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field([1, 2], description="that turn; 1 is innermost")
+    samples: Annotated[Whole, Field(ge=2)] = Field(60, description="points per axis")
+    directions: Annotated[Whole, Field(ge=4)] = Field(180, description="in which the snap boundary is sought")
+    workers: Annotated[Whole, Field(ge=1)] = Field(2, description="processes that share the work")
+
+    def run(self, progress: Progress | None = None) -> RobotMap:
+        """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""
+        translations = metres(self.translations_mm, self.robot.home_translations)
+        options: dict[str, Any] = {key: getattr(self, key) for key in ("samples", "directions", "workers")}
+        first, second = self.tubes
+        found = stability_map(self.robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
+        return RobotMap(self.robot, translations, found)

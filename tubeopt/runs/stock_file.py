@@ -1,0 +1,60 @@
+"""Stock lists as YAML: sizes of tubes that can be bought."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Literal
+
+from pydantic import Field
+
+from ..design import StockTube
+from ..errors import InputError
+from ..files.checked import Entry, NotNegative, Positive, check_kind
+from ..files.units import MM, to_si
+from ..files.yaml_file import load_yaml
+from ..robots.file import MaterialChoice, Part
+from ..robots.materials import NITINOL
+
+
+class StockEntry(Part):
+    """One size."""
+
+    name: str
+    outer_diameter_mm: Positive
+    inner_diameter_mm: NotNegative
+    source: str = ""
+    material: MaterialChoice = "nitinol"
+
+    def build(self) -> StockTube:
+        """The size in SI."""
+        return StockTube(
+            self.name,
+            to_si(self.outer_diameter_mm, MM),
+            to_si(self.inner_diameter_mm, MM),
+            self.source,
+            NITINOL if isinstance(self.material, str) else self.material.build(),
+        )
+
+
+class StockList(Entry):
+    """Sizes of tubes that can be bought, each with its source."""
+
+    kind: Literal["tubes"]
+    tubes: list[StockEntry] = Field(min_length=1)
+
+
+STOCK_KINDS: dict[str, type[StockList]] = {"tubes": StockList}
+"""What the key `kind` of a stock list may say."""
+
+
+def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
+    """The sizes in a stock list.
+
+    Raises:
+        InputError: no such file, not YAML, or keys or values that make no sizes: one line for every problem.
+    """
+    found = check_kind(STOCK_KINDS, load_yaml(path), path)
+    names = [entry.name for entry in found.tubes]
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: a name of a tube is given twice; every size must have its own")
+    return tuple(entry.build() for entry in found.tubes)

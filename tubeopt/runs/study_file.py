@@ -1,0 +1,81 @@
+"""Studies as YAML: a question about a robot, with everything that it takes to answer it.
+
+A new kind of study is a subclass of `Study` with its own keys and `run`, entered in `STUDY_KINDS`.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from os import PathLike
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError
+from ..files.checked import Positive, check_kind
+from ..files.yaml_file import load_yaml
+from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
+from .design_study import DesignStudy
+from .heating_study import HeatingStudy
+from .inverse_study import InverseStudy
+from .mold_study import MoldStudy
+from .plan_study import PlanStudy
+from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
+from .validation_study import ValidationStudy
+from .workspace_study import WorkspaceStudy
+
+
+class ForwardKinematicsStudy(Study):
+    """The equilibrium of a robot at given joint values."""
+
+    kind: Literal["forward_kinematics"]
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
+    translations_mm: OnePerTube | None = Field(None, description="one per tube; home where not given")
+    method: Literal["newton", "ipopt", "energy"] = "newton"
+    tolerance_rad: Positive = Decimal("1e-8")
+    verify: bool = Field(False, description="compare with an adaptive re-integration")
+
+    def run(self, progress: Progress | None = None) -> Equilibrium:
+        """The equilibrium; raises SolveError where none is found."""
+        return forward_kinematics(
+            self.robot,
+            radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
+            metres(self.translations_mm, self.robot.home_translations),
+            method=self.method,
+            tolerance=float(self.tolerance_rad),
+            verify=self.verify,
+        )
+
+
+STUDY_KINDS: dict[str, type[Study]] = {
+    "forward_kinematics": ForwardKinematicsStudy,
+    "inverse_kinematics": InverseStudy,
+    "equilibria": EquilibriaStudy,
+    "snap": SnapStudy,
+    "follow": FollowStudy,
+    "certify": CertifyStudy,
+    "stability_map": StabilityMapStudy,
+    "validation": ValidationStudy,
+    "design": DesignStudy,
+    "plan": PlanStudy,
+    "workspace": WorkspaceStudy,
+    "heating": HeatingStudy,
+    "mold_plan": MoldStudy,
+}
+"""What the key `kind` of a study file may say."""
+
+
+def load_study(path: str | PathLike[str]) -> Study:
+    """The study in a YAML file, its robot loaded; call its `run` for the answer.
+
+    Raises:
+        InputError: no such file, not YAML, or keys or values that make no study: one line for every problem.
+    """
+    data = load_yaml(path)
+    if data.get("kind") == "sweep":
+        raise InputError(f"{path}: kind is 'sweep'; this is for `tubeopt sweep`, where a study is asked for")
+    return check_kind(STUDY_KINDS, data, path)

@@ -1,0 +1,283 @@
+"""Sweeps as YAML: a study, and which of its keys vary over which values.
+
+    kind: sweep
+    study: {kind: forward_kinematics, robot: ../robots/thesis_ctr.yaml, rotations_deg: [0, 0, 0]}
+    vary:
+      - {key: "rotations_deg[0]", from: 0, to: 360, count: 37}
+      - {key: "robot.tubes[0].curvature_per_m", values: [6, 8, 10]}
+
+Keys are paths in the study; through `robot`, `rig` and `mold` they go on into the files of those.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from ..errors import InputError, nearest
+from ..files.checked import Entry, Number, check, check_kind
+from ..files.units import decimal, shown
+from ..files.yaml_file import load_yaml
+from ..robots.file import robot_from_dict
+from .base import Study, Whole
+from .mold_file import mold_spec_from_dict
+from .rig_file import rig_from_dict
+from .study_file import STUDY_KINDS
+from .sweep_points import Axis, Points, Value
+from .sweep_table import NOT_A_RESULT, flatten
+
+Data = dict[str, Any]
+
+FILES: dict[str, Callable[[object, str], Any]] = {
+    "robot": robot_from_dict,
+    "rig": rig_from_dict,
+    "mold": mold_spec_from_dict,
+}
+"""Keys of studies that name files into which keys that vary go on."""
+
+
+def _value(value: object) -> Value:
+    if isinstance(value, (bool, str)):
+        return value
+    return float(decimal(value))
+
+
+class VaryEntry(Entry):
+    """Keys, and the values that they take together: a list, or a range."""
+
+    key: str | list[str] = Field(description="path of the key, as rotations_deg[0]; of several keys that are equal")
+    values: list[Annotated[Value, BeforeValidator(_value)]] | None = Field(None, min_length=1)
+    lowest: Number | None = Field(None, alias="from", description="one end of a range")
+    highest: Number | None = Field(None, alias="to", description="the other end")
+    count: Annotated[Whole, Field(ge=1)] | None = Field(None, description="values of the range on a grid")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        has_range = self.lowest is not None and self.highest is not None
+        if (self.values is None) != has_range or (self.lowest is None) != (self.highest is None):
+            raise ValueError("must give values, or from and to")
+        if self.values is not None and self.count is not None:
+            raise ValueError("gives values and a count; a count is for from and to")
+        return self
+
+    def build(self, method: str) -> Axis:
+        """The axis of the points; raises InputError where a grid has no count."""
+        keys = (self.key,) if isinstance(self.key, str) else tuple(self.key)
+        if self.values is not None:
+            return Axis(keys, tuple(self.values))
+        if method == "grid" and self.count is None:
+            raise InputError(f"vary {keys[0]}: count is missing; a grid needs the number of values from {self.lowest}")
+        return Axis(keys, None, float(self.lowest or 0), float(self.highest or 0), self.count or 0)
+
+
+class SampleEntry(Entry):
+    """Points drawn from the ranges, in place of their grid."""
+
+    method: Literal["random", "sobol", "latin_hypercube"] = "sobol"
+    count: Annotated[Whole, Field(ge=1)]
+    seed: Annotated[Whole, Field(ge=0)] = 0
+
+
+class SweepEntry(Entry):
+    """A study at many values of its keys."""
+
+    kind: Literal["sweep"]
+    study: str | dict[str, Any] = Field(description="a study, or the path of its file, relative to this file")
+    vary: list[VaryEntry] = Field(min_length=1)
+    sample: SampleEntry | None = Field(None, description="points to draw; by default the grid of all values")
+    columns: list[str] | None = Field(
+        None, min_length=1, description="results to keep, by how their names begin; by default all"
+    )
+
+
+@dataclass(frozen=True)
+class StudyAt:
+    """A study with some of its keys set anew: a function of their values, for the workers of a sweep.
+
+    data: the study's; robot, rig and mold are loaded, or as data where their own keys vary.   where: its file.
+    summarise: turns the study's answer into plain data.   columns: beginnings of the names that are kept.
+    """
+
+    data: Data
+    where: Path
+    summarise: Callable[[Any], Mapping[str, Any]]
+    columns: tuple[str, ...] | None = None
+
+    def __call__(self, values: Mapping[str, Value]) -> Mapping[str, Any]:
+        """The answer at one point; raises InputError and SolveError as the study does."""
+        data = copy.deepcopy(self.data)
+        for key, value in values.items():
+            _put(data, key, value if isinstance(value, (bool, str)) else Decimal(repr(value)))
+        for name, build in FILES.items():
+            if isinstance(data.get(name), dict):
+                data[name] = build(data[name], name)
+        record = flatten(self.summarise(self._study(data).run()), NOT_A_RESULT)
+        if self.columns is None:
+            return record
+        for column in self.columns:
+            _begins_a_result(column, list(record))
+        return {key: value for key, value in record.items() if key.startswith(self.columns)}
+
+    def _study(self, data: Data) -> Study:
+        try:
+            return check_kind(STUDY_KINDS, data, self.where)
+        except InputError as error:  # of this point, not of the file, which is as it should be
+            raise InputError(str(error).replace(f"{self.where}: ", "")) from None
+
+
+def _begins_a_result(column: str, results: list[str]) -> None:
+    """Raise InputError for a column of no result; parts of results that only some points have are no mistake."""
+    names = {re.split(r"[.\[]", result)[0] for result in results}
+    if not any(result.startswith(column) for result in results) and re.split(r"[.\[]", column)[0] not in names:
+        raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
+
+
+@dataclass(frozen=True)
+class SweepFile:
+    """A sweep as its file describes it: the study as data, its points, and a mark that tells it from others."""
+
+    data: Data
+    where: Path
+    points: Points
+    fingerprint: str
+    columns: tuple[str, ...] | None = field(default=None)
+
+    def function(self, summarise: Callable[[Any], Mapping[str, Any]]) -> StudyAt:
+        """The study as a function of a point; `summarise` must be a function of a module."""
+        return StudyAt(self.data, self.where, summarise, self.columns)
+
+
+def load_sweep(path: str | PathLike[str]) -> SweepFile:
+    """The sweep in a YAML file, its study and robot loaded.
+
+    Raises:
+        InputError: no such file, not YAML, keys or values that make no sweep or no study, a key to vary that the study
+            does not have. Values that make no robot are the failure of their own points.
+    """
+    path = Path(path).absolute()
+    source = load_yaml(path)
+    entry = check(SweepEntry, source, path)
+    try:
+        method = "grid" if entry.sample is None else entry.sample.method
+        axes = tuple(each.build(method) for each in entry.vary)
+        count, seed = (0, 0) if entry.sample is None else (entry.sample.count, entry.sample.seed)
+        points = Points(axes, method, count, seed)
+        data, where = _study(source["study"], path)
+        fingerprint = _fingerprint(data, where, source)
+        for name in FILES:
+            data = _with_file(name, data, where, points.keys)
+        for key in points.keys:
+            _known(data, key)
+    except InputError as error:
+        lines = str(error).splitlines()
+        raise InputError("\n".join(line if str(path) in line else f"{path}: {line}" for line in lines)) from None
+    columns = None if entry.columns is None else tuple(entry.columns)
+    return SweepFile(data, where, points, fingerprint, columns)
+
+
+def _study(study: str | Data, path: Path) -> tuple[Data, Path]:
+    """Data of the study and the file that they are from, checked as they stand."""
+    where = path
+    if isinstance(study, str):
+        where = path.parent / study
+        study = load_yaml(where)
+    check_kind(STUDY_KINDS, study, where)
+    return dict(study), where
+
+
+def _with_file(name: str, data: Data, where: Path, keys: tuple[str, ...]) -> Data:
+    """The study with what is in a file that it names: as data where keys go into it, else built."""
+    if not isinstance(data.get(name), str) or name in keys:
+        return data
+    content = load_yaml(where.parent / data[name])
+    inside = any(key.startswith(f"{name}.") for key in keys)
+    return {**data, name: content if inside else FILES[name](content, data[name])}
+
+
+_PART = re.compile(r"(\w+)|\[(\d+)\]")
+
+
+def _parts(key: str) -> list[str | int]:
+    """`tubes[0].curvature_per_m` as its steps."""
+    if not re.fullmatch(r"\w+(\[\d+\]|\.\w+)*", key):
+        raise InputError(f"vary {key}: this is no path of a key; it must be as rotations_deg[0] or robot.name")
+    return [name or int(number) for name, number in _PART.findall(key)]
+
+
+def _known(data: Data, key: str) -> None:
+    """Raise InputError where the study has no such key."""
+    *way, last = _parts(key)
+    place: Any = data
+    for k, part in enumerate([*way, last]):
+        at = _name([*way, last][:k])
+        if isinstance(part, int):
+            if not isinstance(place, list) or part >= len(place):
+                size = f"a list of {len(place)}, counted from 0" if isinstance(place, list) else shown(place)
+                raise InputError(f"vary {key}: {at} is {size}; it has no [{part}]")
+        elif not isinstance(place, dict) or part not in place:
+            fields = list(STUDY_KINDS[data["kind"]].model_fields) if k == 0 else []
+            if k == len(way) and part in fields:
+                return
+            names = list(place) if isinstance(place, dict) else []
+            what = f"{at} has" if at else "the study gives"
+            raise InputError(f"vary {key}: {what} no {part}{_give(part in fields) or nearest(part, names)}")
+        place = place[part]
+
+
+def _give(known: bool) -> str:
+    return "; give it a value, of which a part can then vary" if known else ""
+
+
+def _name(parts: list[str | int]) -> str:
+    text = ""
+    for part in parts:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _put(data: Data, key: str, value: object) -> None:
+    *way, last = _parts(key)
+    place: Any = data
+    for part in way:
+        place = place[part]
+    place[last] = value
+
+
+def _fingerprint(data: Data, where: Path, source: Data) -> str:
+    """A mark of everything that the results follow from: the keys of the file, and the files that they name."""
+    digest = hashlib.sha256(json.dumps([source, data], default=str, sort_keys=True).encode())
+    for content in _named(data, where.parent, set()):
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def _named(data: object, directory: Path, seen: set[Path]) -> Iterator[bytes]:
+    """Contents of the files that are named in data, and in those files."""
+    for text in _texts(data):
+        file = (directory / text).resolve() if len(text) < 1024 and "\0" not in text else directory
+        if file.is_file() and file not in seen:
+            seen.add(file)
+            yield file.read_bytes()
+            if file.suffix in (".yaml", ".yml"):
+                yield from _named(load_yaml(file), file.parent, seen)
+
+
+def _texts(data: object) -> Iterator[str]:
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, Mapping):
+        for value in data.values():
+            yield from _texts(value)
+    elif isinstance(data, list):
+        for value in data:
+            yield from _texts(value)

@@ -1,0 +1,151 @@
+"""Sweeps: a function at many points, each saved as it is done, that go on where a killed run stopped.
+
+`tubeopt sweep` runs studies this way; `sweep` takes any function of a point that returns numbers and text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import InputError
+from ..files.journal import Journal
+from ..parallel.executors import Failure, Outcome, each
+from .sweep_points import Points
+from .sweep_table import flatten, write_table
+
+JOURNAL = "journal.jsonl"
+
+Point = Mapping[str, Any]
+Answer = Mapping[str, Any]
+
+
+class Progress(Protocol):
+    """Called with how many points are done, how many there are, and how many of those done have failed."""
+
+    def __call__(self, done: int, total: int, failed: int) -> object: ...
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep left in its directory.
+
+    points: how many there are.   computed: by this run; the others were there before.   failures: (index, reason).
+    table, arrays, journal: paths of table.csv, table.npz and journal.jsonl.
+    """
+
+    points: int
+    computed: int
+    failures: tuple[tuple[int, str], ...]
+    table: Path
+    arrays: Path
+    journal: Path
+
+
+def sweep(
+    function: Callable[[Any], Answer],
+    points: Sequence[Point],
+    directory: str | PathLike[str],
+    *,
+    fingerprint: str = "",
+    workers: int = 0,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    progress: Progress | None = None,
+) -> Sweep:
+    """`function` at every point, with a journal and a table in `directory`.
+
+    Points and answers are mappings of names to anything that JSON or NumPy knows; what is nested becomes columns such
+    as `tip[0]` and `snap.fraction`. What raises at one point is recorded there with its reason. If the directory holds
+    the journal of an earlier run with the same points, the points that it has are not computed again.
+
+    Args:
+        function: a function of a module, or a `functools.partial` of one, sent to every worker once.
+        fingerprint: tells one sweep from another; by default it is made of the function and all points.
+        workers, scheduler: as for `tubeopt.parallel.executors.each`.
+        retry_failed: compute the points again that have failed before.
+
+    Raises:
+        InputError: no function, or no points; the directory holds another sweep, is in use or cannot be written;
+            workers or scheduler as in `parallel.executor`.
+        SolveError: the connection to the cluster is lost; the journal keeps what was done.
+    """
+    if not callable(function):
+        raise InputError(f"function is {function!r}; it must be a function of a point")
+    points = _checked(points)
+    directory = Path(directory)
+    mark = fingerprint or _fingerprint(function, points)
+    with Journal(directory / JOURNAL, mark, len(points)) as journal:
+        done = set(journal.done) - (journal.failed if retry_failed else set())
+        left = [index for index in range(len(points)) if index not in done]
+        if progress is not None:
+            progress(len(done), len(points), len(journal.failed & done))
+        chosen = (points[index] for index in left)
+        outcomes = each(function, chosen, workers=workers, scheduler=scheduler) if left else iter(())
+        for outcome in outcomes:
+            index = left[outcome.index]
+            journal.append(index, _entry(points[index], outcome))
+            done.add(index)
+            if progress is not None:
+                progress(len(done), len(points), len(journal.failed & done))
+        table, arrays = write_table(directory, journal.entries)
+        return Sweep(len(points), len(left), tuple(_failures(journal)), table, arrays, journal.path)
+
+
+def _checked(points: Any) -> Sequence[Point]:
+    if isinstance(points, Points):  # which are checked, and made when they are asked for
+        return points
+    if isinstance(points, (str, Mapping)) or not isinstance(points, Iterable):
+        raise InputError(f"points are {type(points).__name__}; they must be a list of mappings of names to values")
+    checked = list(points)
+    if not checked:
+        raise InputError("there are no points; there must be at least one")
+    for index, point in enumerate(checked):
+        wrong = _no_row(f"points[{index}]", point)
+        if wrong:
+            raise InputError(wrong)
+    return checked
+
+
+def _entry(point: Point, outcome: Outcome[Answer]) -> dict[str, Any]:
+    entry: dict[str, Any] = {"parameters": flatten(point), "seconds": outcome.seconds}
+    failure, answer = outcome.failure, outcome.value
+    if failure is None:
+        wrong = _no_row("the answer", answer)
+        failure = Failure("TypeError", wrong) if wrong else None
+    if failure is not None:
+        return entry | {"failure": asdict(failure)}
+    return entry | {"record": flatten(answer or {})}
+
+
+def _no_row(what: str, data: object) -> str:
+    """Why data make no row of a table, or nothing where they do."""
+    if not isinstance(data, Mapping):
+        return f"{what} is {data!r:.60}; it must be a mapping of names to values"
+    row: Mapping[str, Any] = flatten(data)
+    for name, value in row.items():
+        if value is not None and not isinstance(value, (str, int, float)):
+            return f"{what}: {name} is {value!r:.60}; it must be a number or text"
+    return ""
+
+
+def _failures(journal: Journal) -> Iterator[tuple[int, str]]:
+    for entry in journal.entries():
+        if "failure" in entry:
+            yield entry["index"], f"{entry['failure']['kind']}: {entry['failure']['reason']}"
+
+
+def _fingerprint(function: Callable[..., Any], points: Sequence[Point]) -> str:
+    digest = hashlib.sha256()
+    try:
+        digest.update(pickle.dumps(function))
+        for point in points:
+            digest.update(repr(sorted(point.items())).encode())
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(f"the function cannot be sent to other processes: {error}") from None
+    return digest.hexdigest()

@@ -1,0 +1,85 @@
+"""Targets of the tip in CSV, and single configurations in YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import nearest
+from ..files.checked import Entry, Number, check
+from ..files.csv_file import read_csv, refuse
+from ..files.units import MM, RAD
+from ..files.yaml_file import load_yaml
+from ..robots.robot import Robot
+from ..typing import Array
+from .base import metres, radians
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+DIRECTION = ("direction_x", "direction_y", "direction_z")
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """T targets: position (T, 3) m, direction (T, 3) of any length, or None."""
+
+    position: Array
+    direction: Array | None
+
+
+def load_targets(path: str | PathLike[str]) -> Targets:
+    """The targets in a CSV file with the columns x_mm, y_mm, z_mm and, where the tip shall point, direction_x, ...
+
+    Raises:
+        InputError: no such file, a column that is unknown or missing, a cell that is no number, a direction without
+            length: one line for each problem.
+    """
+    table = read_csv(path)
+    known = [*POSITION, *DIRECTION]
+    problems = [
+        f"column {name} is not known; columns are {', '.join(known)}{nearest(name, known)}"
+        for name in table.columns
+        if name not in known
+    ]
+    problems += [f"column {name} is missing" for name in POSITION if name not in table.columns]
+    given = [name for name in DIRECTION if name in table.columns]
+    problems += [
+        f"column {name} is missing; it must be there since {given[0]} is"
+        for name in DIRECTION
+        if given and name not in table.columns
+    ]
+    refuse(path, problems)
+    position = table.numbers(POSITION, MM)
+    direction = table.numbers(DIRECTION, RAD) if given else None
+    if direction is not None:
+        for k in np.flatnonzero(~direction.any(1)):
+            table.complain(int(k), DIRECTION[0], "is 0, as are the other two; a direction must have a length")
+    table.check()
+    return Targets(position, direction)
+
+
+class JointsFile(Entry):
+    """One configuration of a robot."""
+
+    rotations_deg: list[Number]
+    translations_mm: list[Number] | None = Field(None, description="home where not given")
+
+
+def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
+    """Rotations (n,) rad and translations (n,) m in a YAML file with the keys rotations_deg and translations_mm.
+
+    Raises:
+        InputError: no such file, not YAML, an unknown key, not as many numbers as there are tubes.
+    """
+    joints = check(JointsFile, load_yaml(path), path)
+    n = robot.n_tubes
+    given = {"rotations_deg": joints.rotations_deg, "translations_mm": joints.translations_mm}
+    problems = [
+        f"{key} has {len(values)} numbers; it must be {n} (one per tube)"
+        for key, values in given.items()
+        if values is not None and len(values) != n
+    ]
+    refuse(path, problems)
+    return radians(joints.rotations_deg, np.zeros(n)), metres(joints.translations_mm, robot.home_translations)

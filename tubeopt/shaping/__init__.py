@@ -1,0 +1,48 @@
+"""How the tubes of a robot are made: molds, heating."""
+
+from .mold.checks import Check
+from .mold.files import write_mold
+from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
+from .mold.holes import Hole
+from .mold.materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
+from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
+from .mold.ranking import MaterialRating, rank_mold_materials
+from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec
+from .mold.springback import Calibration, Springback, calibrate_springback
+
+__all__ = [
+    "CALCIUM_SILICATE",
+    "GLASS_MICA",
+    "MDF",
+    "MOLD_MATERIALS",
+    "STEEL",
+    "Calibration",
+    "Check",
+    "Clamp",
+    "ClampSpec",
+    "ColdEnd",
+    "EndMill",
+    "Groove",
+    "GrooveSpec",
+    "HeatSpec",
+    "Hole",
+    "MaterialRating",
+    "MillingSpec",
+    "Mold",
+    "MoldMaterial",
+    "MoldSpec",
+    "PlateSpec",
+    "Springback",
+    "VentSpec",
+    "calibrate_springback",
+    "cold_end",
+    "heat_drawn",
+    "heat_flow",
+    "mold_material",
+    "plan_mold",
+    "predict_tube",
+    "predict_tubes",
+    "rank_mold_materials",
+    "thermal_growth",
+    "write_mold",
+]

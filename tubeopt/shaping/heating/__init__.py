@@ -1,0 +1,1 @@
+"""The heating of tubes in a mold: schedule, rig, thermal model, calibration."""

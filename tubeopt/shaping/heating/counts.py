@@ -1,0 +1,91 @@
+"""Whole counts that keep ramp and current limit: sum-up rounding with a look at the tube."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...physics.heat import GRIP
+from ...robots.tubes import Tube
+from ...typing import Array
+from .rates import State, at_rest, current, rates
+from .rig import COUNTS, Rig
+from .schedule import Counts
+from .simulation import advance
+from .spec import HeatingSpec
+from .thermal import ThermalModel, cross_section, leak_resistance, thermal_data
+
+MOST_COLDER = 4.0
+"""What counts held back for the sake of the ramp may cost, K."""
+
+SETTLED = 10.0
+"""Time of the hold, s, after which no duty comes near the ramp any more, and counts follow without a look."""
+
+STEPS = 2
+SPARED = 0.02
+"""Part of ramp and current limit that counts leave unused, for what the quick simulation beside them gets wrong."""
+
+
+def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
+    """Current while the MOSFET conducts and the tube is cold, A; with or without what a mold that conducts takes."""
+    whole = 2 * (rig.mold.lead + rig.clamps.clearance) + tube.curved_length
+    ohm = rig.resistivity_factor * thermal_data(tube).resistivity / cross_section(tube) * whole
+    if leaking:
+        ohm = 1 / (1 / ohm + 1 / leak_resistance(tube, rig))
+    return rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + ohm)
+
+
+def count_rate(tube: Tube, rig: Rig) -> float:
+    """Rate (K/s) at which one count of the duty warms a tube in an insulating mold, without any loss."""
+    data, section = thermal_data(tube), cross_section(tube)
+    power = full_current(tube, rig, leaking=False) ** 2 * rig.resistivity_factor * data.resistivity / section
+    return power / COUNTS / (data.density * section * data.heat_capacity)
+
+
+def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array) -> Counts:
+    """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit as it begins.
+
+    What is left out is given in later slots, but for what the tube has forgotten by then: the sum falls behind by no
+    more than half a count and what makes the tube `MOST_COLDER` colder. One count is worth several K/s: without the
+    guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest, nothing would
+    ever be heated: there the counts are those that break it least without falling behind.
+
+    Args:
+        model: one member, whose temperatures are simulated along. duty: (T,) in [0, 1], mean over each slot.
+    """
+    sums = COUNTS * np.cumsum(duty)
+    counts = np.zeros(len(duty), dtype=np.int64)
+    state, given = at_rest(model), 0.0
+    slow, fast = extremes(model, state)
+    owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
+    hopeless = most_count(model, state, spec, rig) < 1
+    heated = int(np.count_nonzero(duty))
+    watched = min(heated, heated - spec.hold_slots + math.ceil(SETTLED / spec.slot))
+    for k in range(watched):
+        due = math.floor(sums[k] - given + 0.5)
+        least = math.ceil(sums[k] - given - owed - 1e-9) if hopeless else 0
+        counts[k] = min(max(min(due, most_count(model, state, spec, rig)), least, 0), COUNTS)
+        given += float(counts[k])
+        if not hopeless:
+            given = max(given, sums[k] - owed)
+        state = advance(model, state, counts[k] / COUNTS, spec.slot, STEPS)
+    rest = np.maximum(np.floor(sums[watched:heated] - given + 0.5), 0.0)
+    counts[watched:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
+    return counts
+
+
+def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
+    """Greatest count that keeps ramp and mean current, less `SPARED` of them, at a state."""
+    slow, fast = extremes(model, state)
+    kept = 1 - SPARED
+    room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
+    now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
+    return int(COUNTS * max(min(room, kept * rig.circuit.current_limit / now, 1.0), 0.0))
+
+
+def extremes(model: ThermalModel, state: State) -> tuple[Array, Array]:
+    """Rates of warming of the cells outside of the clamps at no duty and at full duty, K/s."""
+    idle, full = (rates(model, state.cells, state.lumped, duty)[0][0, :, 0] for duty in (0.0, 1.0))
+    free = model.zone > GRIP
+    return idle[free], full[free]

@@ -1,0 +1,200 @@
+"""What would cure a schedule that cannot keep what is asked: changes of rig and question, tried one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from ...errors import SolveError
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ..mold.materials import CALCIUM_SILICATE
+from .counts import count_rate, full_current
+from .ideal import Ideal, Shift, solve_ideal
+from .outcome import Outcome
+from .rig import Rig
+from .spec import HeatingSpec
+
+ENOUGH = 0.05
+"""A window missed by less than this, K, by the program is worth a schedule of counts to see whether it is held."""
+
+WORTH = 0.1
+"""A change that takes away less than this part of the miss is not worth telling."""
+
+TRIES = 3
+SHORT_SLOT, MORE_CURRENT, MORE_TIME, LONG_LEAD, WIDER = 0.1, 2.0, 3.0, 1.5, 25.0
+
+FINE_COUNT, LESS_PEAK, OHM_STEP = 0.4, 0.95, 1e-3
+"""Parts of the ramp that a count should warm the tube by, and of the circuit's peak current that should flow; ohm by
+which resistors are rounded up."""
+
+
+class Schedule(Protocol):
+    """What is asked of a schedule (`heating.Schedule`)."""
+
+    @property
+    def ideal(self) -> Ideal:
+        """The program's answer."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """What is kept."""
+
+    @property
+    def shift(self) -> Shift | None:
+        """Of the program's temperatures, by which it was corrected."""
+
+    @property
+    def reserve(self) -> tuple[float, float]:
+        """Kept from the window's ends, K."""
+
+
+@dataclass(frozen=True)
+class Cure:
+    """A change, in words, and what would still be wrong with it.
+
+    Attributes:
+        shortfall: by how much the window would be missed, K. broken: what of ramp and currents would not be kept.
+    """
+
+    change: str
+    shortfall: float
+    broken: tuple[str, ...] = ()
+
+    @property
+    def cures(self) -> bool:
+        """Whether all would be kept, by a schedule of whole counts."""
+        return self.shortfall <= 0.0 and not self.broken
+
+
+Change = tuple[str, Rig, HeatingSpec]
+
+
+def find_cures(
+    tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, schedule: Callable[[Tube, Rig, HeatingSpec], Schedule]
+) -> tuple[Cure, ...]:
+    """Changes that let everything be kept, or at least nearly; the best first, the search ends at the first that cures.
+
+    Changes for the window are first tried by the program alone; what seems to cure is confirmed by `schedule`.
+
+    Args:
+        best: the best schedule without any change. schedule: finds that of another question.
+    """
+    plain = replace(spec, objective="time")
+    if best.outcome.shortfall <= 0:
+        return _ordered([_confirmed(change, tube, schedule) for change in _for_limits(tube, rig, plain, best.outcome)])
+    found: list[Cure | None] = []
+    for change in _candidates(rig, plain, best.ideal, best.shift)[:TRIES]:
+        tried = _tried(change, tube, spec, best)
+        if tried is None:
+            continue
+        cure: Cure | None = tried[0]
+        if tried[0].shortfall < ENOUGH:
+            # What is told is confirmed: the rig is no longer free.
+            cure = _confirmed((tried[0].change, tried[1], replace(change[2], free=())), tube, schedule)
+        if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
+            found.append(cure)
+            if cure.cures:
+                break
+    return _ordered(found)
+
+
+def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
+    return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
+
+
+def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> tuple[Cure, Rig] | None:
+    """By how much the program misses the window with a change, and the rig as it chose; None where it finds nothing."""
+    words, rig, asked = change
+    part = asked.slot / spec.slot
+    low, high = best.reserve
+    try:
+        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift)
+    except SolveError:
+        return None
+    mold, clamps = answer.rig.mold, answer.rig.clamps
+    told = words.format(lead=1e3 * mold.lead, clearance=1e3 * clamps.clearance, vent=100 * max(mold.vents))
+    return Cure(told, max(answer.miss, 0.0)), answer.rig
+
+
+def _confirmed(change: Change, tube: Tube, schedule: Callable[[Tube, Rig, HeatingSpec], Schedule]) -> Cure | None:
+    """What whole counts make of a change; None where there is no schedule."""
+    words, rig, asked = change
+    try:
+        found = schedule(tube, rig, asked)
+    except SolveError:
+        return None
+    return Cure(words, found.outcome.shortfall, found.outcome.broken)
+
+
+def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Change]:
+    """Changes where the window is held but ramp or currents are not: less current, or another limit."""
+    now, count = full_current(tube, rig), count_rate(tube, rig)
+    most = now * math.sqrt(min(FINE_COUNT * spec.ramp / count, 1.0))
+    most = min(most, LESS_PEAK * rig.circuit.peak_limit)
+    found: list[Change] = []
+    if most < now:
+        ohm = OHM_STEP * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / OHM_STEP)
+        circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
+        found.append((f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec))
+    if outcome.steepest > spec.ramp:
+        faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))
+        found.append((f"a ramp of {faster.ramp:g} K/s", rig, faster))
+    return found
+
+
+def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) -> list[Change]:
+    """The changes that fit the reason: the whole tube too cold, its ends too cold, or a window too narrow."""
+    low, high = spec.window_degC
+    last = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1])
+    if last.max() < low:
+        return _for_power(rig, spec)
+    if last.max() - last.min() > 0.5 * (high - low):
+        return _for_ends(rig, spec)
+    return _for_narrow_window(rig, spec)
+
+
+def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
+    found: list[Change] = []
+    if rig.mold.material != CALCIUM_SILICATE:
+        silicate = replace(rig, mold=replace(rig.mold, material=CALCIUM_SILICATE))
+        name = rig.mold.material.name.replace("_", " ")
+        found.append((f"a mold of calcium silicate in place of {name}", silicate, spec))
+    circuit = replace(rig.circuit, current_limit=MORE_CURRENT * rig.circuit.current_limit)
+    words = f"a circuit that bears a mean current of {circuit.current_limit:g} A"
+    found.append((words, replace(rig, circuit=circuit), spec))
+    if rig.battery.state_of_charge < 0.95:
+        found.append(("a full battery", rig.with_charge(1.0), spec))
+    longer = replace(spec, longest_heating=MORE_TIME * spec.longest_heating)
+    found.append((f"a heating of up to {longer.longest_heating:g} s", rig, longer))
+    return found
+
+
+def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
+    lead, clearance = rig.mold.lead, rig.clamps.clearance
+    longer = replace(spec, free=("lead",), lead_range=(lead, max(60e-3, LONG_LEAD * lead)))
+    both = replace(
+        longer, free=("lead", "clearance"), clearance_range=(min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance))
+    )
+    return [
+        ("a lead of {lead:.1f} mm of extra tube in the mold at each end", rig, longer),
+        ("a lead of {lead:.1f} mm and a clearance of {clearance:.1f} mm at each end", rig, both),
+        (
+            "a lead of {lead:.1f} mm and vents that leave up to {vent:.0f} % of the tube bare",
+            rig,
+            replace(longer, free=("lead", "vents")),
+        ),
+    ]
+
+
+def _for_narrow_window(rig: Rig, spec: HeatingSpec) -> list[Change]:
+    lead = _for_ends(rig, spec)[0]
+    wider = replace(spec, window_degC=(spec.window_degC[0] - WIDER, spec.window_degC[1]))
+    wide = (f"a window that begins at {wider.window_degC[0]:g} degC", rig, wider)
+    if spec.slot <= SHORT_SLOT:
+        return [lead, wide]
+    quick = f"duties kept for {SHORT_SLOT:g} s instead of {spec.slot:g} s"
+    both = (f"{lead[0]}, and {quick}", rig, replace(lead[2], slot=SHORT_SLOT))
+    return [(quick, rig, replace(spec, slot=SHORT_SLOT)), both, wide]

@@ -1,0 +1,92 @@
+"""The schedule as text: a table in CSV and a header for an Arduino."""
+
+from __future__ import annotations
+
+import re
+
+from ...errors import InputError
+from ...files.csv_file import to_csv
+from .plan import HeatingPlan
+
+COLUMNS = ("time_s", "duty", "ideal_duty", "coldest_degC", "hottest_degC", "limit_point_degC", "voltage_V", "current_A")
+PER_LINE = 16
+
+
+def schedule_csv(plan: HeatingPlan) -> str:
+    """A row for every slot: its beginning, the duty (0-255), and what the simulation tells.
+
+    `coldest_degC` and `hottest_degC` are of the curved part, `limit_point_degC` is the hottest of the whole tube;
+    voltage and current are those while the MOSFET conducts.
+    """
+    curved = plan.temperature[:, plan.curved]
+    rows = [
+        (
+            f"{plan.time[k]:.3f}",
+            int(plan.duty[k]),
+            f"{plan.ideal_duty[k]:.3f}",
+            f"{curved[k].min():.2f}",
+            f"{curved[k].max():.2f}",
+            f"{plan.temperature[k].max():.2f}",
+            f"{plan.voltage[k]:.3f}",
+            f"{plan.current[k]:.2f}",
+        )
+        for k in range(len(plan.time))
+    ]
+    comment = (
+        f"{plan.rig.name or 'rig'}: every duty holds for {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
+        f"{plan.hold_end:g} s; battery at {plan.rig.battery.voltage:.2f} V at rest"
+    )
+    return to_csv(COLUMNS, rows, comment)
+
+
+def arduino_header(plan: HeatingPlan) -> str:
+    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS milliseconds.
+
+    Raises:
+        InputError: the slot is not a whole number of milliseconds.
+    """
+    return duty_header(plan.duty.tolist(), plan.spec.slot, plan.rig.battery.voltage)
+
+
+def duty_header(duty: list[int], slot: float, voltage: float) -> str:
+    """The header of `arduino_header` from duties (0-255), their slot (s), and the battery's voltage at rest (V)."""
+    milliseconds = slot_milliseconds(slot)
+    lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
+    body = ",\n".join(f"    {line}" for line in lines)
+    return f"""/* Heating schedule for a shape-setting rig: duty (0-255) of the PWM, one byte for every slot.
+   For a battery of {voltage:.2f} V at rest. The last duty is 0: the tube is off. */
+#ifndef HEATING_SCHEDULE_H
+#define HEATING_SCHEDULE_H
+
+#include <stdint.h>
+#ifdef __AVR__
+#include <avr/pgmspace.h> /* pgm_read_byte(&HEATING_DUTY[k]) */
+#else
+#define PROGMEM
+#endif
+
+#define HEATING_SLOT_MS {milliseconds}u
+#define HEATING_SLOTS {len(duty)}u
+
+static const uint8_t HEATING_DUTY[HEATING_SLOTS] PROGMEM = {{
+{body}
+}};
+
+#endif
+"""
+
+
+def slot_milliseconds(slot: float) -> int:
+    """A slot (s) in ms; raises InputError where that is no whole number."""
+    milliseconds = round(1000 * slot)
+    if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
+        raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")
+    return milliseconds
+
+
+def header_duties(text: str) -> list[int]:
+    """The duties in a header of `arduino_header`; raises InputError where there are none."""
+    match = re.search(r"HEATING_DUTY\[\w+\] PROGMEM = \{([^}]*)\}", text)
+    if match is None:
+        raise InputError("the header holds no HEATING_DUTY")
+    return [int(number) for number in match[1].split(",")]

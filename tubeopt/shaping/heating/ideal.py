@@ -1,0 +1,388 @@
+"""The ideal schedule: the program given numbers, a guess and bounds, solved, and its answer in plain arrays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import SolveError
+from ...physics.heat import GRIP, LEAD
+from ...physics.heat_functions import CHARGE as USED
+from ...physics.heat_functions import CLAMP
+from ...physics.heat_functions import SAG as SAGGED
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ...transcription.tableau import tableau
+from ...typing import Array
+from .counts import count_rate, full_current
+from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
+from .program import WINDOW, WISHES, Program, Structure, program
+from .rates import State, current, rates
+from .rig import COUNTS, Rig
+from .simulation import History, simulate, simulate_feedback
+from .spec import HeatingSpec
+from .thermal import PROGRAM, ThermalModel, thermal_model, vent_profile
+
+GUESS_SLOT = 0.25
+DUTY_POINTS = 401
+"""Points between which the ideal duty is taken to be linear, over heating and hold."""
+
+COARSE_RAMP, LEAST_RAMP = 0.03, 0.15
+"""Part of the ramp that is kept for the fine grid, and the part that is left when room is made for whole counts."""
+
+FAR = 20.0
+"""Miss of the window by a guess, K, from which on the program begins with it."""
+
+MOST_MISS = 1500.0
+"""The program is always solvable: the window may be missed by this much, K, at a price."""
+
+WEIGHTS = {
+    "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+    "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_drive": 0.01},
+    "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
+}
+"""Per s / 30, J / 1e4, square of 25 K, K, and square of steps of the drive of 100 A^2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ideal:
+    """The ideal schedule.
+
+    Attributes:
+        heating: time at which the hold begins, s. hold: its length, s.
+        node_time, node_duty: (K,) between which the duty is linear, s and fraction.
+        miss: by how much the window, narrowed by the reserve, is missed, K; below 0 only for "margin".
+        rig: with clearance, lead and vents as chosen.
+        time: (N,) collocation points, s. tube: (N, n) temperatures there, K.
+        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells, K.
+        iterations: of IPOPT. x, multipliers: scaled unknowns and multipliers, for a later guess.
+    """
+
+    heating: float
+    hold: float
+    node_time: Array
+    node_duty: Array
+    miss: float
+    rig: Rig
+    time: Array
+    tube: Array
+    held: Array
+    iterations: int
+    x: Array
+    multipliers: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+
+    def duty(self, slot: float, count: int) -> Array:
+        """(count,) mean duty in every slot from the start; the last duty goes on after the end."""
+        edges = slot * np.arange(count + 1)
+        time, duty = self.node_time, self.node_duty
+        if edges[-1] > time[-1]:
+            time, duty = np.append(time, edges[-1] + slot), np.append(duty, duty[-1])
+        integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * _middles(duty))])
+        k = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
+        value = np.interp(edges, time, duty)
+        total = integral[k] + 0.5 * (edges - time[k]) * (duty[k] + value)
+        return np.asarray(np.clip(np.diff(total) / slot, 0.0, 1.0))
+
+
+def _middles(values: Array) -> Array:
+    return 0.5 * (values[1:] + values[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """What a finer model adds to the program's temperatures, K.
+
+    Attributes:
+        held: (H, 1 + c) at the points of the hold, where the curved part begins and at its cells.
+        tube: (N, n) at all points and cells.
+    """
+
+    held: Array
+    tube: Array
+
+    @classmethod
+    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int) -> Shift:
+        """From the program's answer to a finer model; `history` is what the same duties do to it for so many slots."""
+        slot = float(history.time[1])
+        # The hold of the program may end within the slot after the last one that is heated.
+        duties = ideal.duty(slot, max(math.ceil(ideal.time[-1] / slot), slots) + 1)
+        later = simulate(model, slot, duties[slots:], start=history.state(slots))
+        temperature = np.concatenate([history.tube[: slots + 1, 0], later.tube[1:, 0]])
+        time = slot * np.arange(len(temperature))
+        coarse = thermal_model(tube, ideal.rig, PROGRAM)
+        at_time = np.array([np.interp(ideal.time, time, column) for column in temperature.T]).T
+        fine = np.array([np.interp(coarse.position, model.position, row) for row in at_time])
+        first = len(ideal.time) - len(ideal.held)
+        edge = np.array([[np.interp(curve_start(model), model.position, row)] for row in at_time[first:]])
+        return cls(np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.held, fine - ideal.tube)
+
+    def near(self, other: Shift, tolerance: float) -> bool:
+        """Whether two shifts differ by less than `tolerance`, K."""
+        return bool(np.abs(self.held - other.held).max() < tolerance)
+
+
+def curve_start(model: ThermalModel) -> float:
+    """Where the curved part begins, m from the outer end of the clamp."""
+    first = int(np.argmax(model.curved))
+    return float(model.position[first] - 0.5 * model.width[first])
+
+
+def solve_ideal(
+    tube: Tube,
+    rig: Rig,
+    spec: HeatingSpec,
+    *,
+    reserve: tuple[float, float] = (0.0, 0.0),
+    room: float = 0.75,
+    shift: Shift | None = None,
+    guess: Ideal | None = None,
+) -> Ideal:
+    """The schedule that is best with a duty of any value.
+
+    Args:
+        reserve: by how much the window is narrowed at its low and its high end, K; the limit as at the high end.
+        room: counts of the duty for whose warming room is left below the ramp.
+        shift: what a finer model adds to the temperatures.
+        guess: an earlier answer to a similar question.
+
+    Raises:
+        SolveError: IPOPT did not converge; the message says at what the worst constraint is.
+    """
+    structure = Structure(PROGRAM)
+    made = program(structure)
+    x = guess.x if guess is not None else _start(made, tube, rig, spec)
+    lower, upper = _unknown_bounds(made, tube, rig, spec)
+    lbg, ubg = _constraint_bounds(made, shift)
+    p = np.concatenate([physics(tube, rig, structure.resolution), _wishes(spec, tube, rig, reserve, room)])
+    x = np.clip(x, lower, upper)
+    bounds = {"p": p, "lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
+    found, stats = _solved(made, spec, x, bounds, guess)
+    g = found["g"].full().ravel()
+    violation = np.maximum(lbg - g, g - ubg)
+    if not stats["success"] and violation.max() > 1e-5:
+        raise SolveError(f"IPOPT found no heating schedule ({stats['return_status'].replace('_', ' ').lower()}): "
+                         f"{_worst(made, violation)}")  # fmt: skip
+    multipliers = found["lam_x"].full().ravel(), found["lam_g"].full().ravel()
+    answer = _read(made, tube, rig, spec, found["x"].full().ravel(), int(stats["iter_count"]))
+    return replace(answer, multipliers=multipliers)
+
+
+def _solved(
+    made: Program, spec: HeatingSpec, x: Array, bounds: dict[str, Array], guess: Ideal | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Solution and statistics of the first solver that converges: from the earlier answer, anew, convex Hessian."""
+    attempts: list[tuple[Any, dict[str, Array]]] = [(made.exact, {}), (made.convex, {})]
+    if guess is not None and not spec.free:
+        attempts.insert(0, (made.again, {"lam_x0": guess.multipliers[0], "lam_g0": guess.multipliers[1]}))
+    for solver, start in attempts:
+        found = solver(x0=x, **start, **bounds)
+        stats = solver.stats()
+        if stats["success"]:
+            break
+    return found, stats
+
+
+def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
+    low, high = spec.window_degC
+    # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
+    ramp, count = (1 - COARSE_RAMP) * spec.ramp, count_rate(tube, rig)
+    if count < ramp:
+        ramp = max(ramp - room * count, LEAST_RAMP * spec.ramp)
+    # By sum-up rounding it is up to a whole count greater.
+    current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
+    values = {
+        "hold": spec.covered_time,
+        "low": low + reserve[0] + ZERO_CELSIUS,
+        "high": high - reserve[1] + ZERO_CELSIUS,
+        "limit": spec.limit - reserve[1] + ZERO_CELSIUS,
+        "ramp": ramp,
+        "current": current,
+        **WEIGHTS[spec.objective],
+    }
+    return np.array([values[name] for name in WISHES])
+
+
+def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Array, Array]:
+    s = made.structure
+    n_u = s.mesh.heating + s.mesh.hold + 1
+    cold = np.full((s.points, s.states), -np.inf)
+    hot = np.full((s.points, s.states), np.inf)
+    # What the battery holds is what can be drawn.
+    hot[:, -2] = rig.battery.state_of_charge / CHARGE
+    design = [rig.clamps.clearance, rig.mold.lead]
+    ranges = [spec.clearance_range, spec.lead_range]
+    pairs = [
+        pair if name in spec.free else (value, value)
+        for name, value, pair in zip(("clearance", "lead"), design, ranges, strict=True)
+    ]
+    vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
+    vent_low, vent_high = (0 * vents, 0 * vents + spec.most_vent) if "vents" in spec.free else (vents, vents)
+    least_miss = -1e3 if spec.objective == "margin" else 0.0
+    tail = [np.array([pair[side] for pair in pairs]) / LENGTH for side in (0, 1)]
+    intervals, longest = s.mesh.heating, spec.longest_heating
+    lower = [
+        cold.ravel(), np.zeros(2 * s.points), np.zeros(n_u), np.full(intervals, 0.5 / DURATION),
+        np.full(s.holding_points, least_miss), tail[0], vent_low,
+    ]  # fmt: skip
+    upper = [
+        hot.ravel(), np.full(2 * s.points, np.inf), np.full(n_u, np.inf), np.full(intervals, longest / DURATION),
+        np.full(s.holding_points, MOST_MISS), tail[1], vent_high,
+    ]  # fmt: skip
+    return np.concatenate(lower), np.concatenate(upper)
+
+
+def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array]:
+    limits: dict[str, tuple[Any, Any]] = {
+        "equations": (0.0, 0.0), "same": (0.0, 0.0), "low": (0.0, np.inf), "high": (-np.inf, 0.0),
+        "limit": (-np.inf, 0.0), "ramp": (-np.inf, 1.0), "current": (-np.inf, 1.0), "duty": (-np.inf, 0.0),
+    }  # fmt: skip
+    if shift is not None:
+        # The constraints of the window are written in units of WINDOW, that of the limit in units of RISE.
+        limits["low"] = (-shift.held / WINDOW, np.inf)
+        limits["high"] = (-np.inf, -shift.held / WINDOW)
+        limits["limit"] = (-np.inf, -shift.tube / RISE)
+    lower, upper = (
+        np.concatenate([np.broadcast_to(np.ravel(limits[name][side]), (size,)) for name, size in made.sizes.items()])
+        for side in (0, 1)
+    )
+    return lower, upper
+
+
+def _worst(made: Program, violation: Array) -> str:
+    at = int(np.argmax(violation))
+    for name, size in made.sizes.items():
+        if at < size:
+            return f"the worst constraint is {name}, entry {at + 1} of {size}, violated by {violation.max():.1e}"
+        at -= size
+    raise AssertionError
+
+
+# --- the guess ----------------------------------------------------------------------------------------------------
+
+
+def _start(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
+    """Unknowns of the schedule that a controller finds, which knows the model and leads the hottest cell."""
+    s = made.structure
+    model = thermal_model(tube, rig, s.resolution)
+    target = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
+    ramp = min(0.9 * spec.ramp, 1e3)
+    planned = (target - model.ambient) / ramp
+    whole = planned + spec.covered_time
+    count = int(np.clip(np.ceil(whole / GUESS_SLOT), 200, 2000))
+    slot = whole / count
+
+    def controller(time: float, state: State) -> float:
+        wanted = min(model.ambient + ramp * (time + slot), target)
+        return duty_for(model, state, wanted, slot, rig.circuit.current_limit)
+
+    history, duties = simulate_feedback(model, slot, count, controller)
+    hold = spec.covered_time
+    heating, holding = made.structure.mesh.fractions
+    faces = np.concatenate([planned * heating, planned + hold * holding[1:]])
+    points = (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", s.mesh.degree).nodes).ravel()
+    found = _unknowns(model, history, duties, points, faces)
+    design = np.array([rig.clamps.clearance, rig.mold.lead]) / LENGTH
+    durations = np.full(s.mesh.heating, planned / DURATION)
+    vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
+    misses = np.full(s.holding_points, _start_miss(made, model, spec, found["z"]))
+    return np.concatenate([found["z"], found["circuit"], found["drive"], durations, misses, design, vents])
+
+
+def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array) -> float:
+    """By how much a guess misses the window, K, where that is far: from 0, IPOPT would take a hundred tiny steps."""
+    s = made.structure
+    tube = model.ambient + RISE * z.reshape(s.points, s.states)[-s.holding_points :, : s.resolution.cells]
+    held = joined(model, tube) - ZERO_CELSIUS
+    low, high = spec.window_degC
+    miss = max(low - float(held.min()), float(held.max()) - high)
+    return 1.1 * miss if miss > FAR else 0.0
+
+
+def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:
+    """Duty that brings the hottest cell outside of the clamps to `wanted` (K) in a slot, within the current limit."""
+    idle, _ = rates(model, state.cells, state.lumped, 0.0)
+    full, _ = rates(model, state.cells, state.lumped, 1.0)
+    tube = state.cells[0, :, 0]
+    hot = int(np.argmax(np.where(model.zone > GRIP, tube, 0.0)))
+    need = (wanted - tube[hot]) / slot - idle[0, hot, 0]
+    now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
+    return float(np.clip(need / (full[0, hot, 0] - idle[0, hot, 0]), 0.0, min(1.0, current_limit / now)))
+
+
+def _unknowns(model: ThermalModel, history: History, duties: Array, points: Array, faces: Array) -> dict[str, Array]:
+    """Scaled temperatures, currents and duties of a simulation at the collocation points and nodes."""
+    covered = model.zone >= LEAD
+    parts = [history.tube[:, 0], history.walls[:, 0][:, covered].reshape(len(history.time), -1)]
+    scaled = (np.hstack(parts) - model.ambient) / RISE
+    lumped = history.lumped[:, 0]
+    z = np.column_stack(
+        [scaled, (lumped[:, CLAMP] - model.ambient) / RISE, lumped[:, USED] / CHARGE, lumped[:, SAGGED] / SAG]
+    )
+    at = [np.interp(points, history.time, column) for column in z.T]
+    middle = 0.5 * (history.time[1:] + history.time[:-1])
+    return {
+        "z": np.array(at).T.ravel(),
+        "circuit": np.column_stack(
+            [
+                np.interp(points, history.time, history.current[:, 0]) / AMPERE,
+                np.interp(points, history.time, history.resistance[:, 0] / 2) / OHM,
+            ]
+        ).ravel(),
+        "drive": np.interp(faces, middle, duties * history.current[:-1, 0] ** 2) / DRIVE,
+    }
+
+
+# --- the answer ---------------------------------------------------------------------------------------------------
+
+
+def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iterations: int) -> Ideal:
+    Z, circuit, u, duration, miss, design = (part.full() for part in made.split(x))
+    heating = DURATION * float(duration[0, 0])
+    hold = spec.covered_time
+    first, second = made.structure.mesh.fractions
+    faces = np.concatenate([heating * first, heating + hold * second[1:]])
+    nodes = tableau("radau", made.structure.mesh.degree).nodes
+    points = (faces[:-1, None] + np.diff(faces)[:, None] * nodes).ravel()
+    # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], DUTY_POINTS)]))
+    ampere = AMPERE * np.interp(fine, points, circuit[0])
+    duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
+    changes: dict[str, Any] = {}
+    if "clearance" in spec.free:
+        changes["clamps"] = replace(rig.clamps, clearance=LENGTH * float(design[0, 0]))
+    mold = rig.mold
+    if "lead" in spec.free:
+        mold = replace(mold, lead=LENGTH * float(design[1, 0]))
+    chosen = replace(rig, **changes, mold=mold)
+    if "vents" in spec.free:
+        chosen = replace(chosen, mold=replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist())))
+    return Ideal(
+        heating=heating,
+        hold=hold,
+        node_time=fine,
+        node_duty=np.clip(duty, 0.0, 1.0),
+        miss=float(miss[0, 0]),
+        rig=chosen,
+        time=points,
+        tube=rig.ambient + RISE * Z[: made.structure.resolution.cells].T,
+        held=_held(made, tube, chosen, rig.ambient + RISE * Z[: made.structure.resolution.cells].T),
+        iterations=iterations,
+        x=x,
+    )
+
+
+def _held(made: Program, tube: Tube, rig: Rig, temperature: Array) -> Array:
+    model = thermal_model(tube, rig, made.structure.resolution)
+    first = made.structure.mesh.heating * made.structure.mesh.degree - 1
+    return joined(model, temperature[first:])
+
+
+def joined(model: ThermalModel, tube: Array) -> Array:
+    """(..., 1 + c) temperatures where the curved part begins, and at its cells, from those of the cells (..., n)."""
+    first = int(np.argmax(model.curved))
+    before, after = model.width[first - 1], model.width[first]
+    edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
+    return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)

@@ -1,0 +1,120 @@
+"""What a schedule of whole counts keeps and what it breaks: window, limit, ramp and currents, within slots too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ...physics.heat import GRIP
+from ...physics.heat_functions import CHARGE
+from ...robots.materials import ZERO_CELSIUS
+from .ideal import joined
+from .rig import Rig
+from .simulation import History
+from .spec import HeatingSpec
+from .thermal import ThermalModel
+
+LEAST_CHARGE = 0.2
+"""State of charge below which lead-acid batteries suffer."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of what was asked.
+
+    Attributes:
+        lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
+        shortfall: by how much window or limit are missed, the mesh error included, K.
+        ramp: fastest warming of any point outside of the clamps as a mean over a slot, K/s; steepest: at any instant.
+        mean_current, peak_current: greatest, with the duty and while the MOSFET conducts, A.
+        broken: in words, which of ramp and currents are beyond their limits, and by how much.
+    """
+
+    lowest: float
+    highest: float
+    hottest: float
+    shortfall: float
+    ramp: float
+    steepest: float
+    mean_current: float
+    peak_current: float
+    broken: tuple[str, ...]
+
+    @property
+    def kept(self) -> bool:
+        """Whether window, limit, ramp and currents are all kept."""
+        return self.shortfall <= 0.0 and not self.broken
+
+
+def outcome_of(
+    model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh_error: float = 0.0
+) -> Outcome:
+    """The outcome of what `integrate` simulated, whose hold begins at `start`, s; with its `mesh_error`, K."""
+    within = history.within
+    assert within is not None
+    first, last = hold_slots(spec, start)
+    lowest = float(joined(model, within.coldest[first:last]).min()) - ZERO_CELSIUS
+    highest = float(joined(model, within.hottest[first:last]).max()) - ZERO_CELSIUS
+    hottest = float(within.hottest.max()) - ZERO_CELSIUS
+    low, high = spec.window_degC
+    miss = max(low - lowest, highest - high, hottest - spec.limit) + mesh_error
+    warming = history.tube[1:, 0] - history.tube[:-1, 0]
+    ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
+    steepest, mean, peak = (float(row.max()) for row in (within.rate, within.mean_current, within.current))
+    found = {"steepest": steepest, "mean_current": mean, "peak_current": peak}
+    return Outcome(lowest, highest, hottest, max(miss, 0.0), ramp, **found, broken=_broken(rig, spec, **found))
+
+
+def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
+    """First slot of the hold, and the slot before which it ends."""
+    first = round(start / spec.slot)
+    return first, first + spec.hold_slots
+
+
+def _broken(
+    rig: Rig, spec: HeatingSpec, *, steepest: float, mean_current: float, peak_current: float
+) -> tuple[str, ...]:
+    found = []
+    if steepest > spec.ramp:
+        found.append(
+            f"the tube warms at up to {_above(steepest, spec.ramp)} K/s, beyond the ramp of {spec.ramp:g} K/s: a whole "
+            "count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
+        )
+    circuit = rig.circuit
+    if peak_current > circuit.peak_limit:
+        found.append(
+            f"while the MOSFET conducts the current is {_above(peak_current, circuit.peak_limit)} A; the circuit bears "
+            f"{circuit.peak_limit:g} A, and no duty changes that"
+        )
+    if mean_current > circuit.current_limit:
+        found.append(
+            f"the mean current reaches {_above(mean_current, circuit.current_limit)} A; the circuit bears "
+            f"{circuit.current_limit:g} A"
+        )
+    return tuple(found)
+
+
+def _above(value: float, limit: float) -> str:
+    """A value with as many digits as show that it is above its limit."""
+    for digits in range(1, 6):
+        if float(f"{value:.{digits}f}") > limit:
+            return f"{value:.{digits}f}"
+    return repr(value)
+
+
+def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
+    """What else rig and mold suffer, in words; `wall` is the hottest temperature of the groove, K."""
+    found = []
+    mold = rig.mold.material
+    if wall > mold.limit_temperature:
+        found.append(
+            f"the mold of {mold.name.replace('_', ' ')} {mold.failure} above {mold.limit_temperature_degC:.0f} degC; "
+            f"its groove reaches {math.ceil(wall - ZERO_CELSIUS)} degC"
+        )
+    left = rig.battery.state_of_charge - float(history.lumped[-1, 0, CHARGE])
+    if left < LEAST_CHARGE:
+        found.append(
+            f"the battery is left with {100 * left:.0f} % of its charge; below {100 * LEAST_CHARGE:.0f} % lead-acid "
+            "batteries suffer"
+        )
+    return tuple(found)

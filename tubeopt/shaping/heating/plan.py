@@ -1,0 +1,247 @@
+"""What a heating plan holds: the schedule, the temperatures that it makes, and what they mean for the tube."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...physics.heat import GRIP, LEAD
+from ...physics.heat_functions import CHARGE, DRAWN
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ...typing import Array
+from .cures import Cure
+from .outcome import hold_slots, outcome_of, remarks
+from .rates import stored
+from .rig import COUNTS, Rig
+from .schedule import Counts
+from .simulation import History, clamp_temperature
+from .spec import HeatingSpec
+from .thermal import ThermalModel, cross_section, thermal_data
+
+WATER, AIR = 2000.0, 50.0
+"""Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
+draught, with radiation. Order of magnitude, assumed."""
+
+QUENCHED_DEGC = 100.0
+"""Below this nothing happens to nitinol in seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatingPlan:
+    """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
+
+    Attributes:
+        tube, rig, spec: what was planned for; clearance, lead and vents of the rig as chosen where they were free.
+        time: (T,) beginning of every slot, s. duty: (T,) int, 0-255, from there to the next; the last ones are 0.
+        temperature: (T, X) degC along the tube at these times. position: (X,) from the outer end of a clamp, m.
+        curved: (X,) which positions belong to the curved part; zone: (X,) 0 clamp, 1 clearance, 2 lead, 3 curved part.
+        ideal_duty: (T,) mean duties before rounding, in counts; ideal_temperature: (T, X) degC.
+        hold_start, hold_end: s.
+        voltage, current: (T,) at the battery while the MOSFET conducts, V, A. charge: (T,) state of charge.
+        clamp_temperature, mold_temperature: (T,) of the clamps and, at its hottest place, of the groove's wall, degC.
+        lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
+        mesh_error: of these, estimated from a grid half as fine (Richardson), K.
+        feasible: whether everything is kept: window and limit, the mesh error included, the ramp, and what the circuit
+            bears of current; looked at within the slots too.
+        shortfall: by how much window and limit are missed, K.
+        ramp: fastest warming of any point outside of the clamps as a mean over a slot, K/s; steepest: at any instant,
+            the duty taken for a mean power: it is this that the ramp of the specification limits.
+        mean_current: greatest current times duty, A. peak_current: greatest while the MOSFET conducts, A.
+        broken: in words, which of ramp and currents are beyond their limits, and by how much.
+        problems: these, and what else is wrong in words: a mold or a battery that suffers.
+        cures: changes that would help, where something is not kept; those that cure it come first.
+        energy: drawn from the battery, J; tube_energy: heat in tube, mold and clamps at the end, J.
+        energy_error: energy unaccounted for in the re-simulation, as a fraction.
+        quench_time: from the end of the hold until all of the tube is below 100 degC, out of the mold, s.
+        growth: of the tube's length by its expansion at the end of the hold, m.
+        iterations: of the optimal control problem, in its last round.
+    """
+
+    tube: Tube
+    rig: Rig
+    spec: HeatingSpec
+    time: Array
+    duty: Counts
+    temperature: Array
+    position: Array
+    curved: NDArray[np.bool_]
+    zone: NDArray[np.intp]
+    ideal_duty: Array
+    ideal_temperature: Array
+    hold_start: float
+    hold_end: float
+    voltage: Array
+    current: Array
+    charge: Array
+    clamp_temperature: Array
+    mold_temperature: Array
+    lowest: float
+    highest: float
+    hottest: float
+    mesh_error: float
+    feasible: bool
+    shortfall: float
+    ramp: float
+    steepest: float
+    mean_current: float
+    peak_current: float
+    broken: tuple[str, ...]
+    problems: tuple[str, ...]
+    cures: tuple[Cure, ...]
+    energy: float
+    tube_energy: float
+    energy_error: float
+    quench_time: float
+    growth: float
+    iterations: int
+
+    @property
+    def verdict(self) -> str:
+        """ "held" where everything is kept; else what is not, in a few words."""
+        if self.feasible:
+            return "held"
+        circuit = self.rig.circuit
+        bounds = (
+            (self.steepest, self.spec.ramp, "K/s"),
+            (self.mean_current, circuit.current_limit, "A"),
+            (self.peak_current, circuit.peak_limit, "A while on"),
+        )
+        broken = [f"{value:.1f} {unit} of {limit:g}" for value, limit, unit in bounds if value > limit]
+        missed = [f"missed by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
+        return ", ".join(missed + ([f"limits broken: {', '.join(broken)}"] if broken else []))
+
+    @property
+    def table_length(self) -> int:
+        """Number of slots until the last duty above 0."""
+        return int(np.flatnonzero(self.duty)[-1]) + 1 if self.duty.any() else 0
+
+    @property
+    def in_hold(self) -> NDArray[np.bool_]:
+        """(T,) which times lie in the hold, both ends included."""
+        slack = 1e-6
+        return np.asarray((self.time >= self.hold_start - slack) & (self.time <= self.hold_end + slack))
+
+    @property
+    def rounding_error(self) -> float:
+        """Greatest difference of the temperatures from those of the ideal duties, K."""
+        return float(np.abs(self.temperature - self.ideal_temperature).max())
+
+    @property
+    def pwm_ripple(self) -> float:
+        """Swing of the temperature within a period of the PWM, K: what taking the duty for a mean power leaves out."""
+        data = thermal_data(self.tube)
+        resistivity = self.rig.resistivity_factor * data.resistivity
+        section = cross_section(self.tube)
+        on = self.duty.max() / COUNTS
+        power = self.peak_current**2 * resistivity / section
+        return float(
+            power * on * (1 - on) / self.rig.circuit.pwm_frequency / (data.density * data.heat_capacity * section)
+        )
+
+    @property
+    def cold_end(self) -> float:
+        """Length of tube at each end, from the clamp's edge, that is colder than the window as the hold ends, m."""
+        row = self.temperature[int(np.flatnonzero(self.in_hold)[-1])]
+        half = len(row) // 2
+        x, values = self.position[:half], row[:half]
+        warm = np.flatnonzero(values >= self.spec.window_degC[0])
+        if not len(warm):
+            return math.inf
+        k = int(warm[0])
+        low = self.spec.window_degC[0]
+        at = x[k] if k == 0 else np.interp(low, values[k - 1 : k + 1], x[k - 1 : k + 1])
+        return float(at - self.rig.clamps.grip)
+
+    @property
+    def free_length(self) -> float:
+        """Length of tube between the clamps when cold, m."""
+        return 2 * (self.rig.clamps.clearance + self.rig.mold.lead) + self.tube.curved_length
+
+    @property
+    def extra_length(self) -> float:
+        """Tube to be added before heating and cut off afterwards, m: leads that the straight part cannot be."""
+        end = self.rig.clamps.grip + self.rig.clamps.clearance + self.rig.mold.lead
+        return end + max(end - self.tube.straight_length, 0.0)
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        tube: Tube,
+        rig: Rig,
+        spec: HeatingSpec,
+        start: float,
+        model: ThermalModel,
+        schedule: tuple[Counts, Array],
+        histories: tuple[History, History],
+        mesh_error: float = 0.0,
+        cures: tuple[Cure, ...] = (),
+        iterations: int = 0,
+    ) -> Self:
+        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, that
+        of the counts from `integrate`."""
+        history, exact = histories
+        counts, levels = schedule
+        outcome = outcome_of(model, rig, spec, history, start, mesh_error)
+        _, last = hold_slots(spec, start)
+        row = history.tube[last, 0]
+        charge = rig.battery.state_of_charge - history.lumped[:, 0, CHARGE]
+        covered = model.zone >= LEAD
+        walls = history.walls[:, 0][:, covered, 0]
+        return cls(
+            tube=tube,
+            rig=rig,
+            spec=spec,
+            time=history.time,
+            duty=np.append(counts, 0),
+            temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
+            position=model.full_position,
+            curved=np.concatenate([model.curved, model.curved[::-1]]),
+            zone=np.concatenate([model.zone, model.zone[::-1]]),
+            ideal_duty=np.append(COUNTS * levels, 0.0),
+            ideal_temperature=_mirrored(exact.tube[:, 0]) - ZERO_CELSIUS,
+            hold_start=start,
+            hold_end=start + spec.hold_time,
+            voltage=history.voltage[:, 0],
+            current=history.current[:, 0],
+            charge=charge,
+            clamp_temperature=clamp_temperature(history)[:, 0] - ZERO_CELSIUS,
+            mold_temperature=walls.max(1) - ZERO_CELSIUS,
+            mesh_error=mesh_error,
+            feasible=outcome.kept,
+            **vars(outcome),
+            problems=outcome.broken + remarks(rig, history, float(walls.max())),
+            cures=cures,
+            energy=float(history.lumped[-1, 0, DRAWN]),
+            tube_energy=float(stored(model, history.final)[0]),
+            energy_error=float(history.imbalance[0]),
+            quench_time=quench_time(tube, spec, float(row.max())),
+            growth=_growth(tube, model, row),
+            iterations=iterations,
+        )
+
+
+def _mirrored(half: Array) -> Array:
+    """(T, 2n) along the whole tube from (T, n) along its half."""
+    return np.concatenate([half, half[:, ::-1]], axis=1)
+
+
+def _growth(tube: Tube, model: ThermalModel, row: Array) -> float:
+    rise = (row - model.ambient) * model.width
+    return float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum())
+
+
+def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:
+    """Time (s) in which the hottest point, at `hottest` (K), cools below 100 degC out of the mold: a lump of metal."""
+    data = thermal_data(tube)
+    medium = 20.0 + ZERO_CELSIUS
+    transfer = WATER if spec.quench == "water" else AIR
+    wall = (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
+    rate = transfer / (data.density * data.heat_capacity * wall)
+    goal = QUENCHED_DEGC + ZERO_CELSIUS
+    return max(0.0, math.log((hottest - medium) / (goal - medium)) / rate)

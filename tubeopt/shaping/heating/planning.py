@@ -1,0 +1,242 @@
+"""How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
+
+The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and integrated by
+SciPy on a grid of three times as many cells and shells. Where that misses the window, the program's bounds are
+shifted by the difference between the two grids, and it is solved again (deferred correction): what holds in the end
+holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count alone keeps it;
+where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import InputError, instance
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ...typing import Array
+from .counts import count_rate, guarded_counts
+from .cures import find_cures
+from .ideal import Ideal, Shift, joined, solve_ideal
+from .outcome import Outcome, outcome_of
+from .plan import HeatingPlan
+from .rig import COUNTS, Rig
+from .schedule import Counts
+from .simulation import History, integrate, simulate
+from .spec import HeatingSpec
+from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
+
+COOLING = 10.0
+"""Time for which the simulation goes on after the hold, the tube still in the mold, s."""
+
+ROUNDS = 4
+TRIMS = 8
+NEAR = 0.3
+"""Change of the shift, K, below which another round would change nothing."""
+
+HOPELESS = 5.0
+"""Miss of the window, K, for which a second round is enough: no third one lets it be held."""
+
+FIRST_ERROR = 0.004
+"""Mesh error that is expected before it is known, as a fraction of the rise in temperature."""
+
+LEAST_RESERVE = 0.3
+"""Kept from the window's ends beyond rounding and mesh error, K."""
+
+
+ROOMS = (0.75, 1.0)
+"""Counts of the duty for whose warming the program leaves room below the ramp: tried one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A schedule: the ideal one and the counts in its place, what both do, and what is kept.
+
+    Attributes:
+        ideal, levels: the program's answer, and its mean duties (T,) in every slot. counts: (T,) in their place.
+        model: the fine one. exact: what `levels` do to it; checked: what `counts` do, by SciPy's integrator.
+        error: of the mesh, K. shift, reserve: with which `ideal` was found.
+    """
+
+    ideal: Ideal
+    levels: Array
+    counts: Counts
+    model: ThermalModel
+    exact: History
+    checked: History
+    error: float
+    outcome: Outcome
+    shift: Shift | None
+    reserve: tuple[float, float]
+
+    @property
+    def kept(self) -> bool:
+        """Whether everything is."""
+        return self.outcome.kept
+
+
+def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> HeatingPlan:
+    """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
+    ramp and currents within theirs.
+
+    Where that is impossible, the plan is the one that misses the window by least: `feasible` is False, `shortfall` says
+    by how much, `broken` what else is not kept, and `cures` which changes would help.
+
+    Args:
+        tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
+        rig: battery, circuit, clamps, mold.
+        spec: window, hold and limits; by default 500-550 degC for 60 s.
+
+    Raises:
+        InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
+        SolveError: the optimal control problem did not converge.
+    """
+    spec = HeatingSpec() if spec is None else spec
+    check_inputs(tube, rig, spec)
+    found = best_schedule(tube, rig, spec)
+    cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
+    return HeatingPlan.of(
+        tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
+        schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
+        cures=cures, iterations=found.ideal.iterations,
+    )  # fmt: skip
+
+
+def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+    """The schedule that keeps everything, or the one that misses the window by least."""
+    if spec.objective == "margin":
+        # Nothing is farther from the window's ends than what does not fall behind.
+        return _corrected(tube, rig, spec, ROOMS[-1])
+    found = _corrected(tube, rig, spec, ROOMS[0])
+    if found.kept or not _behind(found, spec):
+        return found
+    other = _corrected(tube, rig, spec, ROOMS[1])
+    return other if other.outcome.shortfall < found.outcome.shortfall else found
+
+
+def _behind(found: Schedule, spec: HeatingSpec) -> bool:
+    """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
+    start = round(hold_start(found.ideal, spec) / spec.slot)
+    lag = joined(found.model, found.exact.tube[start, 0] - found.checked.tube[start, 0])
+    return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
+
+
+def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule:
+    """The schedule after as many corrections as it takes, with `room` below the ramp."""
+    swing = ripple(tube, rig, spec)
+    error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    reserve = (swing + error, swing + error)
+    found: Schedule | None = None
+    shift: Shift | None = None
+    for round_ in range(ROUNDS):
+        found = _schedule(tube, rig, spec, room, (found, shift, reserve))
+        ideal, error = found.ideal, found.error
+        # The margin is that of the fine grid only after a correction.
+        if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+            break
+        before, shift = shift, Shift.between(ideal, tube, found.model, found.exact, slots_on(ideal, spec))
+        if ideal.miss > (HOPELESS if round_ else 10 * HOPELESS) and found.outcome.hottest + error <= spec.limit:
+            break
+        if round_ and (ideal.miss > HOPELESS or (before is not None and before.near(shift, NEAR))):
+            break
+        low, high = _rounded(found.model, found.exact, found.checked, spec, ideal)
+        reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
+    assert found is not None
+    if found.outcome.hottest + error > spec.limit:
+        counts, checked = trimmed(found.model, spec, found.ideal.rig, found.levels, error)
+        outcome = outcome_of(found.model, found.ideal.rig, spec, checked, hold_start(found.ideal, spec), error)
+        found = replace(found, counts=counts, checked=checked, outcome=outcome)
+    return found
+
+
+def _schedule(
+    tube: Tube,
+    rig: Rig,
+    spec: HeatingSpec,
+    room: float,
+    earlier: tuple[Schedule | None, Shift | None, tuple[float, float]],
+) -> Schedule:
+    """One round; `earlier`: the schedule of the round before, the shift that corrects it, the reserve of this one."""
+    before, shift, reserve = earlier
+    # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
+    asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
+    guess = None if before is None else before.ideal
+    ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
+    model = thermal_model(tube, ideal.rig, FINE)
+    levels = slots(ideal, spec)
+    counts = guarded_counts(model, spec, ideal.rig, levels)
+    exact = simulate(model, spec.slot, levels)
+    checked = integrate(model, spec.slot, counts / COUNTS)
+    error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
+    outcome = outcome_of(model, ideal.rig, spec, checked, hold_start(ideal, spec), error)
+    return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve)
+
+
+def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:
+    """Error of the temperatures of the fine grid, K, from a grid half as fine: the methods are of second order."""
+    other = simulate(coarse, spec.slot, schedule)
+    heated = int(np.flatnonzero(schedule)[-1]) + 2
+    hottest = np.abs(other.tube.max((1, 2)) - fine.tube.max((1, 2)))[:heated]
+    return float(hottest.max()) / 3
+
+
+def trimmed(model: ThermalModel, spec: HeatingSpec, rig: Rig, schedule: Array, error: float) -> tuple[Counts, History]:
+    """Counts of the schedule scaled down until no point is above the limit less `error` (K), and what they do."""
+    scale = 1.0
+    for _ in range(TRIMS):
+        counts = guarded_counts(model, spec, rig, scale * schedule)
+        history = integrate(model, spec.slot, counts / COUNTS)
+        excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
+        if excess <= 0:
+            break
+        # Temperatures rise nearly in proportion to the duty.
+        scale *= 1 - (excess + LEAST_RESERVE) / (spec.limit + ZERO_CELSIUS - model.ambient)
+    return counts, history
+
+
+def check_inputs(tube: Tube, rig: Rig, spec: HeatingSpec) -> None:
+    """Raise InputError where tube, rig and spec cannot belong together."""
+    for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
+        instance(name, value, wanted)
+    thermal_data(tube)
+    if rig.ambient - ZERO_CELSIUS >= spec.window_degC[0]:
+        raise InputError(
+            f"ambient of the rig is {rig.ambient - ZERO_CELSIUS:g} degC; it must be below the window, which begins at "
+            f"{spec.window_degC[0]:g} degC"
+        )
+    thermal_model(tube, rig, PROGRAM)
+
+
+def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
+    """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
+    levels = ideal.duty(spec.slot, slots_on(ideal, spec))
+    return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+
+
+def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
+    """Number of slots of heating and hold."""
+    return round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
+
+
+def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
+    """Beginning of the first slot of the hold, s."""
+    return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
+
+
+def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
+    """Temperature (K) by which rounding to counts makes the tube swing: half a count for one slot, without any loss."""
+    return 0.5 * spec.slot * count_rate(tube, rig)
+
+
+def _rounded(
+    model: ThermalModel, exact: History, whole: History, spec: HeatingSpec, ideal: Ideal
+) -> tuple[float, float]:
+    """What rounding took from the window at its low end (during the hold) and at its high end (at any time), K."""
+    start = round(hold_start(ideal, spec) / spec.slot)
+    stop = start + spec.hold_slots + 1
+    change = whole.tube[:, 0] - exact.tube[:, 0]
+    low = -float(change[start:stop][:, model.curved].min())
+    return max(low, 0.0), max(float(change.max()), 0.0)

@@ -1,0 +1,262 @@
+"""The heating schedule as an optimal control problem: finite volumes along the tube, Radau collocation in time.
+
+Two phases, the heating-up whose duration is free and the hold whose duration is given, share their states where they
+meet. Unknowns are the temperatures at all collocation points, the drive duty I^2 (linear between nodes), and what of
+the rig may be chosen: clearance, lead and vents. They are always there, and fixed by their bounds where the rig is as
+it is, so that one compiled program serves every tube, every rig and every question.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...physics.heat import Resolution
+from ...transcription.tableau import tableau
+from ...typing import Array
+from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
+
+WISHES = (
+    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_drive",
+)  # fmt: skip
+"""Numbers of the question: s, K, K, K, K/s, A, and the weights of the objective."""
+
+REGULAR = 1e-5
+"""Added to the diagonal of the Hessian, in scaled unknowns."""
+
+LENGTHS, AREA, UNEVEN = 1e-2, 1.0, 20.0
+"""Weights of clearance and lead (in units of LENGTH), of the vents, and of their changes, squared, in the objective."""
+
+BAND, ENERGY = 25.0, 1e4
+"""Sizes of a distance from the window's middle (K) and of an energy (J) in the objective."""
+
+WINDOW = 10.0
+"""Size of a constraint of the window, K."""
+
+IPOPT: dict[str, Any] = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-6,
+    "ipopt.constr_viol_tol": 1e-7,
+    "ipopt.max_iter": 250,
+    "ipopt.acceptable_iter": 0,
+    # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
+    "ipopt.mumps_pivtol": 1e-2,
+}
+FEW = {"ipopt.max_iter": 25}
+"""From an earlier answer few steps are enough; where they are not, a new start is better."""
+
+COLD: dict[str, Any] = {"ipopt.mu_init": 1e-3}
+WARM: dict[str, Any] = {
+    "ipopt.mu_init": 1e-5,
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.warm_start_bound_push": 1e-6,
+    "ipopt.warm_start_bound_frac": 1e-6,
+    "ipopt.warm_start_slack_bound_push": 1e-6,
+    "ipopt.warm_start_slack_bound_frac": 1e-6,
+    "ipopt.warm_start_mult_bound_push": 1e-6,
+}
+
+
+@dataclass(frozen=True)
+class TimeMesh:
+    """Intervals of heating-up and of the hold, and collocation points in each; short where the phases meet."""
+
+    heating: int = 14
+    hold: int = 10
+    degree: int = 2
+
+    @property
+    def fractions(self) -> tuple[Array, Array]:
+        """Faces of the intervals in each phase, from 0 to 1."""
+        up, on = np.linspace(0.0, 1.0, self.heating + 1), np.linspace(0.0, 1.0, self.hold + 1)
+        return 1 - np.sinh(1.5 * up[::-1]) / math.sinh(1.5), np.sinh(4.0 * on) / math.sinh(4.0)
+
+
+MESH = TimeMesh()
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a compiled program depends on."""
+
+    resolution: Resolution
+    mesh: TimeMesh = MESH
+
+    @property
+    def states(self) -> int:
+        """Temperatures of the tube, of the shells cell by cell, of the clamp, charge used and sag."""
+        return self.resolution.cells + self.resolution.covered * self.resolution.shells + 3
+
+    @property
+    def points(self) -> int:
+        """Collocation points in time."""
+        return (self.mesh.heating + self.mesh.hold) * self.mesh.degree
+
+    @property
+    def holding_points(self) -> int:
+        """Points of the hold, with the one at which it begins."""
+        return self.mesh.hold * self.mesh.degree + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A compiled program: a solver with the exact Hessian, and one with a convex part of it for when it fails.
+
+    From an earlier answer `again` serves, which begins at it and takes few steps. `split` takes the unknowns apart,
+    `sizes` tells how many constraints there are of each kind, in their order.
+    """
+
+    structure: Structure
+    exact: Any
+    again: Any
+    convex: Any
+    split: Any
+    sizes: dict[str, int]
+
+
+def differentiation(mesh: TimeMesh) -> Array:
+    """(1+N, N): values at start and points, times this, are rates at the points times the interval's length."""
+    nodes = np.concatenate([[0.0], tableau("radau", mesh.degree).nodes])
+    k, count = mesh.degree, mesh.heating + mesh.hold
+    powers = np.arange(k + 1)
+    slopes = powers * nodes[1:, None] ** np.maximum(powers - 1, 0)
+    local = slopes @ np.linalg.inv(np.vander(nodes, increasing=True))
+    D = np.zeros((1 + count * k, count * k))
+    for i in range(count):
+        D[i * k : (i + 1) * k + 1, i * k : (i + 1) * k] = local.T
+    return D
+
+
+def interpolation(mesh: TimeMesh) -> Array:
+    """(1+K, N): values at the intervals' ends, times this, are values at the points, linear in between."""
+    nodes, count = tableau("radau", mesh.degree).nodes, mesh.heating + mesh.hold
+    mix = np.zeros((count + 1, count * mesh.degree))
+    for i in range(count):
+        columns = slice(i * mesh.degree, (i + 1) * mesh.degree)
+        mix[i, columns], mix[i + 1, columns] = 1 - nodes, nodes
+    return mix
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """The symbols: states (S, N), circuit (2, N), drive (1, 1+K), duration and miss in copies, design.
+
+    A copy of the duration in every interval and of the miss at every point of the hold: a single one would be a dense
+    column, which fills the factors.
+    """
+
+    z: Any
+    circuit: Any
+    drive: Any
+    durations: Any
+    misses: Any
+    design: Any
+
+    @classmethod
+    def of(cls, s: Structure) -> _Unknowns:
+        """New symbols."""
+        mesh = s.mesh
+        sizes = {
+            "z": (s.states, s.points),
+            "circuit": (2, s.points),
+            "drive": (1, mesh.heating + mesh.hold + 1),
+            "durations": (1, mesh.heating),
+            "misses": (1, s.holding_points),
+            "design": (2 + VENTS, 1),
+        }
+        return cls(**{name: ca.MX.sym(name, *shape) for name, shape in sizes.items()})
+
+    @property
+    def column(self) -> Any:
+        """All unknowns."""
+        return ca.veccat(self.z, self.circuit, self.drive, self.durations, self.misses, self.design)
+
+
+def _widths(mesh: TimeMesh, durations: Any, hold: Any) -> Any:
+    """(1, N) length of the interval of every point, s."""
+    first, second = (np.diff(faces) for faces in mesh.fractions)
+    heating = DURATION * ca.repmat(durations * ca.DM(first).T, mesh.degree, 1)
+    return ca.horzcat(ca.vec(heating).T, hold * ca.DM(np.repeat(second, mesh.degree)).T)
+
+
+def _held(s: Structure, x: _Unknowns, numbers: Numbers) -> Any:
+    """(1+c, H) temperatures (K) where the curved part begins, and at its cells, at the points of the hold."""
+    first = s.resolution.cells - s.resolution.curved
+    rows = x.z[first - 1 : s.resolution.cells, s.points - s.holding_points :] * RISE
+    width = numbers.widths(s.resolution, x.design)
+    before, after = width[first - 1], width[first]
+    joint = (after * rows[0, :] + before * rows[1, :]) / (before + after)
+    return ca.vertcat(joint, rows[1:, :]) + numbers.scalar["ambient"]
+
+
+@lru_cache(maxsize=8)
+def program(s: Structure) -> Program:
+    """The compiled program of a structure."""
+    x, mesh = _Unknowns.of(s), s.mesh
+    p, wishes = ca.MX.sym("p", number_count(s.resolution)), ca.MX.sym("wishes", len(WISHES))
+    w = dict(zip(WISHES, ca.vertsplit(wishes), strict=True))
+    numbers = Numbers.of(p, s.resolution)
+    width = _widths(mesh, x.durations, w["hold"])
+    values = ca.horzcat(ca.DM.zeros(s.states, 1), x.z)
+    rate = ca.mtimes(values, ca.sparsify(ca.DM(differentiation(mesh)))) / ca.repmat(width, s.states, 1)
+    drive = ca.mtimes(x.drive, ca.sparsify(ca.DM(interpolation(mesh))))
+    everywhere = instant(s.resolution).map("instants", "serial", s.points, [4, 5], [])
+    equations, power = everywhere(x.z, rate, x.circuit, drive, x.design, p)
+    held = _held(s, x, numbers)
+    misses = ca.repmat(x.misses, held.size1(), 1)
+    limit = (w["limit"] - numbers.scalar["ambient"]) / RISE
+    blocks = {
+        "equations": equations,
+        "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
+        "low": (held + misses - w["low"]) / WINDOW,
+        "high": (held - misses - w["high"]) / WINDOW,
+        "limit": x.z[: s.resolution.cells, :] - limit,
+        "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
+        "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
+        "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,
+    }
+    weights = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
+    energy = ca.sum2(power * ca.DM(weights).T * width)
+    steps = ca.diff(x.drive, 1, 1)
+    # From the last interval of heating to the first of the hold the drive may change as it must.
+    steps[mesh.heating] = 0
+    middle = 0.5 * (w["low"] + w["high"])
+    smooth = w["w_centre"] * ca.sumsqr((held - middle) / BAND) / held.numel() + w["w_drive"] * ca.sumsqr(steps)
+    # Of clearances, leads and vents that do as well, the least; squares, which damp the steps of what is bilinear.
+    # Vents that change fast from place to place would even out the coarse grid's own errors.
+    smooth += LENGTHS * ca.sumsqr(x.design[:2]) + AREA * ca.sumsqr(x.design[2:])
+    smooth += UNEVEN * ca.sumsqr(ca.diff(x.design[2:]))
+    objective = smooth + w["w_time"] * x.durations[0] + w["w_energy"] * energy / ENERGY + w["w_miss"] * x.misses[0]
+    problem = {
+        "x": x.column,
+        "p": ca.veccat(p, wishes),
+        "f": objective,
+        "g": ca.vertcat(*(ca.vec(block) for block in blocks.values())),
+    }
+    options: dict[str, Any] = {**IPOPT, "hess_lag": _curvature(problem, smooth)}
+    return Program(
+        structure=s,
+        convex=ca.nlpsol("heating", "ipopt", problem, {**options, **COLD}),
+        again=ca.nlpsol("heating_again", "ipopt", problem, {**IPOPT, **WARM, **FEW}),
+        exact=ca.nlpsol("heating_exact", "ipopt", problem, {**IPOPT, **COLD}),
+        split=ca.Function("split", [x.column], [x.z, x.circuit, x.drive, x.durations[0], x.misses[0], x.design]),
+        sizes={name: int(block.numel()) for name, block in blocks.items()},
+    )
+
+
+def _curvature(problem: dict[str, Any], smooth: Any) -> ca.Function:
+    """Hessian of the objective's squares alone, a little regularised: the equations are nearly linear.
+
+    With it every step is that of a convex quadratic program, but where the equations bend the steps only creep.
+    """
+    x = problem["x"]
+    weight, multipliers = ca.MX.sym("weight"), ca.MX.sym("multipliers", problem["g"].numel())
+    H = ca.hessian(smooth, x)[0] * weight + REGULAR * ca.DM.eye(x.numel())
+    return ca.Function("curvature", [x, problem["p"], weight, multipliers], [ca.triu(H)])

@@ -1,0 +1,244 @@
+"""How sure a heating schedule is: tables by the battery's charge, and an ensemble over what is not known of the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from ...errors import InputError, positive
+from ...physics.heat import Resolution
+from ...robots.materials import ZERO_CELSIUS
+from ...typing import Array
+from .counts import guarded_counts
+from .ideal import joined
+from .outcome import hold_slots
+from .plan import HeatingPlan
+from .rates import State, current
+from .rig import COUNTS, Rig
+from .schedule import Counts, sum_up_rounding
+from .simulation import integrate, simulate, simulate_feedback
+from .thermal import FINE, ThermalModel, stack, thermal_model
+
+ENSEMBLE = Resolution(2, 4, 6, 8, 6)
+"""Grid of the ensemble; what the fine grid adds is taken from the nominal member."""
+
+PROBES = (0.94, 1.06)
+SCALES = np.linspace(0.8, 1.2, 401)
+CHARGES = (1.0, 0.9, 0.8, 0.7, 0.6)
+
+
+# --- charge -----------------------------------------------------------------------------------------------------------
+
+
+def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
+    """The plan for the same temperatures with the battery at another charge.
+
+    The tube feels duty times current squared only: the ideal duties are scaled, slot by slot, so that it stays the
+    same, as far as the current limit allows, and rounded and integrated anew. Where the battery is too weak for that,
+    the duty is 255 and the plan is not feasible.
+
+    Raises:
+        InputError: a state of charge outside of (0, 1].
+    """
+    rig = plan.rig.with_charge(state_of_charge)
+    levels = plan.ideal_duty[:-1] / COUNTS
+    slot = plan.spec.slot
+    nominal = simulate(thermal_model(plan.tube, plan.rig, FINE), slot, levels)
+    drive = levels * nominal.current[:-1, 0] ** 2
+    model = thermal_model(plan.tube, rig, FINE)
+
+    def controller(time: float, state: State) -> float:
+        now = current(model, state.cells[:, :, 0], state.lumped).total[0]
+        return min(1.0, float(drive[round(time / slot)] / now**2), rig.circuit.current_limit / float(now))
+
+    exact, scaled = simulate_feedback(model, slot, len(levels), controller)
+    counts = guarded_counts(model, plan.spec, rig, scaled)
+    history = integrate(model, slot, counts / COUNTS)
+    return HeatingPlan.of(
+        tube=plan.tube, rig=rig, spec=plan.spec, start=plan.hold_start, model=model, schedule=(counts, scaled),
+        histories=(history, exact), mesh_error=plan.mesh_error, iterations=plan.iterations,
+    )  # fmt: skip
+
+
+def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tuple[HeatingPlan, ...]:
+    """Plans for several states of charge: the technician reads the battery's voltage at rest and picks one."""
+    return tuple(at_charge(plan, charge) for charge in charges)
+
+
+# --- what is not known ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Half-widths of what is not known of a rig, as fractions; uniformly distributed.
+
+    Args:
+        loss: of all that the tube loses to mold and air.
+        contact_resistance: of the clamps on the tube.
+        resistivity: of the tube.
+    """
+
+    loss: float = 0.15
+    contact_resistance: float = 0.3
+    resistivity: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("loss", "contact_resistance", "resistivity"):
+            if positive(name, getattr(self, name), zero=True) >= 1:
+                raise InputError(f"{name} of the uncertainty is {getattr(self, name):g}; it must be below 1")
+
+    def members(self, rig: Rig, samples: int, seed: int = 0) -> list[Rig]:
+        """Rigs of a Latin hypercube, after the rig itself."""
+        draws = 2 * qmc.LatinHypercube(d=3, rng=seed).random(samples) - 1
+        widths = np.array([self.loss, self.contact_resistance, self.resistivity])
+        rigs = [rig]
+        for loss, contact, resistivity in 1 + draws * widths:
+            circuit = replace(rig.circuit, contact_resistance=rig.circuit.contact_resistance * contact)
+            rigs.append(
+                replace(
+                    rig,
+                    circuit=circuit,
+                    loss_factor=rig.loss_factor * loss,
+                    resistivity_factor=rig.resistivity_factor * resistivity,
+                )
+            )
+        return rigs
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What a schedule may do on rigs that are not quite the one that it was planned for.
+
+    Attributes:
+        time: (T,) s. coldest, hottest: (T, S) of the curved part in every sample, degC.
+        lowest, highest: (S,) of the curved part during the hold; top: (S,) of all points at all times, degC.
+        probability: of keeping window and limit. too_cold, too_hot: of falling below the window; of exceeding its upper
+            end or the limit.
+    """
+
+    time: Array
+    coldest: Array
+    hottest: Array
+    lowest: Array
+    highest: Array
+    top: Array
+    probability: float
+    too_cold: float
+    too_hot: float
+
+    def quantiles(self, fraction: float = 0.9) -> tuple[Array, Array]:
+        """(T,) lower and (T,) upper limit, degC, of the curved part in this fraction of the samples."""
+        tail = 0.5 * (1 - fraction)
+        return np.quantile(self.coldest, tail, axis=1), np.quantile(self.hottest, 1 - tail, axis=1)
+
+
+def assess(
+    plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64, duty: Counts | None = None
+) -> Band:
+    """The band of temperatures of a plan over an ensemble of rigs, and the probability of staying in the window.
+
+    Args:
+        uncertainty: how far the rig may be from what its file says.
+        samples: size of the ensemble, at least 2. duty: (T,) counts in place of the plan's.
+
+    Raises:
+        InputError: fewer than 2 samples.
+    """
+    if samples < 2:
+        raise InputError(f"samples is {samples}; it must be at least 2")
+    model = _ensemble(plan, uncertainty or Uncertainty(), samples)
+    counts = plan.duty[:-1] if duty is None else duty[: len(plan.duty) - 1]
+    return _band(plan, model, counts)
+
+
+def _ensemble(plan: HeatingPlan, uncertainty: Uncertainty, samples: int) -> ThermalModel:
+    rigs = uncertainty.members(plan.rig, samples)
+    return stack([thermal_model(plan.tube, rig, ENSEMBLE) for rig in rigs])
+
+
+def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
+    spec = plan.spec
+    history = simulate(model, spec.slot, counts / COUNTS)
+    curved = joined(model, history.tube) - ZERO_CELSIUS
+    coldest, hottest = curved.min(2), curved.max(2)
+    top = history.tube.max(2) - ZERO_CELSIUS
+    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
+    fine = integrate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
+    reference = thermal_model(plan.tube, plan.rig, FINE)
+    exact = joined(reference, fine.tube[:, 0]) - ZERO_CELSIUS
+    coldest = coldest[:, 1:] + (exact.min(1) - coldest[:, 0])[:, None]
+    hottest = hottest[:, 1:] + (exact.max(1) - hottest[:, 0])[:, None]
+    top = top[:, 1:] + (fine.tube[:, 0].max(1) - ZERO_CELSIUS - top[:, 0])[:, None]
+    first, last = hold_slots(spec, plan.hold_start)
+    lowest, highest = coldest[first : last + 1].min(0), hottest[first : last + 1].max(0)
+    cold = lowest < spec.window_degC[0]
+    hot = (highest > spec.window_degC[1]) | (top.max(0) > spec.limit)
+    return Band(
+        time=history.time,
+        coldest=coldest,
+        hottest=hottest,
+        lowest=lowest,
+        highest=highest,
+        top=top.max(0),
+        probability=float(1 - (cold | hot).mean()),
+        too_cold=float(cold.mean()),
+        too_hot=float(hot.mean()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RobustSchedule:
+    """The schedule of those scaled from a plan's that is most likely to stay in the window.
+
+    Attributes:
+        scale: of the plan's ideal duties. duty: (T,) counts. plan: the nominal rig with it. band, before: with it, and
+            with the plan's own schedule.
+    """
+
+    scale: float
+    duty: Counts
+    plan: HeatingPlan
+    band: Band
+    before: Band
+
+
+def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64) -> RobustSchedule:
+    """Scale the duties of a plan so that the probability of staying in the window is greatest.
+
+    Temperatures are nearly linear in the scale: two scales are simulated for every sample, the best one is read off and
+    simulated for what is reported.
+
+    Raises:
+        InputError: fewer than 2 samples.
+    """
+    uncertainty = uncertainty or Uncertainty()
+    before = assess(plan, uncertainty, samples=samples)
+    model = _ensemble(plan, uncertainty, samples)
+    levels = plan.ideal_duty[:-1] / COUNTS
+    low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in PROBES)
+    part = ((SCALES - PROBES[0]) / (PROBES[1] - PROBES[0]))[:, None]
+
+    def between(name: str) -> Array:
+        first, second = getattr(low, name), getattr(high, name)
+        return np.asarray(first + part * (second - first))
+
+    lower, upper = plan.spec.window_degC
+    excess = np.maximum(between("highest") - upper, between("top") - plan.spec.limit)
+    miss = np.maximum(np.maximum(lower - between("lowest"), excess), 0.0)
+    # Where several scales keep as many samples, the one that misses the others by least.
+    scale = float(SCALES[np.argmax((miss <= 0).mean(1) - 1e-4 * miss.mean(1))])
+    scaled = np.minimum(scale * levels, 1.0)
+    fine = thermal_model(plan.tube, plan.rig, FINE)
+    counts = guarded_counts(fine, plan.spec, plan.rig, scaled)
+    band = _band(plan, model, counts)
+    if band.probability <= before.probability:
+        return RobustSchedule(1.0, plan.duty, plan, before, before)
+    histories = (integrate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled))
+    robust = HeatingPlan.of(
+        tube=plan.tube, rig=plan.rig, spec=plan.spec, start=plan.hold_start, model=fine, schedule=(counts, scaled),
+        histories=histories, mesh_error=plan.mesh_error, iterations=plan.iterations,
+    )  # fmt: skip
+    return RobustSchedule(scale, robust.duty, robust, band, before)

@@ -1,0 +1,275 @@
+"""The numbers of the thermal model for tubes on rigs: grids, properties, and batches of perturbed rigs.
+
+The physics is that of `mechanics.heat`. The PWM period is far below every time constant of the tube, so the duty counts
+as a mean power; `HeatingPlan.pwm_ripple` says how far that is true.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from ...errors import InputError
+from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, volume_shapes, zones
+from ...physics.heat_functions import volumes_function
+from ...robots.materials import ThermalData
+from ...robots.tubes import Tube
+from ...typing import Array
+from .rig import HOT, Rig, gap_conductance, natural_convection
+
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""W/(m^2 K^4)."""
+
+SURFACE_TRANSFER = 10.0
+"""Heat transfer of the outer surfaces of clamps and mold, W/(m^2 K): free convection of plates and radiation near room
+temperature, assumed; they hardly warm up."""
+
+GRADED = 12e-3
+"""Length, m, in which the curved part gets as many cells as it would if it were no longer."""
+
+DECAYS = 3.0
+"""Decay lengths in which the clamp gets as many cells as it would if it were no longer."""
+
+COARSE = Resolution()
+PROGRAM = Resolution(2, 3, 4, 6, 4)
+"""For the optimal control problem, whose bounds are then shifted by the difference from the fine model."""
+
+FINE = Resolution(4, 6, 14, 18, 14)
+
+
+def cell_widths(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
+    """(n,) m. Uniform in clearance and lead; graded towards the middle in the curved part, and in the clamp, where the
+    temperature falls within the decay length of a fin, away from its edge."""
+    lengths = half_lengths(tube, rig)
+    fractions = cell_fractions(resolution, lengths, contact_decay(tube, rig))
+    return np.asarray(fractions * np.array(lengths)[zones(resolution)])
+
+
+def cell_fractions(resolution: Resolution, lengths: Sequence[float], decay: float) -> Array:
+    """(n,) width of each cell as a fraction of its zone; the zones' lengths and the decay in the clamp in m."""
+    grip = np.diff(_graded(resolution.grip, DECAYS * decay / lengths[GRIP]))[::-1]
+    uniform = [np.full(n, 1.0 / n) for n in (resolution.clearance, resolution.lead)]
+    return np.concatenate([grip, *uniform, np.diff(_graded(resolution.curved, GRADED / lengths[CURVED]))])
+
+
+def _graded(cells: int, slope: float) -> Array:
+    """(cells + 1,) faces from 0 to 1 whose first cells are `slope` times as wide as uniform ones."""
+    at = np.linspace(0.0, 1.0, cells + 1)
+    if slope > 0.999:
+        return at
+    stretch = float(brentq(lambda a: a / math.sinh(a) - slope, 1e-3, 50.0))
+    return np.asarray(np.sinh(stretch * at) / math.sinh(stretch))
+
+
+def contact_decay(tube: Tube, rig: Rig) -> float:
+    """Length in which the tube takes the temperature of a clamp, m."""
+    per_length = rig.clamps.contact_conductance * math.pi * tube.outer_diameter
+    return math.sqrt(thermal_data(tube).conductivity * cross_section(tube) / per_length)
+
+
+def thermal_data(tube: Tube) -> ThermalData:
+    """The tube's thermal data; raises InputError where its material has none."""
+    if tube.material.thermal is None:
+        raise InputError(
+            f"material {tube.material.name!r} has no thermal data; it must have them for a tube that is to be heated"
+        )
+    return tube.material.thermal
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalModel:
+    """The numbers of the finite-volume model of half a tube, for B members at once; n cells.
+
+    Attributes:
+        resolution: the grid. position, width: (n,) middle of each cell from the outer end of the clamp, and its width,
+            m. half_length: m.
+        properties: (B, P) by the names of `mechanics.heat.PROPERTIES`.
+        volumes: (B, V) columns of `mechanics.heat.Volumes`.
+    """
+
+    resolution: Resolution
+    position: Array
+    width: Array
+    half_length: float
+    properties: Array
+    volumes: Array
+
+    @property
+    def members(self) -> int:
+        """B."""
+        return len(self.properties)
+
+    @property
+    def ambient(self) -> float:
+        """K, that of the first member."""
+        return float(self.properties[0, PROPERTIES.index("ambient")])
+
+    @property
+    def zone(self) -> NDArray[np.intp]:
+        """(n,) GRIP, CLEARANCE, LEAD or CURVED."""
+        return zones(self.resolution)
+
+    @property
+    def curved(self) -> NDArray[np.bool_]:
+        """(n,) which cells belong to the curved part."""
+        return np.asarray(self.zone == CURVED)
+
+    @property
+    def to_air(self) -> Array:
+        """(B, n) from the cells to the air, without radiation, W/K."""
+        return self._coefficient("to_air")
+
+    @property
+    def to_mold(self) -> Array:
+        """(B, n) from the cells into the first shell, W/K."""
+        covered = self._coefficient("to_mold")
+        return np.pad(covered, ((0, 0), (self.resolution.cells - self.resolution.covered, 0)))
+
+    def _coefficient(self, name: str) -> Array:
+        shapes = volume_shapes(self.resolution)
+        sizes = [rows * columns for rows, columns in shapes.values()]
+        first = sum(sizes[: list(shapes).index(name)])
+        return self.volumes[:, first : first + math.prod(shapes[name])]
+
+    @property
+    def full_position(self) -> Array:
+        """(2n,) positions of the cells of the whole tube, m."""
+        return np.concatenate([self.position, 2 * self.half_length - self.position[::-1]])
+
+
+def stack(models: Sequence[ThermalModel]) -> ThermalModel:
+    """Models on the same grid, at the same ambient temperature, as the members of one."""
+    columns = [np.vstack([m.properties for m in models]), np.vstack([m.volumes for m in models])]
+    return replace(models[0], properties=columns[0], volumes=columns[1])
+
+
+def vent_profile(rig: Rig, fraction: Array) -> Array:
+    """Vents at `fraction` (c,) of the way from the end of the mold to its middle."""
+    vents = np.array(rig.mold.vents)
+    places = np.linspace(0.0, 1.0, len(vents)) if len(vents) > 1 else np.zeros(1)
+    return np.asarray(np.interp(fraction, places, vents))
+
+
+def covered_fraction(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
+    """(c,) places of the covered cells on the way from the end of the mold (0) to its middle (1)."""
+    lengths, zone = half_lengths(tube, rig), zones(resolution)
+    width = cell_widths(tube, rig, resolution)
+    place = np.cumsum(width) - 0.5 * width - lengths[GRIP] - lengths[CLEARANCE]
+    return np.asarray(place[zone >= LEAD] / (lengths[LEAD] + lengths[CURVED]))
+
+
+def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
+    """Faces (M+1,) and nodes (M,) of the shells, m; geometric, since a hot wire's field is linear in log r."""
+    inner, outer = 0.5 * tube.outer_diameter, rig.mold.radius
+    if outer < 2 * inner:
+        raise InputError(
+            f"the mold is {rig.mold.width * 1e3:g} mm by {rig.mold.thickness * 1e3:g} mm; that is too small to "
+            f"surround a tube of {tube.outer_diameter * 1e3:g} mm"
+        )
+    faces = np.geomspace(inner, outer, shells + 1)
+    return faces, np.sqrt(faces[:-1] * faces[1:])
+
+
+def cross_section(tube: Tube) -> float:
+    """Metal of the tube's cross-section, m^2."""
+    return math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+
+
+def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
+    """Lengths of the zones from the clamp to the middle of the curved part, m; raises InputError without a curve."""
+    if tube.curved_length <= 0:
+        raise InputError(f"curved_length is {tube.curved_length:g} m; a tube that is shape-set must have a curved part")
+    return rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length
+
+
+def bare_transfer(tube: Tube, rig: Rig) -> float:
+    """Convective heat transfer of bare tube, W/(m^2 K), without the rig's loss factor."""
+    if rig.convection is not None:
+        return rig.convection
+    return natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
+
+
+def gap_transfer(rig: Rig) -> float:
+    """Heat transfer through the air between tube and groove, W/(m^2 K), without the loss factor."""
+    return gap_conductance(rig.mold.gap, rig.ambient)
+
+
+def leak_resistance(tube: Tube, rig: Rig) -> float:
+    """Resistance of the way through the mold beside the tube, ohm: its surface twice, and the plates."""
+    covered = tube.curved_length + 2 * rig.mold.lead
+    if rig.mold.material.electrically_insulating:
+        return math.inf
+    touching = 0.5 * math.pi * tube.outer_diameter * covered
+    plates = rig.mold.material.resistivity * covered / (rig.mold.width * rig.mold.thickness)
+    return 2 * rig.mold.leak_resistance / touching + plates
+
+
+def properties(tube: Tube, rig: Rig) -> Properties:
+    """What `mechanics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
+    data, section, girth = thermal_data(tube), cross_section(tube), math.pi * tube.outer_diameter
+    mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
+    factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    return {
+        "heat": data.density * section * data.heat_capacity,
+        "heat_slope": data.heat_capacity_slope,
+        "reference": data.reference_temperature,
+        "conduction": data.conductivity * section,
+        "conduction_slope": data.conductivity_slope,
+        "resistance": rig.resistivity_factor * data.resistivity / section,
+        "resistance_slope": data.resistivity_slope,
+        "to_clamp": clamps.contact_conductance * girth,
+        "to_air": bare_transfer(tube, rig) * girth * factor,
+        "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
+        "gap": gap_transfer(rig) * girth * factor,
+        "mold_k": factor * mold.conductivity,
+        "mold_heat": factor * mold.density * mold.heat_capacity,
+        "leak": 0.0 if math.isinf(leak) else 1 / leak,
+        "series": circuit.resistance,
+        "contact": circuit.contact_resistance,
+        "clamp_heat": clamps.mass * clamps.heat_capacity,
+        "clamp_loss": SURFACE_TRANSFER * clamps.area,
+        "voltage": battery.voltage,
+        "voltage_slope": battery.voltage_slope,
+        "internal": battery.internal_resistance,
+        "sag": battery.sag_resistance,
+        "sag_time": battery.sag_time,
+        "capacity": battery.capacity,
+        "ambient": rig.ambient,
+        "grip": lengths[GRIP],
+        "curved": lengths[CURVED],
+    }
+
+
+def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array, Array]]:
+    """The values of `mechanics.heat.PROPERTIES`, and of the shells cross-sections (M,), m^2, and log ratios (M-1,)."""
+    faces, nodes = shell_radii(rig, tube, shells)
+    values = properties(tube, rig)
+    k = values["mold_k"]
+    values["wall"] = math.log(nodes[0] / faces[0]) / (2 * math.pi * k)
+    to_air = SURFACE_TRANSFER * 2 * math.pi * faces[-1]
+    values["outer"] = 1 / (math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k) + 1 / to_air)
+    return np.array([values[name] for name in PROPERTIES]), (math.pi * np.diff(faces**2), np.diff(np.log(nodes)))
+
+
+def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
+    """The numbers of the model for one tube on one rig.
+
+    Raises:
+        InputError: the tube has no curved part or its material no thermal data, or the mold is too small.
+    """
+    numbers, shells = model_numbers(tube, rig, resolution.shells)
+    width = cell_widths(tube, rig, resolution)
+    vent = vent_profile(rig, covered_fraction(tube, rig, resolution))
+    return ThermalModel(
+        resolution=resolution,
+        position=np.cumsum(width) - 0.5 * width,
+        width=width,
+        half_length=float(sum(half_lengths(tube, rig))),
+        properties=numbers[None],
+        volumes=volumes_function(resolution)(numbers, width, vent, *shells).full().T,
+    )

@@ -1,0 +1,127 @@
+"""A rig calibrated without a thermometer: from trials in which a tube came out too soft, set, or overheated.
+
+So worked the thesis: heat for a minute, look at the spring-back, turn the dial. Every trial tells on which side of the
+window the tube was; what all trials tell together is the loss factor, with an interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from ...errors import InputError, choice, positive
+from ...physics.heat import Resolution
+from ...robots.materials import ZERO_CELSIUS
+from ...robots.tubes import Tube
+from ...typing import Array
+from .rig import COUNTS, Rig
+from .simulation import simulate
+from .spec import HeatingSpec
+from .thermal import stack, thermal_model
+
+RESULTS = ("under", "good", "over")
+GRID = Resolution(2, 4, 6, 8, 8)
+FACTORS = np.geomspace(0.4, 2.5, 49)
+SPREAD = 15.0
+"""Standard deviation, K, of the temperature at which a trial turns out so or so: tubes and eyes differ; assumed."""
+
+PRIOR = 0.3
+"""Standard deviation of the logarithm of the loss factor before any trial, assumed."""
+
+SLOTS = 120
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One heating by hand, and what came of it.
+
+    Args:
+        duty: counts 0-255 at the end. duration: s, from switching on to taking the tube out.
+        ramp: s, in which the duty was raised from 0, evenly.
+        result: "under" (it sprang back), "good" (the shape is the mold's and the tube still superelastic), "over" (the
+            shape is the mold's but the tube no longer superelastic), or "set" (good or over, not tested).
+
+    Raises:
+        InputError: a value is out of its range.
+    """
+
+    duty: float
+    duration: float
+    result: str
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        choice("result of a trial", self.result, (*RESULTS, "set"))
+        if not 0 < positive("duty of a trial", self.duty) <= COUNTS:
+            raise InputError(f"duty of a trial is {self.duty:g}; it must be at most {COUNTS}")
+        if positive("ramp of a trial", self.ramp, zero=True) > positive("duration of a trial", self.duration):
+            raise InputError(f"ramp of a trial is {self.ramp:g} s; it must not be longer than the trial")
+
+
+@dataclass(frozen=True, eq=False)
+class TrialFit:
+    """The loss factor that trials speak for.
+
+    Attributes:
+        rig: with it. factor, low, high: median and interval, on what the rig's file says. confidence: of the interval.
+        temperatures: (K,) of the middle of the tube at the end of each trial, by the fitted rig, degC.
+        grid, density: (G,) factors, and their probability given the trials.
+        surprise: least probability that any trial had under the fitted rig; small where trials contradict the model.
+    """
+
+    rig: Rig
+    factor: float
+    low: float
+    high: float
+    confidence: float
+    temperatures: Array
+    grid: Array
+    density: Array
+    surprise: float
+
+
+def calibrate_from_trials(
+    tube: Tube, rig: Rig, trials: Sequence[Trial], spec: HeatingSpec | None = None, *, confidence: float = 0.95
+) -> TrialFit:
+    """The loss factor from trial outcomes: Bayes' rule on a grid, with a log-normal prior around the rig's file.
+
+    Raises:
+        InputError: no trials, or a confidence outside of (0, 1).
+    """
+    if not trials:
+        raise InputError("there are no trials; there must be at least one")
+    if not 0 < confidence < 1:
+        raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
+    window = (spec or HeatingSpec()).window_degC
+    ends = np.array([_end_temperatures(tube, rig, trial) for trial in trials])  # (K, G)
+    chance = np.array([_chance(trial.result, row, window) for trial, row in zip(trials, ends, strict=True)])
+    log = np.log(np.maximum(chance, 1e-12)).sum(0) + norm.logpdf(np.log(FACTORS), scale=PRIOR)
+    density = np.exp(log - log.max())
+    density /= density.sum()
+    cumulative = np.cumsum(density) - 0.5 * density
+    tail = 0.5 * (1 - confidence)
+    low, middle, high = (float(np.interp(q, cumulative, FACTORS)) for q in (tail, 0.5, 1 - tail))
+    at = [float(np.interp(middle, FACTORS, row)) for row in ends]
+    fitted = replace(rig, loss_factor=rig.loss_factor * middle)
+    surprise = min(float(np.interp(middle, FACTORS, row)) for row in chance)
+    return TrialFit(fitted, middle, low, high, confidence, np.array(at), FACTORS, density, surprise)
+
+
+def _end_temperatures(tube: Tube, rig: Rig, trial: Trial) -> Array:
+    """(G,) temperature of the middle at the end of a trial for every factor of the grid, degC."""
+    rigs = [replace(rig, loss_factor=rig.loss_factor * factor) for factor in FACTORS]
+    model = stack([thermal_model(tube, each, GRID) for each in rigs])
+    slot = trial.duration / SLOTS
+    at = (np.arange(SLOTS) + 0.5) * slot
+    duty = trial.duty / COUNTS * np.minimum(at / trial.ramp if trial.ramp else 1.0, 1.0) * np.ones(SLOTS)
+    history = simulate(model, slot, duty)
+    return np.asarray(history.tube[-1, :, -1]) - ZERO_CELSIUS
+
+
+def _chance(result: str, temperature: Array, window: tuple[float, float]) -> Array:
+    """Probability of a result at temperatures, degC."""
+    set_, over = (norm.cdf((temperature - edge) / SPREAD) for edge in window)
+    return np.asarray({"under": 1 - set_, "good": set_ - over, "over": over, "set": set_}[result])

@@ -1,0 +1,1 @@
+"""The mold in which tubes are shape-set: grooves, plates, files, materials."""

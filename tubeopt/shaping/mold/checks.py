@@ -1,0 +1,162 @@
+"""What a mold must satisfy, each as a number beside its limit and a sentence for when it does not (SI)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ...errors import InputError
+from ...robots.tubes import Tube
+from .materials import MoldMaterial
+from .spec import EndMill, MoldSpec
+
+SLACK = 1e-12
+"""Lengths (m) and strains are compared with this slack, so that a plate exactly thick enough passes."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One condition on a mold.
+
+    Args:
+        name: what is checked.
+        value, limit: the number and what it is compared with, in `unit`.
+        unit: "m", "1" or "K".
+        at_most: whether the value must not exceed the limit, or not fall below it.
+        failure: the sentence that is said where it fails.
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    at_most: bool
+    failure: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the condition holds."""
+        gap = self.limit - self.value if self.at_most else self.value - self.limit
+        return gap >= -SLACK
+
+
+def refuse_failed(checks: Iterable[Check]) -> None:
+    """Raise InputError with one line for every check that failed, if there are any."""
+    failures = [check.failure for check in checks if not check.passed]
+    if failures:
+        raise InputError("\n".join(failures))
+
+
+def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float]:
+    """The end mill for the groove of a tube, and the groove's width (m).
+
+    The smallest mill as wide as tube and clearance, where it is not wider than the greatest clearance allows: one cut.
+    Else the largest of those that are smaller, and a groove of exactly tube and clearance, cut along both walls.
+
+    Raises:
+        InputError: every end mill at hand is wider than the groove may be.
+    """
+    least = tube.outer_diameter + spec.groove.clearance
+    most = max(tube.outer_diameter + spec.groove.most_clearance, least)
+    mills = spec.milling.end_mills
+    for mill in mills:
+        if least - SLACK <= mill.diameter <= most + SLACK:
+            return mill, mill.diameter
+    smaller = [mill for mill in mills if mill.diameter < least]
+    if smaller:
+        return smaller[-1], least
+    raise InputError(
+        f"the smallest end mill at hand ({mills[0].diameter * 1e3:g} mm) is wider than the groove of tube {number}: "
+        f"outer diameter {tube.outer_diameter * 1e3:g} mm and at most {spec.groove.most_clearance * 1e3:g} mm of "
+        "clearance"
+    )
+
+
+def groove_depth(tube: Tube, spec: MoldSpec) -> float:
+    """Depth (m) of the groove: tube and clearance, rounded up to the step of depths, so that the lid lies flat."""
+    step = spec.groove.depth_step
+    return math.ceil((tube.outer_diameter + spec.groove.clearance) / step - 1e-9) * step
+
+
+def pressing_strain(tube: Tube, mold_curvature: float) -> float:
+    """Largest surface strain of a straight tube pressed into a groove of this curvature (1/m): OD/2 * curvature."""
+    return tube.outer_diameter / 2 * abs(mold_curvature)
+
+
+def tube_checks(
+    number: int, tube: Tube, mold_curvature: float, *, mill: EndMill, width: float, spec: MoldSpec
+) -> tuple[Check, ...]:
+    """The conditions on one groove that do not depend on where it lies."""
+    depth = groove_depth(tube, spec)
+    strain, most = pressing_strain(tube, mold_curvature), spec.most_strain or tube.material.superelastic_strain
+    radius = 1 / abs(mold_curvature) if mold_curvature else math.inf
+    floor = spec.plate.thickness - depth
+    return (
+        Check(
+            f"tube {number}: strain when pressed into the groove",
+            strain,
+            most,
+            "1",
+            True,
+            f"tube {number} is strained {strain * 100:.3g} % when it is pressed straight into the mold (radius "
+            f"{radius * 1e3:.4g} mm), beyond the {most * 100:.3g} % that {tube.material.name} springs back from; set "
+            "it in steps, in molds of smaller and smaller radius",
+        ),
+        Check(
+            f"tube {number}: radius of the bend over that of its inner wall's cutter",
+            radius,
+            max(width / 2, mill.diameter / 2),
+            "m",
+            False,
+            f"the mold radius for tube {number} is {radius * 1e3:.4g} mm, below half the groove's width "
+            f"({width / 2 * 1e3:.4g} mm) and the end mill's own radius ({mill.diameter / 2 * 1e3:.4g} mm); it cannot "
+            "be milled",
+        ),
+        Check(
+            f"tube {number}: depth of the groove within the end mill's reach",
+            depth,
+            mill.reach,
+            "m",
+            True,
+            f"the groove of tube {number} is {depth * 1e3:.4g} mm deep, deeper than the {mill.diameter * 1e3:g} mm end "
+            f"mill cuts ({mill.reach * 1e3:.4g} mm)",
+        ),
+        Check(
+            f"tube {number}: material below the groove",
+            floor,
+            spec.groove.floor,
+            "m",
+            False,
+            f"the plate is too thin: {spec.plate.thickness * 1e3:.4g} mm, of which the groove of tube {number} takes "
+            f"{depth * 1e3:.4g} mm; {spec.groove.floor * 1e3:.4g} mm must stay below it",
+        ),
+    )
+
+
+def wall_check(least_wall: float, spec: MoldSpec) -> Check:
+    """The condition on the wall between neighbouring grooves (m)."""
+    return Check(
+        "least wall between grooves",
+        least_wall,
+        spec.groove.wall,
+        "m",
+        False,
+        f"the wall between grooves is {least_wall * 1e3:.4g} mm; it must be at least {spec.groove.wall * 1e3:.4g} mm",
+    )
+
+
+def material_remarks(material: MoldMaterial, spec: MoldSpec) -> tuple[str, ...]:
+    """What the mold's material makes of the heating."""
+    remarks = []
+    if spec.heat.set_temperature > material.limit_temperature:
+        remarks.append(
+            f"{material.name} {material.failure} above {material.limit_temperature_degC:.0f} degC: the groove changes "
+            "its shape after a few tubes"
+        )
+    if not material.electrically_insulating:
+        remarks.append(
+            f"{material.name} conducts: current leaves the tube through the mold; set the tube in an oven, or take an "
+            "insulating mold"
+        )
+    return tuple(remarks)

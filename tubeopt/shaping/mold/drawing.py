@@ -1,0 +1,127 @@
+"""What is drawn of a mold, in mm and by layer, whatever the format: lines, true arcs, circles, lines of text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import choice
+from ...typing import Array
+from .groove import Arc, Line, Piece, Point, way_to_edge
+from .mold import Clamp, Groove, Mold
+
+LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
+PARTS = ("base", "lid")
+MM = 1e3
+TEXT_HEIGHT_MM = 2.2
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A plate in mm: per layer its lines and arcs; circles (centre, diameter) and texts (place, text)."""
+
+    size: Point
+    pieces: dict[str, tuple[Piece, ...]]
+    circles: tuple[tuple[Point, float], ...]
+    texts: tuple[tuple[Point, str], ...]
+
+
+def draw_plate(mold: Mold, part: str) -> Drawing:
+    """The drawing of the lower plate ("base") or the top plate ("lid"), both seen from above, as they lie when closed.
+
+    Centrelines are on both, grooves only on the base, vents only on the lid; clamps are drawn with the texts.
+
+    Raises:
+        InputError: no such part.
+    """
+    choice("part", part, PARTS)
+    width, height = (extent * MM for extent in mold.size)
+    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+    outline = tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
+    centre = tuple(_scaled(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
+    walls = tuple(_scaled(piece) for groove in mold.grooves for piece in groove_walls(groove, mold.size))
+    jaws = tuple(_scaled(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
+    holes = (*mold.holes, *(mold.vents if part == "lid" else ()))
+    base = part == "base"
+    return Drawing(
+        size=(width, height),
+        pieces={
+            "OUTLINE": outline,
+            "GROOVE": walls if base else (),
+            "CENTERLINE": centre,
+            "HOLES": (),
+            "TEXT": jaws if base else (),
+        },
+        circles=tuple(((hole.centre[0] * MM, hole.centre[1] * MM), hole.diameter * MM) for hole in holes),
+        texts=tuple(_texts(mold, part)),
+    )
+
+
+def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
+    """Both walls of a groove (m), lead, bend, lead, from plate edge to plate edge."""
+    walls: list[Piece] = []
+    for side in (1, -1):
+        wall = groove.centreline.offset(side * groove.width / 2)
+        tangents = [wall.lead_in.tangent(np.zeros(1))[0], wall.lead_out.tangent(np.zeros(1))[0]]
+        before = way_to_edge(wall.lead_in.end, -tangents[0], size)
+        after = way_to_edge(wall.lead_out.start, tangents[1], size)
+        start = wall.lead_in.point(np.array([wall.lead_in.length - before]))[0]
+        end = wall.lead_out.point(np.array([after]))[0]
+        walls += [
+            Line((float(start[0]), float(start[1])), wall.lead_in.end),
+            wall.bend,
+            Line(wall.lead_out.start, (float(end[0]), float(end[1]))),
+        ]
+    return tuple(walls)
+
+
+def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
+    """Outline of a clamp's jaws (m), and of where its far side comes to when it slides."""
+    along = np.asarray(clamp.direction)
+    across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
+    near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip
+    corners = [near - across, far - across, far + across, near + across]
+    lines = [_line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    if clamp.slides:
+        beyond = far + along * clamp.travel
+        lines.append(_line(beyond - across, beyond + across))
+    return lines
+
+
+def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
+    """Lines of text below the plate: what it is, and a line per groove."""
+    plate, spec = mold.spec.plate, mold.spec
+    thickness = (plate.thickness if part == "base" else plate.lid_thickness) * MM
+    lines = [f"{part} plate, {spec.material.name}, {mold.size[0] * MM:g} x {mold.size[1] * MM:g} x {thickness:g} mm"]
+    for groove in mold.grooves:
+        lines.append(
+            f"tube {groove.number}: OD {groove.tube.outer_diameter * MM:g}, mold radius {groove.radius * MM:.3f}, bend "
+            f"{math.degrees(groove.bend_angle):.3f} deg, groove {groove.width * MM:.3f} wide "
+            f"{groove.depth * MM:.3f} deep, end mill {groove.mill.diameter * MM:g}, cut tube to "
+            f"{groove.stock_length * MM:.1f} mm"
+        )
+    step = 1.6 * TEXT_HEIGHT_MM
+    below = -max(3 * TEXT_HEIGHT_MM, -lowest_mm(mold) + 2 * TEXT_HEIGHT_MM)
+    return [((0.0, below - k * step), line) for k, line in enumerate(lines)]
+
+
+def lowest_mm(mold: Mold) -> float:
+    """Lowest y (mm) of plate and clamps."""
+    ends = [
+        y for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold) for _, y in (line.start,)
+    ]
+    return min(0.0, *ends) * MM
+
+
+def _line(a: Array, b: Array) -> Line:
+    return Line((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
+
+
+def _scaled(piece: Piece) -> Piece:
+    """A piece in m, in mm."""
+    if isinstance(piece, Line):
+        return Line((piece.start[0] * MM, piece.start[1] * MM), (piece.end[0] * MM, piece.end[1] * MM))
+    centre = (piece.centre[0] * MM, piece.centre[1] * MM)
+    return Arc(centre, piece.radius * MM, piece.start_angle, piece.sweep)

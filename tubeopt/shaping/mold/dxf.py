@@ -1,0 +1,115 @@
+"""A mold as DXF: mm, true arcs, layers OUTLINE, GROOVE, CENTERLINE, HOLES, TEXT; read back and compared."""
+
+from __future__ import annotations
+
+import math
+from os import PathLike
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from ...errors import InputError, SolveError
+from ...files.files import atomic_write
+from ...typing import Array
+from .drawing import LAYERS, MM, TEXT_HEIGHT_MM, draw_plate
+from .groove import Arc, Line, Piece
+from .mold import Mold
+
+COLOURS = {"OUTLINE": 7, "GROOVE": 5, "CENTERLINE": 1, "HOLES": 3, "TEXT": 8}
+"""AutoCAD colour indices of the layers."""
+
+TOLERANCE = 1e-6
+"""Greatest distance (m) of the centreline in the file from the mold's."""
+
+
+def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
+    """Write a plate of the mold as DXF (R2010, mm), whole or not at all, and return the path.
+
+    Raises:
+        InputError: no such part, the file cannot be written, or ezdxf is not installed.
+        SolveError: the centreline read back lies more than 1 um from the mold's.
+    """
+    ezdxf = _ezdxf()
+    drawing = draw_plate(mold, part)
+    document = ezdxf.new("R2010")
+    document.header["$INSUNITS"] = 4  # mm
+    document.header["$MEASUREMENT"] = 1
+    for name in LAYERS:
+        document.layers.add(name, color=COLOURS[name])
+    space = document.modelspace()
+    for layer, pieces in drawing.pieces.items():
+        for piece in pieces:
+            _add(space, piece, layer)
+    for centre, diameter in drawing.circles:
+        space.add_circle(centre, diameter / 2, dxfattribs={"layer": "HOLES"})
+    for place, text in drawing.texts:
+        attributes = {"layer": "TEXT", "height": TEXT_HEIGHT_MM, "insert": place}
+        space.add_text(text, dxfattribs=attributes)
+    with atomic_write(path) as temporary:
+        document.saveas(temporary)
+        deviation = dxf_deviation(mold, temporary)
+        if deviation > TOLERANCE:
+            raise SolveError(f"{path}: the centreline in the file lies {deviation * 1e6:.3g} um from the mold's")
+    return Path(path)
+
+
+def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
+    """The lines and arcs on layer CENTERLINE of a DXF file, in m.
+
+    Raises:
+        InputError: the file cannot be read, or ezdxf is not installed.
+    """
+    ezdxf = _ezdxf()
+    try:
+        document = ezdxf.readfile(path)
+    except (OSError, ezdxf.DXFError) as error:
+        raise InputError(f"{path}: not a DXF file that can be read: {error}") from None
+    pieces: list[Piece] = []
+    for entity in document.modelspace().query('*[layer=="CENTERLINE"]'):
+        dxf = entity.dxf
+        if entity.dxftype() == "LINE":
+            pieces.append(Line((dxf.start.x / MM, dxf.start.y / MM), (dxf.end.x / MM, dxf.end.y / MM)))
+        elif entity.dxftype() == "ARC":
+            sweep = math.radians((dxf.end_angle - dxf.start_angle) % 360.0)
+            centre = (dxf.center.x / MM, dxf.center.y / MM)
+            pieces.append(Arc(centre, dxf.radius / MM, math.radians(dxf.start_angle), sweep))
+    return tuple(pieces)
+
+
+def dxf_deviation(mold: Mold, path: str | PathLike[str], step: float = 1e-3) -> float:
+    """Greatest distance (m), either way, between the mold's centrelines and those in a DXF file, sampled at `step`."""
+    read = read_centreline(path)
+    if not read:
+        return math.inf
+    own = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
+    return max(_farthest(own, read, step), _farthest(read, own, step))
+
+
+def _farthest(pieces: list[Piece] | tuple[Piece, ...], others: list[Piece] | tuple[Piece, ...], step: float) -> float:
+    points = np.vstack([piece.point(_spaced(piece.length, step)) for piece in pieces])
+    return float(np.min([other.distance(points) for other in others], axis=0).max())
+
+
+def _spaced(length: float, step: float) -> Array:
+    return np.linspace(0.0, length, max(2, math.ceil(length / step) + 1))
+
+
+def _add(space: object, piece: Piece, layer: str) -> None:
+    attributes = {"layer": layer}
+    if isinstance(piece, Line):
+        space.add_line(piece.start, piece.end, dxfattribs=attributes)  # type: ignore[attr-defined]
+        return
+    # DXF arcs run counter-clockwise.
+    first, last = piece.start_angle, piece.start_angle + piece.sweep
+    start, end = (math.degrees(angle) for angle in ((first, last) if piece.sweep > 0 else (last, first)))
+    space.add_arc(piece.centre, piece.radius, start, end, dxfattribs=attributes)  # type: ignore[attr-defined]
+
+
+def _ezdxf() -> ModuleType:
+    try:
+        import ezdxf
+    except ImportError:
+        raise InputError("DXF files need ezdxf: python -m pip install 'tubeopt[fabrication]'") from None
+    module: ModuleType = ezdxf
+    return module

@@ -1,0 +1,167 @@
+"""Heat that a mold draws from a hot tube, and the cold ends of the tube, in closed form (SI).
+
+The tube is a cylinder, suddenly at its set temperature, in a mold without end, behind the conductance of the contact
+between them. The heat per length that it gives off has a closed Laplace transform (Carslaw and Jaeger, Conduction of
+Heat in Solids, 1959, section 13.5), which is inverted numerically (Abate and Valko, Int. J. Numer. Meth. Eng. 60, 2004:
+the fixed Talbot contour). What the mold draws at the end of the hold, as a coefficient of heat loss, makes a fin of the
+tube's ends between the hot part and the clamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import kve
+
+from ...errors import InputError, positive
+from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
+from ...robots.tubes import Tube
+from ...typing import Array
+from ..heating.rig import MoldBed, gap_conductance
+from .materials import MoldMaterial
+
+AMBIENT = 20.0 + ZERO_CELSIUS
+
+TALBOT_POINTS = 24
+"""Points of the contour: more gains nothing in double precision."""
+
+Transform = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class HeatSpec:
+    """The heating that a mold is laid out for.
+
+    Args:
+        set_temperature: K, of the curved part; by default the middle of the 500-550 degC that the maker of the thesis'
+            tubes recommends.
+        tolerance: K, by which the ends of the curved part may be colder.
+        hold_time: s, for which it is held.
+        ambient: K.
+        clamp_temperature: K, of the clamps at the end of the hold; they are massive, and None is ambient.
+        contact_conductance: W/(m^2 K) between tube and mold, over the tube's whole surface; by default that of a rig's
+            gap of air, assumed, calibrate.
+
+    Raises:
+        InputError: a number is out of its range, or the set temperature is not above ambient and clamps.
+    """
+
+    set_temperature: float = 525.0 + ZERO_CELSIUS
+    tolerance: float = 25.0
+    hold_time: float = 60.0
+    ambient: float = AMBIENT
+    clamp_temperature: float | None = None
+    contact_conductance: float = round(gap_conductance(MoldBed.gap, AMBIENT), 1)
+
+    def __post_init__(self) -> None:
+        for field in ("set_temperature", "tolerance", "hold_time", "ambient", "contact_conductance"):
+            object.__setattr__(self, field, positive(field, getattr(self, field)))
+        if self.clamp_temperature is not None:
+            object.__setattr__(self, "clamp_temperature", positive("clamp_temperature", self.clamp_temperature))
+        for name, cold in (("ambient", self.ambient), ("clamp_temperature", self.clamps)):
+            if self.set_temperature <= cold:
+                raise InputError(
+                    f"set_temperature is {self.set_temperature:g} K; it must be above the {name} ({cold:g} K)"
+                )
+
+    @property
+    def rise(self) -> float:
+        """Set temperature above ambient, K."""
+        return self.set_temperature - self.ambient
+
+    @property
+    def clamps(self) -> float:
+        """Temperature of the clamps, K."""
+        return self.ambient if self.clamp_temperature is None else self.clamp_temperature
+
+
+@dataclass(frozen=True)
+class ColdEnd:
+    """The end of a heated tube as a fin: T(x) = set - (set - clamp) exp(-x / decay_length), x from the clamp.
+
+    Args:
+        length: m, from the clamp to where the tube is within the tolerance.
+        decay_length: sqrt(k A / (h P)), m.
+        loss_coefficient: h of the mold at the end of the hold, W/(m^2 K).
+    """
+
+    length: float
+    decay_length: float
+    loss_coefficient: float
+
+
+def heat_flow(diameter: float, material: MoldMaterial, heat: HeatSpec, times: Array) -> Array:
+    """(N,) W/m that a tube of this outer diameter (m) gives off into the mold, `times` (N,) s after it got hot."""
+    return _invert(_flow_transform(diameter, material, heat), times)
+
+
+def heat_drawn(diameter: float, material: MoldMaterial, heat: HeatSpec, times: Array) -> Array:
+    """(N,) J/m that the mold has drawn from the tube, `times` (N,) s after it got hot."""
+    flow = _flow_transform(diameter, material, heat)
+    return _invert(lambda s: flow(s) / s, times)
+
+
+def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
+    """How far the clamps chill the tube at the end of the hold, by the fin equation.
+
+    Uniform Joule heat that holds the set temperature far from the clamps, loss to the mold proportional to the
+    temperature, steady: true after decay_length^2 / diffusivity of the tube, some 10 s.
+    """
+    loss = float(heat_flow(tube.outer_diameter, material, heat, np.array([heat.hold_time]))[0]) / heat.rise
+    perimeter = math.pi * tube.outer_diameter
+    area = math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+    data = thermal_data(tube)
+    conductivity = data.conductivity * (
+        1 + data.conductivity_slope * (heat.set_temperature - data.reference_temperature)
+    )
+    decay = math.sqrt(conductivity * area / loss)
+    gap = heat.set_temperature - heat.clamps
+    length = decay * math.log(gap / heat.tolerance) if gap > heat.tolerance else 0.0
+    return ColdEnd(length, decay, loss / perimeter)
+
+
+def thermal_growth(tube: Tube, heat: HeatSpec, decay_length: float, length: float) -> float:
+    """Growth (m) of a tube of `length` (m) between clamps: the integral of its thermal expansion.
+
+    Between the clamps the temperature of the fin is the set temperature less a hyperbolic cosine from either end.
+    """
+    half = length / 2
+    lost = 2 * decay_length * math.tanh(half / decay_length)
+    at_clamps = heat.clamps - heat.ambient
+    return thermal_data(tube).expansion * (heat.rise * (length - lost) + at_clamps * lost)
+
+
+def thermal_data(tube: Tube) -> ThermalData:
+    """Thermal constants of the tube's material, or those of nitinol where it has none."""
+    data = tube.material.thermal or NITINOL.thermal
+    assert data is not None
+    return data
+
+
+def _flow_transform(diameter: float, material: MoldMaterial, heat: HeatSpec) -> Transform:
+    contact = 1 / (heat.contact_conductance * math.pi * diameter)
+
+    def transform(s: Array) -> Array:
+        z = diameter / 2 * np.sqrt(s / material.diffusivity)
+        # kve scales K_1 and K_0 alike, so that neither underflows in the quotient.
+        mold = 2 * math.pi * material.conductivity * z * kve(1, z) / kve(0, z)
+        return np.asarray(heat.rise / s / (contact + 1 / mold))
+
+    return transform
+
+
+def _invert(transform: Transform, times: Array) -> Array:
+    """Inverse Laplace transform at `times` (N,) > 0 on the fixed Talbot contour."""
+    angle = np.arange(1, TALBOT_POINTS) * math.pi / TALBOT_POINTS
+    cot = 1 / np.tan(angle)
+    values = []
+    for time in np.asarray(times, dtype=float):
+        r = 2 * TALBOT_POINTS / (5 * time)
+        s = r * angle * (cot + 1j)
+        weight = 1 + 1j * (angle + (angle * cot - 1) * cot)
+        first = 0.5 * math.exp(r * time) * transform(np.array([r + 0j]))[0].real
+        values.append(r / TALBOT_POINTS * (first + np.sum((np.exp(s * time) * transform(s) * weight).real)))
+    return np.array(values)

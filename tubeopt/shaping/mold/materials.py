@@ -1,0 +1,153 @@
+"""Materials of which molds are made: thermal and electrical constants, each with its source (SI)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...errors import InputError, choice, finite, positive
+from ...robots.materials import ZERO_CELSIUS
+
+INSULATING_RESISTIVITY = 1e3
+"""Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is
+a thousandth of the mold's, less than 1e-6 of the current goes astray."""
+
+PRICE_CLASSES = ("low", "moderate", "high")
+
+
+@dataclass(frozen=True)
+class MoldMaterial:
+    """What a mold is made of, with constants at the temperatures of shape setting where the sources give them.
+
+    Args:
+        name: how it is called in files and on the command line.
+        conductivity: W/(m K).
+        density: kg/m^3.
+        heat_capacity: J/(kg K).
+        limit_temperature: K; above it the mold's surface chars, scales or softens.
+        failure: what happens above the limit, in a few words.
+        resistivity: electrical, ohm m.
+        emissivity: total, in (0, 1].
+        price_class: low, moderate or high.
+        source: where the numbers are from.
+
+    Raises:
+        InputError: a constant is not positive, or the price class is unknown.
+    """
+
+    name: str
+    conductivity: float
+    density: float
+    heat_capacity: float
+    limit_temperature: float
+    failure: str
+    resistivity: float
+    emissivity: float
+    price_class: str
+    source: str
+
+    def __post_init__(self) -> None:
+        for field in ("conductivity", "density", "heat_capacity", "limit_temperature", "resistivity", "emissivity"):
+            object.__setattr__(self, field, positive(f"{field} of mold material {self.name!r}", getattr(self, field)))
+        if self.emissivity > 1:
+            raise InputError(f"emissivity of mold material {self.name!r} is {self.emissivity:g}; it must be at most 1")
+        choice(f"price_class of mold material {self.name!r}", self.price_class, PRICE_CLASSES)
+
+    @property
+    def limit_temperature_degC(self) -> float:
+        """The limit temperature in degC."""
+        return self.limit_temperature - ZERO_CELSIUS
+
+    @property
+    def diffusivity(self) -> float:
+        """k / (rho c), m^2/s."""
+        return self.conductivity / (self.density * self.heat_capacity)
+
+    @property
+    def effusivity(self) -> float:
+        """sqrt(k rho c), W s^0.5/(m^2 K): what a suddenly heated surface draws is proportional to it."""
+        return float((self.conductivity * self.density * self.heat_capacity) ** 0.5)
+
+    @property
+    def electrically_insulating(self) -> bool:
+        """Whether practically no current leaves the tube through the mold."""
+        return self.resistivity >= INSULATING_RESISTIVITY
+
+
+STEEL = MoldMaterial(
+    name="steel",
+    conductivity=51.9,
+    density=7870.0,
+    heat_capacity=486.0,
+    limit_temperature=570.0 + ZERO_CELSIUS,
+    failure="scales quickly",
+    resistivity=1.59e-7,
+    emissivity=0.79,
+    price_class="low",
+    source="AISI 1018, MatWeb: 51.9 W/(m K), 7870 kg/m^3, 486 J/(kg K) at 50-100 degC, 1.59e-7 ohm m at 0 degC "
+    "(annealed); limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation of Metals, "
+    "2006); emissivity of oxidised steel, Incropera et al., Table A.11",
+)
+"""Low-carbon steel, the mold of the thesis' Figure 4.2."""
+
+MDF = MoldMaterial(
+    name="mdf",
+    conductivity=0.14,
+    density=750.0,
+    heat_capacity=1700.0,
+    limit_temperature=300.0 + ZERO_CELSIUS,
+    failure="chars",
+    resistivity=1e8,
+    emissivity=0.9,
+    price_class="low",
+    source="0.12-0.15 W/(m K): Facts about particleboard and MDF (EWPAA); 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
+    "after Wood Handbook, USDA Forest Service; limit: charring isotherm 300 degC of EN 1995-1-2; resistivity of wood "
+    "at about 8 % moisture, order of magnitude, Wood Handbook; emissivity of wood, Incropera et al., Table A.11",
+)
+"""Medium-density fibreboard, the mold of the thesis' Figure 4.3, which charred."""
+
+GLASS_MICA = MoldMaterial(
+    name="glass_mica",
+    conductivity=1.46,
+    density=2520.0,
+    heat_capacity=790.0,
+    limit_temperature=800.0 + ZERO_CELSIUS,
+    failure="softens",
+    resistivity=1e14,
+    emissivity=0.8,
+    price_class="high",
+    source="Macor, Corning data sheet: 1.46 W/(m K), 2520 kg/m^3, 790 J/(kg K), 800 degC continuous use, "
+    "1e14 ohm m (more than 1e16 ohm cm) at 25 degC; emissivity assumed",
+)
+"""Machinable glass-mica ceramic, the mold of the thesis' Figure 4.4: up to a thousand dollars a slab."""
+
+CALCIUM_SILICATE = MoldMaterial(
+    name="calcium_silicate",
+    conductivity=0.12,
+    density=737.0,
+    heat_capacity=1255.0,
+    limit_temperature=927.0 + ZERO_CELSIUS,
+    failure="loses its strength",
+    resistivity=1e7,
+    emissivity=0.9,
+    price_class="moderate",
+    source="density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
+    "degC; boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3), so take those of the board at hand; limit 927 "
+    "degC (1700 degF) of ASTM C656; resistivity of dry board, order of magnitude, and emissivity assumed",
+)
+"""Machinable calcium silicate board, the mold of the thesis' Figure 4.5."""
+
+MOLD_MATERIALS = {material.name: material for material in (STEEL, MDF, GLASS_MICA, CALCIUM_SILICATE)}
+"""The materials of molds by name."""
+
+
+def mold_material(name: str) -> MoldMaterial:
+    """The mold material of that name; raises InputError with the names that there are."""
+    return MOLD_MATERIALS[choice("mold material", name, MOLD_MATERIALS)]
+
+
+def kelvin(name: str, temperature_degC: float) -> float:
+    """A temperature given in degC, in K; raises InputError below absolute zero."""
+    value = finite(name, temperature_degC) + ZERO_CELSIUS
+    if value < 0:
+        raise InputError(f"{name} is {temperature_degC:g} degC; it must be at least -273.15")
+    return value

@@ -1,0 +1,391 @@
+"""The mold in which tubes are shape-set: grooves on a plate, a lid with vents, and what comes out of it (SI).
+
+Frame: the origin is the lower left corner of the lower plate, x to the right, y up, z = 0 its upper face; the lid lies
+on it. Grooves run from the proximal end of the tube, on the left, to the distal end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import InputError, instance
+from ...robots.tubes import Tube
+from ...typing import Array
+from .checks import (
+    Check,
+    choose_mill,
+    groove_depth,
+    material_remarks,
+    pressing_strain,
+    refuse_failed,
+    tube_checks,
+    wall_check,
+)
+from .groove import Centreline, Point, polygon
+from .heat import ColdEnd, cold_end, thermal_growth
+from .holes import Hole, place_fasteners, place_vents
+from .nesting import Blank, nest
+from .spec import ENDS, EndMill, MoldSpec
+from .springback import Springback
+
+TRAVEL_STEP = 0.5e-3
+"""The travel of the sliding clamp is rounded up to a multiple of it, m."""
+
+CLAMP_CLEARANCE = 1e-3
+"""Least distance of a clamp's corner from the plate along the tube, m."""
+
+
+@dataclass(frozen=True)
+class Clamp:
+    """A clamp outside the plate.
+
+    Args:
+        end: "proximal" or "distal".
+        face: where its jaws begin, on the tube's axis, m.
+        direction: of the tube, outwards, unit.
+        travel: m by which it may slide outwards; 0 for the fixed one.
+    """
+
+    end: str
+    face: Point
+    direction: Point
+    travel: float
+
+    @property
+    def slides(self) -> bool:
+        """Whether the clamp gives way when the tube grows."""
+        return self.travel > 0
+
+
+@dataclass(frozen=True)
+class Groove:
+    """The groove of one tube.
+
+    Args:
+        number: of the tube in texts and drawings.
+        tube: what it is to become.
+        centreline: from plate edge to plate edge.
+        curvature: of the groove's bend, 1/m, with the sign of the tube's (the drawing shows its size).
+        width, depth: m.
+        mill: the end mill that cuts it.
+        cold: the cold end of the tube; its length is that of the specification where one is given.
+        growth: of the tube between the clamps when it is hot, m; that of the specification where one is given.
+        clamps: the proximal and the distal one.
+        vents: over the bend.
+    """
+
+    number: int
+    tube: Tube
+    centreline: Centreline
+    curvature: float
+    width: float
+    depth: float
+    mill: EndMill
+    cold: ColdEnd
+    growth: float
+    clamps: tuple[Clamp, Clamp]
+    grip: float
+    vents: tuple[Hole, ...] = ()
+
+    @property
+    def radius(self) -> float:
+        """Radius of the centreline in the bend, m; inf where it is straight."""
+        return 1 / abs(self.curvature) if self.curvature else math.inf
+
+    @property
+    def bend_length(self) -> float:
+        """Length of the bend along its centreline, m."""
+        return self.centreline.bend.length
+
+    @property
+    def bend_angle(self) -> float:
+        """Angle through which the groove bends, rad."""
+        return self.bend_length * abs(self.curvature)
+
+    @property
+    def strain(self) -> float:
+        """Largest surface strain of a straight tube pressed into the groove."""
+        return pressing_strain(self.tube, self.curvature)
+
+    @property
+    def gaps(self) -> tuple[float, float]:
+        """Lengths (m) of tube between the plate's edge and the proximal and the distal clamp."""
+        first, last = self.clamps
+        return math.dist(first.face, self.centreline.lead_in.start), math.dist(last.face, self.centreline.lead_out.end)
+
+    @property
+    def free_length(self) -> float:
+        """Length of tube between the clamps when cold, m."""
+        return self.centreline.length + sum(self.gaps)
+
+    @property
+    def before_bend(self) -> float:
+        """Length of tube to cut before the bend, from its proximal end: clamp, gap and lead, or the straight part."""
+        held = self.grip + math.dist(self.clamps[0].face, self.centreline.lead_in.end)
+        return max(held, self.tube.straight_length)
+
+    @property
+    def after_bend(self) -> float:
+        """Length of tube to cut behind the bend: lead, gap and clamp."""
+        return math.dist(self.clamps[1].face, self.centreline.lead_out.start) + self.grip
+
+    @property
+    def stock_length(self) -> float:
+        """Length of straight tube to cut, m."""
+        return self.before_bend + self.bend_length + self.after_bend
+
+    @property
+    def extra_length(self) -> float:
+        """Length of tube that is trimmed off afterwards, m: what the cold ends and clamps cost."""
+        return self.stock_length - self.tube.length
+
+    @property
+    def trim(self) -> tuple[float, float]:
+        """Lengths (m) to cut off the proximal and the distal end after setting."""
+        return self.before_bend - self.tube.straight_length, self.after_bend
+
+    @property
+    def cutter_offsets(self) -> tuple[float, ...]:
+        """Distances (m) of the cutter's ways from the centreline, to the left; 0 alone where it fills the groove."""
+        room = self.width - self.mill.diameter
+        if room <= 1e-9:
+            return (0.0,)
+        count = math.ceil(room / (self.mill.diameter / 2) - 1e-9) + 1
+        return tuple(float(x) for x in np.linspace(-room / 2, room / 2, count))
+
+    @property
+    def radius_play(self) -> float:
+        """Part by which the tube's radius may differ from the groove's, as it may lie at either wall of the bend."""
+        return (self.width - self.tube.outer_diameter) / 2 * abs(self.curvature)
+
+
+@dataclass(frozen=True)
+class Mold:
+    """Two plates with the grooves of one or several tubes.
+
+    Args:
+        spec: what was asked for.
+        size: width and height of both plates, m.
+        grooves: one per tube.
+        holes: bolts and dowels, through both plates.
+        checks: what was checked, with numbers and limits.
+        remarks: what to keep in mind.
+    """
+
+    spec: MoldSpec
+    size: Point
+    grooves: tuple[Groove, ...]
+    holes: tuple[Hole, ...]
+    checks: tuple[Check, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def vents(self) -> tuple[Hole, ...]:
+        """All vents of the lid."""
+        return tuple(vent for groove in self.grooves for vent in groove.vents)
+
+    @property
+    def base_volume(self) -> float:
+        """Volume of the lower plate, m^3: plate less grooves less holes."""
+        plate = self.size[0] * self.size[1] * self.spec.plate.thickness
+        holes = sum(math.pi / 4 * hole.diameter**2 for hole in self.holes) * self.spec.plate.thickness
+        return plate - holes - sum(groove_area(groove, self.size) * groove.depth for groove in self.grooves)
+
+    @property
+    def lid_volume(self) -> float:
+        """Volume of the top plate, m^3: plate less holes and vents."""
+        through = sum(math.pi / 4 * hole.diameter**2 for hole in (*self.holes, *self.vents))
+        return (self.size[0] * self.size[1] - through) * self.spec.plate.lid_thickness
+
+
+def plan_mold(
+    tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None, *, numbers: Sequence[int] | None = None
+) -> Mold:
+    """The mold for one tube or for several on one plate.
+
+    The bend of a groove is as long as the tube's curved part, and of the curvature that springs back to the tube's.
+    Tangent leads run to the plate's edge, long enough that the clamps beyond it do not chill the bend. The tube's
+    straight part needs no setting: where it is longer than lead and clamp it hangs out of the proximal clamp.
+
+    Args:
+        tubes: a tube, or several.
+        numbers: what each is called in texts and drawings; None numbers them from 1.
+        mold: material, fit, plate, cutters and so on; None takes the defaults of `MoldSpec`.
+
+    Raises:
+        InputError: no tube, a tube without a curved part, one strained too far when pressed into its groove, end mills
+            wider than the groove or its bend, a plate too thin or too small, grooves that cross, no room for bolts, or
+            a curvature that no mold yields.
+    """
+    spec = MoldSpec() if mold is None else mold
+    instance("mold", spec, MoldSpec)
+    if not isinstance(tubes, (Tube, Sequence)):
+        raise InputError(f"tubes is {tubes!r}; it must be a Tube or several")
+    wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
+    if not wanted:
+        raise InputError("tubes is empty; there must be at least one")
+    called = range(1, len(wanted) + 1) if numbers is None else numbers
+    if len(called) != len(wanted):
+        raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
+    grooves = [_groove(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
+    checks = [check for groove, _ in grooves for check in _checks(groove, spec)]
+    refuse_failed(checks)
+    layout = nest([blank for _, blank in grooves], spec)
+    if len(grooves) > 1:
+        checks.append(wall_check(layout.least_wall, spec))
+    holes = place_fasteners(layout.size, layout.centrelines, [groove.width for groove, _ in grooves], spec)
+    placed = [
+        _place(groove, curve, layout.size, spec) for (groove, _), curve in zip(grooves, layout.centrelines, strict=True)
+    ]
+    remarks = (*_remarks(placed, spec), *material_remarks(spec.material, spec))
+    return Mold(spec, layout.size, tuple(placed), holes, tuple(checks), remarks)
+
+
+def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback | None = None) -> Tube:
+    """The tube that comes out of a groove: the reverse of `plan_mold`.
+
+    Args:
+        mold: the mold.
+        index: of the groove, from 0; needed where there are several.
+        springback: another than the mold was planned with.
+
+    Raises:
+        InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.
+    """
+    instance("mold", mold, Mold)
+    count = len(mold.grooves)
+    if index is not None and not isinstance(index, (int, np.integer)):
+        raise InputError(f"index is {index!r}; it must be a whole number")
+    if index is None and count > 1:
+        raise InputError(f"the mold has {count} grooves; index must say which, 0 to {count - 1}")
+    if index is not None and not 0 <= index < count:
+        raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
+    groove = mold.grooves[index or 0]
+    back = springback or mold.spec.springback
+    return replace(
+        groove.tube,
+        curvature=back.obtained(groove.curvature),
+        curved_length=groove.bend_length * (1 - back.shrinkage),
+    )
+
+
+def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[Tube, ...]:
+    """The tubes that come out of all grooves, as `predict_tube`."""
+    return tuple(predict_tube(mold, k, springback=springback) for k in range(len(mold.grooves)))
+
+
+def groove_area(groove: Groove, size: Point) -> float:
+    """Area (m^2) of a groove within the plate: width times length, less what a corner of the plate cuts off."""
+    corners = polygon(groove.centreline.lengthened(groove.width + 1e-3), groove.width, 1e-9)
+    return _clipped_area(corners, size)
+
+
+def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
+    """The groove before it has a place, and the blank that finds it one."""
+    if not isinstance(tube, Tube):
+        raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
+    if tube.curved_length == 0:
+        raise InputError(f"tube {number} has no curved part; it needs no mold")
+    try:
+        curvature = spec.springback.mold(tube.curvature)
+    except InputError as error:
+        raise InputError(f"tube {number}: {error}") from None
+    mill, width = choose_mill(number, tube, spec)
+    cold = cold_end(tube, spec.material, spec.heat)
+    if spec.cold_length is not None:
+        cold = replace(cold, length=spec.cold_length)
+    lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
+    length = tube.curved_length / (1 - spec.springback.shrinkage)
+    blank = Blank(number, curvature, length, lead, width)
+    nowhere = (Clamp("proximal", (0.0, 0.0), (-1.0, 0.0), 0.0), Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0))
+    depth = groove_depth(tube, spec)
+    groove = Groove(number, tube, blank.core, curvature, width, depth, mill, cold, 0.0, nowhere, spec.clamps.grip)
+    return groove, blank
+
+
+def _checks(groove: Groove, spec: MoldSpec) -> tuple[Check, ...]:
+    return tube_checks(groove.number, groove.tube, groove.curvature, mill=groove.mill, width=groove.width, spec=spec)
+
+
+def _place(groove: Groove, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
+    """The groove on the plate, with clamps, growth and vents."""
+    clamps = spec.clamps
+    ways = (-curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0])
+    mouths = (curve.lead_in.start, curve.lead_out.end)
+    gaps = [_clamp_gap(mouth, way, size, spec) for mouth, way in zip(mouths, ways, strict=True)]
+    growth = spec.growth
+    if growth is None:
+        growth = thermal_growth(groove.tube, spec.heat, groove.cold.decay_length, curve.length + sum(gaps))
+    travel = math.ceil((growth * clamps.travel_factor + clamps.travel_extra) / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
+    placed = []
+    for end, mouth, way, gap in zip(ENDS, mouths, ways, gaps, strict=True):
+        face = np.asarray(mouth) + gap * way
+        slide = travel if end == clamps.sliding_end else 0.0
+        placed.append(Clamp(end, (float(face[0]), float(face[1])), (float(way[0]), float(way[1])), slide))
+    return replace(
+        groove,
+        centreline=curve,
+        growth=growth,
+        clamps=(placed[0], placed[1]),
+        vents=place_vents(curve, groove.width, spec.vents),
+    )
+
+
+def _clamp_gap(mouth: Point, way: Array, size: Point, spec: MoldSpec) -> float:
+    """Length (m) of tube from edge to clamp: the gap asked for, more where a slanted clamp would meet the plate."""
+    to_edge = [min(abs(x), abs(extent - x)) for x, extent in zip(mouth, size, strict=True)]
+    across = abs(float(way[to_edge.index(min(to_edge))]))
+    slant = math.sqrt(max(1 - across**2, 0.0)) / across
+    return max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE)
+
+
+def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
+    remarks = []
+    back = spec.springback
+    if not back.calibrated:
+        remarks.append(
+            "the spring-back is not calibrated: tubes will come out straighter; set one, then `mold calibrate`"
+        )
+    if back.curvature_range is not None:
+        low, high = back.curvature_range
+        for groove in grooves:
+            if not low * 0.999 <= abs(groove.curvature) <= high * 1.001:
+                remarks.append(
+                    f"tube {groove.number}: a mold radius of {groove.radius * 1e3:.4g} mm lies outside the trials "
+                    f"({1e3 / high:.4g} to {1e3 / low:.4g} mm) that the spring-back is from"
+                )
+    if back.shrinkage == 0:
+        most = max(groove.growth / groove.free_length * groove.bend_length for groove in grooves)
+        remarks.append(
+            f"a curved part comes out up to {most * 1e3:.2g} mm short when it cools; `shrinkage` of the spring-back "
+            "makes up for it"
+        )
+    for groove in grooves:
+        if groove.tube.material.thermal is None:
+            remarks.append(
+                f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
+                "nitinol are taken"
+            )
+    return remarks
+
+
+def _clipped_area(corners: Array, size: Point) -> float:
+    """Area (m^2) of a polygon within [0, width] x [0, height] (Sutherland and Hodgman, Commun. ACM 17, 1974)."""
+    for axis in (0, 1):
+        for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
+            value = sign * corners[:, axis] - bound
+            kept = []
+            for k in range(len(corners)):
+                before, here = k - 1, k
+                if (value[before] < 0) != (value[here] < 0):
+                    part = value[before] / (value[before] - value[here])
+                    kept.append(corners[before] + part * (corners[here] - corners[before]))
+                if value[here] >= 0:
+                    kept.append(corners[here])
+            corners = np.array(kept)
+    x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))

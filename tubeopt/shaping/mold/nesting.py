@@ -1,0 +1,196 @@
+"""Grooves on a plate: one above the other or side by side, no nearer than the wall between them (m)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ...errors import InputError
+from ...typing import Array
+from .groove import Centreline, Piece, Point, bend_at, bounds, crosses_itself, leads_to_edge, least_distance, with_leads
+from .spec import MoldSpec
+
+STEP = 0.5e-3
+"""Grooves are moved by steps of this size until they are apart."""
+
+MOST_STEPS = 1024
+ROUNDED = 5e-3
+"""Plates of free size are a multiple of this wide and high."""
+
+DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
+
+
+@dataclass(frozen=True)
+class Blank:
+    """A groove before it has a place: tube number, curvature (1/m) and length of the bend, least lead and width (m)."""
+
+    number: int
+    curvature: float
+    length: float
+    least_lead: float
+    width: float
+
+    @property
+    def bend(self) -> Piece:
+        """The bend with its top at the origin."""
+        return bend_at(self.curvature, self.length)
+
+    @property
+    def core(self) -> Centreline:
+        """The least groove: bend and least leads."""
+        return with_leads(self.bend, self.least_lead, self.least_lead)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Size of the plate (m), the centreline of every groove on it, and the least wall between grooves (m)."""
+
+    size: Point
+    centrelines: tuple[Centreline, ...]
+    least_wall: float
+
+
+def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
+    """The arrangement with the smallest plate in which all grooves reach the edge and none meets another.
+
+    Raises:
+        InputError: a groove crosses itself, the grooves do not fit on a plate of the given size, or they cross one
+            another however they are arranged.
+    """
+    for blank in blanks:
+        # Where the plate is free the leads are at least as long as this, and a plate only makes them longer.
+        if crosses_itself(blank.core, blank.width + spec.groove.wall):
+            raise _crossing(blank)
+    found = []
+    for way in DIRECTIONS.values():
+        for order in _orders(blanks):
+            layout = _arrange([blanks[k] for k in order], spec, np.array(way))
+            if layout is not None:
+                curves = tuple(layout.centrelines[order.index(k)] for k in range(len(blanks)))
+                found.append(Layout(layout.size, curves, layout.least_wall))
+    if found:
+        return min(found, key=lambda layout: layout.size[0] * layout.size[1])
+    raise _why_not(blanks, spec)
+
+
+def _orders(blanks: Sequence[Blank]) -> list[list[int]]:
+    """Orders that are tried, each once: as given; flatter bends over sharper ones; wider ones over narrower ones."""
+    turn = [abs(blank.curvature) * blank.length for blank in blanks]
+    span = [bounds(with_leads(blank.bend, 0.0, 0.0)) for blank in blanks]
+    wide = [high[0] - low[0] for low, high in span]
+    given = list(range(len(blanks)))
+    orders = [given, sorted(given, key=lambda k: -turn[k]), sorted(given, key=lambda k: wide[k])]
+    return [order for k, order in enumerate(orders) if order not in orders[:k]]
+
+
+def _arrange(blanks: Sequence[Blank], spec: MoldSpec, way: Array) -> Layout | None:
+    """The blanks in a row along `way`, each as near to the one before as the wall allows; None where none is found."""
+    shifts = [np.zeros(2)]
+    layout = _placed(blanks[:1], shifts, spec)
+    for count in range(2, len(blanks) + 1):
+        before, here = blanks[count - 2 : count]
+        start = shifts[-1] + way * ((before.width + here.width) / 2 + spec.groove.wall)
+
+        def tried(steps: int, count: int = count, start: Array = start) -> Layout | None:
+            return _placed(blanks[:count], [*shifts, start + steps * STEP * way], spec)
+
+        # Doubled until there is room, then halved back: the last place that is too near is one step away.
+        near, far = -1, 0
+        while (layout := tried(far)) is None:
+            near, far = far, max(1, 2 * far)
+            if far > MOST_STEPS:
+                return None
+        while far - near > 1:
+            middle = (near + far) // 2
+            closer = tried(middle)
+            near, far, layout = (near, middle, closer) if closer is not None else (middle, far, layout)
+        shifts.append(start + far * STEP * way)
+    return layout
+
+
+def _placed(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> Layout | None:
+    """The plate with the blanks moved by `shifts`; None where they meet or do not fit."""
+    size, origin = _plate(blanks, shifts, spec)
+    inside = _inside(blanks, shifts, origin, size, spec)
+    if not inside:
+        return None
+    curves = []
+    for blank, shift in zip(blanks, shifts, strict=True):
+        x, y = shift - origin
+        curves.append(leads_to_edge(blank.bend.moved((float(x), float(y))), size))
+    if any(crosses_itself(c, b.width + spec.groove.wall) for c, b in zip(curves, blanks, strict=True)):
+        return None
+    wall = math.inf
+    for (first, a), (second, b) in combinations(zip(curves, blanks, strict=True), 2):
+        wall = min(wall, least_distance(first, second) - (a.width + b.width) / 2)
+        if wall < spec.groove.wall:
+            return None
+    return Layout(size, tuple(curves), wall)
+
+
+def _plate(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> tuple[Point, Array]:
+    """Size of the plate, and its lower left corner where the shifts are from the origin."""
+    low, high = _extent(blanks, shifts)
+    if spec.plate.size is not None:
+        size = spec.plate.size
+    else:
+        wide, tall = (math.ceil((x + 2 * spec.plate.margin) / ROUNDED - 1e-9) for x in high - low)
+        size = (round(wide * ROUNDED, 9), round(tall * ROUNDED, 9))
+    return size, (low + high) / 2 - np.array(size) / 2
+
+
+def _extent(blanks: Sequence[Blank], shifts: Sequence[Array]) -> tuple[Array, Array]:
+    """Least and greatest coordinates of the cores, walls of the grooves included."""
+    corners = [
+        (np.array(bounds(blank.core)), blank.width / 2, shift) for blank, shift in zip(blanks, shifts, strict=True)
+    ]
+    low = np.min([box[0] - half + shift for box, half, shift in corners], axis=0)
+    high = np.max([box[1] + half + shift for box, half, shift in corners], axis=0)
+    return np.asarray(low), np.asarray(high)
+
+
+def _inside(blanks: Sequence[Blank], shifts: Sequence[Array], origin: Array, size: Point, spec: MoldSpec) -> bool:
+    """Whether the bends keep a wall from the edge, and the ends of the least leads lie on the plate."""
+    slack = 1e-12
+    for blank, shift in zip(blanks, shifts, strict=True):
+        rim = blank.width / 2 + spec.groove.wall
+        for curve, room in ((with_leads(blank.bend, 0.0, 0.0), rim), (blank.core, 0.0)):
+            low, high = np.array(bounds(curve)) + shift - origin
+            if (low < room - slack).any() or (high > np.array(size) - room + slack).any():
+                return False
+    return True
+
+
+def _why_not(blanks: Sequence[Blank], spec: MoldSpec) -> InputError:
+    """Why no arrangement was found: a groove that is in the way of itself, or the grooves of one another."""
+    here = [np.zeros(2)]
+    plate = "" if spec.plate.size is None else " of {:g} x {:g} mm".format(*(x * 1e3 for x in spec.plate.size))
+    for blank in blanks:
+        if _placed([blank], here, spec) is not None:
+            continue
+        size, origin = _plate([blank], here, spec)
+        if _inside([blank], here, origin, size, spec):
+            return _crossing(blank)
+        low, high = _extent([blank], here)
+        wide, tall = (high - low) * 1e3
+        return InputError(
+            f"the groove of tube {blank.number} leaves the plate{plate}: bend and leads take {wide:.1f} x {tall:.1f} "
+            f"mm, and the wall beside the bend {spec.groove.wall * 1e3:g} mm"
+        )
+    numbers = ", ".join(str(blank.number) for blank in blanks)
+    return InputError(
+        f"the grooves of tubes {numbers} cross on a plate{plate}, one above the other and side by side; they need "
+        f"{spec.groove.wall * 1e3:g} mm between them: take a larger plate or one plate per tube"
+    )
+
+
+def _crossing(blank: Blank) -> InputError:
+    turn = math.degrees(abs(blank.curvature) * blank.length)
+    return InputError(
+        f"the groove of tube {blank.number} crosses itself: it bends through {turn:.1f} deg and its leads are at least "
+        f"{blank.least_lead * 1e3:.1f} mm long; shorten the curved part or the leads, or set the tube in two molds"
+    )

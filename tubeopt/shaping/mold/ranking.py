@@ -1,0 +1,138 @@
+"""Materials for a mold, ranked for a tube by what they cost in heat and current, with reasons (SI)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError
+from ...robots.tubes import Tube
+from .heat import HeatSpec, heat_drawn, heat_flow, thermal_data
+from .materials import MOLD_MATERIALS, MoldMaterial
+from .spec import PlateSpec
+
+MOST_LEAK = 0.01
+"""Part of the current that may bypass the tube: above it the tube's heat can no longer be told from the current."""
+
+SECTION_WIDTH = 50e-3
+"""Width (m) of the plates whose section conducts beside the tube; that of the plate for the thesis' eccentric tube."""
+
+
+@dataclass(frozen=True)
+class MaterialRating:
+    """A mold material for one tube.
+
+    Args:
+        material: the material.
+        heat_drawn: J per m of tube that the mold takes in the hold time, the tube being hot from its beginning.
+        heat_flow: W per m at the end of the hold.
+        leak: part of the current that bypasses the tube through the plates, with perfect contact: an upper bound.
+        energy: J from the source to heat the curved part and hold it: for the tube, the mold and what leaks.
+        limit_margin: K, the material's limit less the tube's set temperature.
+        reasons: why it is suitable or not, in words.
+    """
+
+    material: MoldMaterial
+    heat_drawn: float
+    heat_flow: float
+    leak: float
+    energy: float
+    limit_margin: float
+    reasons: tuple[str, ...]
+
+    @property
+    def suitable(self) -> bool:
+        """Whether it endures the tube and keeps the current in it."""
+        return self.limit_margin >= 0 and self.leak <= MOST_LEAK
+
+
+def rank_mold_materials(
+    tube: Tube,
+    heat: HeatSpec | None = None,
+    *,
+    materials: Iterable[MoldMaterial] = tuple(MOLD_MATERIALS.values()),
+    plate: PlateSpec | None = None,
+) -> tuple[MaterialRating, ...]:
+    """The materials in order: those that endure the tube and insulate it, then the others; each by the energy it takes.
+
+    The mold is taken without end around the tube (`heat_drawn`); for a metal plate that is an upper bound.
+
+    Args:
+        tube: the tube to be set.
+        heat: set temperature, hold time and so on.
+        materials: to compare.
+        plate: whose section conducts beside the tube.
+
+    Raises:
+        InputError: no material, or a tube without a curved part.
+    """
+    given = tuple(materials)
+    if not given:
+        raise InputError("materials is empty; there must be at least one")
+    if tube.curved_length == 0:
+        raise InputError("the tube has no curved part; it needs no mold")
+    ratings = [_rate(tube, material, heat or HeatSpec(), plate or PlateSpec()) for material in given]
+    least = min(rating.heat_drawn for rating in ratings)
+    explained = [_explained(rating, heat or HeatSpec(), least) for rating in ratings]
+    return tuple(sorted(explained, key=lambda rating: (not rating.suitable, rating.energy)))
+
+
+def tube_heat(tube: Tube, heat: HeatSpec) -> float:
+    """J per m to bring the tube itself from ambient to the set temperature."""
+    data = thermal_data(tube)
+    mean = (heat.set_temperature + heat.ambient) / 2
+    capacity = data.heat_capacity * (1 + data.heat_capacity_slope * (mean - data.reference_temperature))
+    return data.density * capacity * _area(tube) * heat.rise
+
+
+def current_leak(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> float:
+    """Part of the current that runs through both plates beside the tube, with perfect contact."""
+    data = thermal_data(tube)
+    resistivity = data.resistivity * (1 + data.resistivity_slope * (heat.set_temperature - data.reference_temperature))
+    width = plate.size[1] if plate.size else SECTION_WIDTH
+    beside = width * (plate.thickness + plate.lid_thickness) / material.resistivity
+    return beside / (beside + _area(tube) / resistivity)
+
+
+def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> MaterialRating:
+    end = np.array([heat.hold_time])
+    drawn = float(heat_drawn(tube.outer_diameter, material, heat, end)[0])
+    leak = current_leak(tube, material, heat, plate)
+    energy = (tube_heat(tube, heat) + drawn) * tube.curved_length / (1 - leak)
+    return MaterialRating(
+        material=material,
+        heat_drawn=drawn,
+        heat_flow=float(heat_flow(tube.outer_diameter, material, heat, end)[0]),
+        leak=leak,
+        energy=energy,
+        limit_margin=material.limit_temperature - heat.set_temperature,
+        reasons=(),
+    )
+
+
+def _explained(rating: MaterialRating, heat: HeatSpec, least: float) -> MaterialRating:
+    m, reasons = rating.material, []
+    if rating.limit_margin < 0:
+        reasons.append(f"{m.failure} above {m.limit_temperature_degC:.0f} degC, {-rating.limit_margin:.0f} K too low")
+    else:
+        reasons.append(f"endures {m.limit_temperature_degC:.0f} degC, {rating.limit_margin:.0f} K to spare")
+    if rating.leak > MOST_LEAK:
+        reasons.append(f"takes up to {rating.leak * 100:.4g} % of the current")
+    else:
+        reasons.append("insulates")
+    draws = rating.heat_drawn / least
+    seconds = f"{heat.hold_time:g} s"
+    if draws > 1:
+        reasons.append(f"draws {draws:.2g} times the least heat in {seconds}")
+    else:
+        reasons.append(f"draws the least heat in {seconds}")
+    return MaterialRating(
+        m, rating.heat_drawn, rating.heat_flow, rating.leak, rating.energy, rating.limit_margin, tuple(reasons)
+    )
+
+
+def _area(tube: Tube) -> float:
+    return math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)

@@ -1,0 +1,62 @@
+"""The mold for the tubes of a robot: which of them need a groove, and which share one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...errors import InputError
+from ...robots.robot import Robot
+from .mold import Mold, plan_mold
+from .spec import MoldSpec
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMold:
+    """A mold for tubes of a robot.
+
+    Attributes:
+        mold: as planned. name: of the robot. numbers: the tube of each groove, from 1. left_out: why others have none.
+    """
+
+    mold: Mold
+    name: str
+    numbers: tuple[int, ...]
+    left_out: tuple[str, ...]
+
+
+def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[int] | None = None) -> RobotMold:
+    """One mold for the tubes of a robot.
+
+    Args:
+        tubes: their numbers, from 1; by default every curved tube that is not equal to an earlier one.
+
+    Raises:
+        InputError: no such tube, none that needs a mold, or a mold that cannot be made.
+    """
+    numbers, left_out = chosen_tubes(robot, tubes)
+    mold = plan_mold([robot.tubes[number - 1] for number in numbers], spec, numbers=numbers)
+    return RobotMold(mold, robot.name, tuple(numbers), tuple(left_out))
+
+
+def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list[int], list[str]]:
+    """Numbers, from 1, of the tubes that need a groove, and why others are left out; arguments and errors as above."""
+    all_tubes = robot.tubes
+    if tubes is not None:
+        for number in tubes:
+            if not 1 <= number <= len(all_tubes):
+                raise InputError(f"tubes is {list(tubes)}; it must be numbers from 1 to {len(all_tubes)}")
+        return list(tubes), []
+    numbers: list[int] = []
+    left_out = []
+    for k, tube in enumerate(all_tubes, start=1):
+        first = next((j for j in numbers if all_tubes[j - 1] == tube), None)
+        if tube.curved_length == 0 or tube.curvature == 0:
+            left_out.append(f"tube {k} is straight and needs no mold")
+        elif first is not None:
+            left_out.append(f"tube {k} is equal to tube {first} and is set in its groove")
+        else:
+            numbers.append(k)
+    if not numbers:
+        raise InputError("no tube of this robot is curved; none needs a mold")
+    return numbers, left_out

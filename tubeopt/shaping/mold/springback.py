@@ -1,0 +1,198 @@
+"""Spring-back: how much of a mold's curvature a tube keeps, from trials, and the mold that a curvature needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import stdtrit
+
+from ...errors import InputError, choice, finite, positive, vector
+from ...typing import Array
+
+MODELS = ("auto", "constant", "linear")
+CONFIDENCE = 0.95
+ROUND_OFF = 1e-9
+"""Change of the fraction over the trials below which a slope is round-off, whatever the statistics say."""
+
+
+@dataclass(frozen=True)
+class Springback:
+    """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold).
+
+    The fraction holds all that happens between the mold and the bench: relaxation that was not complete, and the
+    contraction when the tube cools, since that is how trials see it.
+
+    Args:
+        fraction: lost part at small curvature, less than 1; negative where tubes come out tighter than the mold.
+        slope: growth of the lost part with the mold's curvature, m.
+        shrinkage: part of the bend's length that the tube loses when it cools, in [0, 0.1).
+        curvature_range: mold curvatures (1/m) of the trials that the numbers are from, or None without trials.
+
+    Raises:
+        InputError: a number is out of its range.
+    """
+
+    fraction: float = 0.0
+    slope: float = 0.0
+    shrinkage: float = 0.0
+    curvature_range: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("fraction", "slope", "shrinkage"):
+            object.__setattr__(self, field, finite(f"{field} of the spring-back", getattr(self, field)))
+        if not -1 < self.fraction < 1:
+            raise InputError(f"fraction of the spring-back is {self.fraction:g}; it must lie between -1 and 1")
+        if self.curvature_range is not None:
+            least, most = vector("curvature_range of the spring-back", self.curvature_range, 2, "least and greatest")
+            object.__setattr__(self, "curvature_range", (float(least), float(most)))
+        if not 0 <= self.shrinkage < 0.1:
+            raise InputError(f"shrinkage of the spring-back is {self.shrinkage:g}; it must lie in [0, 0.1)")
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the numbers are from trials, or at least not all 0."""
+        return self.curvature_range is not None or self.fraction != 0 or self.slope != 0
+
+    def obtained(self, mold_curvature: float) -> float:
+        """Curvature (1/m) of a tube set in a mold of `mold_curvature` (1/m); the sign is kept."""
+        size = abs(mold_curvature)
+        return math.copysign(size * (1 - self.fraction - self.slope * size), mold_curvature)
+
+    def mold(self, curvature: float) -> float:
+        """Curvature (1/m) of the mold that yields `curvature` (1/m); the sign is kept.
+
+        Raises:
+            InputError: no mold yields it: the more one bends, the more springs back.
+        """
+        size, kept = abs(curvature), 1 - self.fraction
+        inside = kept**2 - 4 * self.slope * size
+        if inside < 0:
+            most = kept**2 / (4 * self.slope)
+            raise InputError(
+                f"curvature is {curvature:g} per m; with this spring-back no mold yields more than {most:.4g} per m "
+                f"(radius {1e3 / most:.4g} mm)"
+            )
+        return math.copysign(2 * size / (kept + math.sqrt(inside)), curvature)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Spring-back fitted to trials.
+
+    Args:
+        springback: the fitted model, with the range of the trials.
+        model: constant or linear.
+        mold_curvature, obtained_curvature: (N,) 1/m, the trials.
+        fraction_interval, slope_interval: 95 % intervals; None where there are too few trials to know, or no slope.
+        noise: standard deviation of the lost fraction about the model; NaN where there are too few trials.
+        remarks: what to keep in mind.
+    """
+
+    springback: Springback
+    model: str
+    mold_curvature: Array
+    obtained_curvature: Array
+    fraction_interval: tuple[float, float] | None
+    slope_interval: tuple[float, float] | None
+    noise: float
+    remarks: tuple[str, ...]
+
+    @property
+    def lost(self) -> Array:
+        """(N,) part of the curvature that each trial lost."""
+        return np.asarray(1 - self.obtained_curvature / self.mold_curvature)
+
+    @property
+    def fitted(self) -> Array:
+        """(N,) part of the curvature that the model loses in each trial."""
+        return self.springback.fraction + self.springback.slope * self.mold_curvature
+
+
+def calibrate_springback(
+    mold_radius: Sequence[float] | Array, obtained_radius: Sequence[float] | Array, *, model: str = "auto"
+) -> Calibration:
+    """Fit the spring-back to pairs of mold radius and obtained radius (m) by least squares of the lost fraction.
+
+    Args:
+        model: constant, one fraction for all; linear, a fraction that grows with the mold's curvature; auto, linear
+            where the 95 % interval of the slope leaves out 0.
+
+    Raises:
+        InputError: no trials, lists of different lengths, a radius that is not positive, or too few different mold
+            radii for a linear model.
+    """
+    choice("model", model, MODELS)
+    molds, tubes = _radii("mold_radius", mold_radius), _radii("obtained_radius", obtained_radius)
+    if len(molds) != len(tubes):
+        raise InputError(f"mold_radius has {len(molds)} numbers and obtained_radius {len(tubes)}; they must be pairs")
+    kappa, lost = 1 / molds, 1 - molds / tubes
+    distinct = len(np.unique(np.round(molds, 9)))
+    if model == "linear" and distinct < 2:
+        raise InputError("model is linear; that needs trials in molds of at least 2 different radii")
+    constant = _least_squares(kappa, lost, 1)
+    chosen = constant
+    if model == "linear":
+        chosen = _least_squares(kappa, lost, 2)
+    elif model == "auto" and distinct >= 2 and len(molds) >= 4:
+        linear = _least_squares(kappa, lost, 2)
+        excludes = linear.intervals is not None and linear.intervals[1, 0] * linear.intervals[1, 1] > 0
+        if excludes and abs(linear.values[1]) * np.ptp(kappa) > ROUND_OFF:
+            chosen = linear
+    values = chosen.values
+    slope = float(values[1]) if len(values) == 2 else 0.0
+    back = Springback(float(values[0]), slope, curvature_range=(float(kappa.min()), float(kappa.max())))
+    intervals = None if chosen.intervals is None else [(float(a), float(b)) for a, b in chosen.intervals]
+    return Calibration(
+        springback=back,
+        model="linear" if len(values) == 2 else "constant",
+        mold_curvature=kappa,
+        obtained_curvature=1 / tubes,
+        fraction_interval=intervals[0] if intervals else None,
+        slope_interval=intervals[1] if intervals and len(intervals) == 2 else None,
+        noise=chosen.noise,
+        remarks=_remarks(back, lost, len(molds), distinct),
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    values: Array
+    intervals: Array | None
+    noise: float
+
+
+def _least_squares(kappa: Array, lost: Array, order: int) -> _Fit:
+    matrix = np.vander(kappa, order, increasing=True)
+    values = np.asarray(np.linalg.lstsq(matrix, lost, rcond=None)[0], dtype=float)
+    free = len(lost) - order
+    if free < 1:
+        return _Fit(values, None, math.nan)
+    noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
+    spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    reach = stdtrit(free, (1 + CONFIDENCE) / 2) * spread
+    return _Fit(values, np.column_stack([values - reach, values + reach]), noise)
+
+
+def _radii(name: str, values: Sequence[float] | Array) -> Array:
+    if not len(values):
+        raise InputError(f"{name} is empty; there must be at least one trial")
+    return np.array([positive(f"{name} of trial {k}", value) for k, value in enumerate(values, start=1)])
+
+
+def _remarks(back: Springback, lost: Array, trials: int, distinct: int) -> tuple[str, ...]:
+    remarks = []
+    if trials < 3:
+        remarks.append(f"{trials} trial{'s' if trials > 1 else ''}: too few to know how far the next tube may differ")
+    if distinct == 1 and trials > 1:
+        remarks.append("all trials are of one mold radius: the fraction is known for that radius only")
+    if (lost < -0.02).any():
+        remarks.append("a tube came out more than 2 % tighter than its mold: are the columns the right way round?")
+    if back.curvature_range and back.slope:
+        ends = [back.obtained(kappa) for kappa in np.linspace(0, back.curvature_range[1], 50)]
+        if any(after <= before for before, after in pairwise(ends)):
+            remarks.append("within the trials a tighter mold yields a straighter tube: take a constant model")
+    return tuple(remarks)

@@ -1,0 +1,113 @@
+"""The plates of a mold as solids (STL, mm): built by manifold3d, read back, watertight, of the right volume."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, SolveError, choice
+from ...files.files import atomic_write
+from .drawing import MM, PARTS
+from .groove import polygon
+from .mold import Mold
+
+SAGITTA = 1e-6
+"""Chords leave the bends of grooves by at most this much, m."""
+
+HOLE_SIDES = 192
+"""Corners of a hole: its area is 0.02 % small."""
+
+VOLUME_TOLERANCE = 1e-3
+"""Greatest relative difference of the solid's volume from plate less grooves less holes."""
+
+ABOVE = 1e-3
+"""Cutters reach this far (m) beyond the faces, so that no faces coincide."""
+
+
+def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> Path:
+    """Write a plate of the mold as binary STL in mm, whole or not at all, and return the path.
+
+    The upper face of the base lies at z = 0, and the lid on it.
+
+    Raises:
+        InputError: no such part, the file cannot be written, or manifold3d or trimesh is not installed.
+        SolveError: the solid read back is not watertight, or its volume is off by more than 0.1 %.
+    """
+    choice("part", part, PARTS)
+    trimesh = _trimesh()
+    solid = _base(mold) if part == "base" else _lid(mold)
+    mesh = solid.to_mesh()
+    # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
+    faces = trimesh.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(faces.export(file_type="stl"))
+        check_stl(mold, temporary, part=part, name=str(path))
+    return Path(path)
+
+
+def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name: str = "") -> float:
+    """The relative difference of an STL file's volume from that of the plate.
+
+    Raises:
+        InputError: no such part, or trimesh is not installed.
+        SolveError: the solid is not watertight, or its volume is off by more than 0.1 %.
+    """
+    choice("part", part, PARTS)
+    mesh = _trimesh().load_mesh(str(path), file_type="stl")
+    if not mesh.is_watertight:
+        raise SolveError(f"{name or path}: the solid of the {part} is not watertight")
+    wanted = mold.base_volume if part == "base" else mold.lid_volume
+    off = float(mesh.volume) / MM**3 / wanted - 1
+    if abs(off) > VOLUME_TOLERANCE:
+        raise SolveError(f"{name or path}: the volume of the {part} is off by {off * 100:.3g} %")
+    return off
+
+
+def _base(mold: Mold) -> Any:
+    manifold = _manifold()
+    thickness = mold.spec.plate.thickness
+    solid = _box(mold, thickness, -thickness)
+    for groove in mold.grooves:
+        # Beyond the edge by more than an oblique exit needs.
+        curve = groove.centreline.lengthened(20 * groove.width)
+        corners = polygon(curve, groove.width, SAGITTA)
+        cutter = manifold.Manifold.extrude(manifold.CrossSection([corners * MM]), (groove.depth + ABOVE) * MM)
+        solid -= cutter.translate((0.0, 0.0, -groove.depth * MM))
+    return _drilled(solid, mold.holes, thickness, -thickness)
+
+
+def _lid(mold: Mold) -> Any:
+    thickness = mold.spec.plate.lid_thickness
+    return _drilled(_box(mold, thickness, 0.0), (*mold.holes, *mold.vents), thickness, 0.0)
+
+
+def _box(mold: Mold, thickness: float, bottom: float) -> Any:
+    box = _manifold().Manifold.cube((mold.size[0] * MM, mold.size[1] * MM, thickness * MM))
+    return box.translate((0.0, 0.0, bottom * MM))
+
+
+def _drilled(solid: Any, holes: Any, thickness: float, bottom: float) -> Any:
+    manifold = _manifold()
+    for hole in holes:
+        drill = manifold.Manifold.cylinder((thickness + 2 * ABOVE) * MM, hole.diameter / 2 * MM, -1.0, HOLE_SIDES)
+        solid -= drill.translate((hole.centre[0] * MM, hole.centre[1] * MM, (bottom - ABOVE) * MM))
+    return solid
+
+
+def _manifold() -> Any:
+    try:
+        import manifold3d
+    except ImportError:
+        raise InputError("STL files need manifold3d: python -m pip install 'tubeopt[fabrication]'") from None
+    return manifold3d
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError("STL files need trimesh: python -m pip install 'tubeopt[fabrication]'") from None
+    return trimesh

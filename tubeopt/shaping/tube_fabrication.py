@@ -1,0 +1,273 @@
+"""Mold and heating of one tube, planned for each other: what is heated is what the mold holds.
+
+The rig's file says how the mold is to lie around the tube; plate, cutters and clamps decide how it does. So the mold is
+drawn first, and the heating is planned on the rig *as drawn*: with its leads, gaps, groove, plate and vents. What the
+heating then knows better (where the cold ends stop, how far the tube grows, how warm the clamps get) goes back into the
+mold, until nothing changes any more.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.materials import NITINOL, ZERO_CELSIUS
+from ..robots.tubes import Tube
+from .heating.plan import HeatingPlan
+from .heating.planning import plan_heating
+from .heating.rig import Rig
+from .heating.spec import HeatingSpec
+from .heating.thermal import gap_transfer, vent_profile
+from .mold.heat import HeatSpec
+from .mold.holes import open_area
+from .mold.mold import Groove, Mold, plan_mold
+from .mold.spec import GrooveSpec, MoldSpec
+
+ROUNDS = 5
+"""Molds that are drawn at most."""
+
+SAME = 1e-5
+"""Lengths (m) of mold and heating that count as equal."""
+
+LONGER = 1e-3
+"""What leads get beyond the cold ends, m, where these reach into the curved part."""
+
+VENT_CELLS = 5
+"""Cells in half of the bend by which the lid's vents follow the rig's profile."""
+
+VENT_PLACES = 41
+"""Places from the end of the mold to its middle at which the rig as drawn says how far it is vented."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What heating tells the mold: length of the cold ends and growth of the tube, m; temperature of the clamps, K."""
+
+    cold_length: float
+    growth: float
+    clamps: float
+
+
+@dataclass(frozen=True, eq=False)
+class TubeFabrication:
+    """How one tube is made.
+
+    Attributes:
+        tube: what it is to become. mold: with one groove, that of the tube.
+        rig: the rig with the mold as drawn. heating: planned on it, of the tube with a curved part as long as the bend.
+        rounds: molds that were drawn. disagreement: in words, what mold and heating do not agree on; "" where they do.
+        remarks: what to keep in mind.
+    """
+
+    tube: Tube
+    mold: Mold
+    rig: Rig
+    heating: HeatingPlan
+    rounds: int
+    disagreement: str
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def groove(self) -> Groove:
+        """The groove of the tube."""
+        return self.mold.grooves[0]
+
+    @property
+    def agreed(self) -> bool:
+        """Whether mold and heating are of one rig, and the mold has what the heating needs."""
+        return not self.disagreement
+
+
+def plan_tube(
+    tube: Tube, rig: Rig, mold: MoldSpec | None = None, heating: HeatingSpec | None = None, *, number: int = 1
+) -> TubeFabrication:
+    """Mold and heating of one tube on one rig, planned for each other.
+
+    Args:
+        tube: what is to be made.
+        rig: its material, clamps, gap between tube and groove, least leads and vents rule over those of `mold`.
+        mold: what else is asked of the mold; None takes the defaults of `MoldSpec`.
+        heating: what is asked of the heating; None heats as `mold.heat` says: set temperature, tolerance and hold.
+        number: of the tube, for texts.
+
+    Raises:
+        InputError: no mold can be drawn for the rig's leads, or tube and rig cannot belong together.
+        SolveError: the optimal control problem of the heating did not converge.
+    """
+    asked = MoldSpec() if mold is None else mold
+    heating = heating_for(asked.heat) if heating is None else heating
+    heated, remarks = _with_thermal_data(tube)
+    on, known, plan, drawn = rig, None, None, None
+    for round_ in range(1, ROUNDS + 1):
+        try:
+            following = plan_mold(heated, mold_spec_for(on, heated, asked, heating, known, rig), numbers=[number])
+        except InputError as error:
+            if drawn is None or plan is None:
+                raise
+            return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
+        drawn, before, on = following, on, rig_as_drawn(rig, following)
+        if plan is None or not _alike(before, on):
+            plan = plan_heating(heated_tube(following.grooves[0]), on, heating)
+        elif _settled(drawn, plan):
+            return TubeFabrication(tube, drawn, on, plan, round_, "", remarks)
+        known = _known(drawn.grooves[0], plan)
+    assert drawn is not None
+    assert plan is not None
+    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + SAME
+    words = _needed(plan) if short else "the mold as drawn still changes"
+    return TubeFabrication(tube, drawn, on, plan, ROUNDS, f"{words} after {ROUNDS} rounds", remarks)
+
+
+def heating_for(heat: HeatSpec) -> HeatingSpec:
+    """The heating that a mold is laid out for, as a window and a hold."""
+    degrees = heat.set_temperature - ZERO_CELSIUS
+    window = (round(degrees - heat.tolerance, 9), round(degrees + heat.tolerance, 9))
+    return HeatingSpec(window_degC=window, hold_time=heat.hold_time)
+
+
+def mold_spec_for(
+    rig: Rig,
+    tube: Tube,
+    spec: MoldSpec,
+    heating: HeatingSpec | None = None,
+    known: Known | None = None,
+    asked: Rig | None = None,
+) -> MoldSpec:
+    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, lead, vents, heat.
+
+    Args:
+        rig: as drawn so far. tube: that is heated. spec: what else is asked of the mold.
+        heating: what the tube is heated for; None is as `spec` says.
+        known: from the heating. asked: the rig as given, whose leads are the least; None is `rig`.
+    """
+    asked = rig if asked is None else asked
+    heating = heating_for(spec.heat) if heating is None else heating
+    least = max(asked.mold.lead, spec.clamps.least_lead)
+    clamps = replace(spec.clamps, gap=asked.clamps.clearance, grip=asked.clamps.grip, least_lead=least)
+    low, high = heating.window_degC
+    heat = replace(
+        spec.heat,
+        set_temperature=0.5 * (low + high) + ZERO_CELSIUS,
+        tolerance=0.5 * (high - low),
+        hold_time=heating.hold_time,
+        ambient=rig.ambient,
+        contact_conductance=gap_transfer(rig),
+        clamp_temperature=None if known is None else known.clamps,
+    )
+    vents = replace(spec.vents, profile=lid_profile(replace(rig, mold=replace(rig.mold, vents=asked.mold.vents)), tube))
+    return replace(
+        spec,
+        material=rig.mold.material,
+        groove=_groove_for(asked, tube, spec),
+        clamps=clamps,
+        cold_length=asked.clamps.clearance + asked.mold.lead if known is None else known.cold_length,
+        growth=None if known is None else known.growth,
+        heat=heat,
+        vents=vents,
+    )
+
+
+def _groove_for(rig: Rig, tube: Tube, spec: MoldSpec) -> GrooveSpec:
+    """A groove that leaves the rig's gap on either side of the tube; wider only where no end mill is as small."""
+    play = 2 * rig.mold.gap
+    fits = spec.milling.end_mills[0].diameter <= tube.outer_diameter + play
+    most = play if fits else max(play, spec.groove.most_clearance)
+    return replace(spec.groove, clearance=play, most_clearance=most)
+
+
+def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
+    """Open part of the groove's area in cells along the bend, from the rig's open part of the tube's surface.
+
+    A vent bares the upper half of the tube below it, so that the groove is open over twice the part of the surface.
+    """
+    if not any(rig.mold.vents):
+        return (0.0,)
+    ends = np.linspace(0.0, 1.0, 2 * VENT_CELLS + 1)
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    half = 0.5 * tube.curved_length
+    inward = (rig.mold.lead + half * (1 - np.abs(2 * middle - 1))) / (rig.mold.lead + half)
+    return tuple((2 * vent_profile(rig, inward)).tolist())
+
+
+def heated_tube(groove: Groove) -> Tube:
+    """The tube as it lies in its groove: its curved part is as long as the bend."""
+    return replace(groove.tube, curved_length=groove.bend_length)
+
+
+def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
+    """The rig with a mold of one groove: leads, distance of the clamps, gap, plates and vents as they are drawn."""
+    groove, plate = mold.grooves[0], mold.spec.plate
+    curve = groove.centreline
+    bed = replace(
+        rig.mold,
+        lead=0.5 * (curve.lead_in.length + curve.lead_out.length),
+        gap=0.5 * (groove.width - groove.tube.outer_diameter),
+        # As much material as lies around the groove, over its length.
+        width=mold.size[0] * mold.size[1] / curve.length,
+        thickness=plate.thickness + plate.lid_thickness,
+        vents=drawn_vents(groove, mold.spec),
+    )
+    return replace(rig, mold=bed, clamps=replace(rig.clamps, clearance=0.5 * sum(groove.gaps), grip=groove.grip))
+
+
+def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
+    """Part of the tube's surface that the drawn vents bare, from the end of the mold (no vents there) to its middle."""
+    if not groove.vents:
+        return (0.0,)
+    profile = np.asarray(spec.vents.profile)
+    wanted = groove.width * groove.bend_length * float(profile.mean())
+    opened = len(groove.vents) * open_area(groove.width, spec.vents.diameter) / wanted
+    lead, half = groove.centreline.lead_in.length, 0.5 * groove.bend_length
+    along = np.linspace(0.0, lead + half, VENT_PLACES) - lead
+    cell = np.clip((along / (2 * half) * len(profile)).astype(int), 0, len(profile) - 1)
+    part = np.where(along >= 0, 0.5 * opened * profile[cell], 0.0)
+    return tuple(np.minimum(part, 0.5).tolist())
+
+
+def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
+    if tube.material.thermal is not None:
+        return tube, ()
+    words = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
+    return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (words,)
+
+
+def _known(groove: Groove, plan: HeatingPlan) -> Known:
+    """What the heating tells the next mold; leads that are too short get longer."""
+    held, end = _lead_and_gap(groove), plan.cold_end
+    if math.isinf(end):
+        # The whole tube is cold, for which no lead helps.
+        end = groove.cold.length
+    hot = int(np.flatnonzero(plan.in_hold)[-1])
+    clamps = float(plan.clamp_temperature[hot]) + ZERO_CELSIUS
+    return Known(end if end <= held + SAME else end + LONGER, plan.growth, clamps)
+
+
+def _lead_and_gap(groove: Groove) -> float:
+    """Length (m) of tube from a clamp to the bend."""
+    return groove.gaps[0] + groove.centreline.lead_in.length
+
+
+def _alike(a: Rig, b: Rig) -> bool:
+    """Whether two rigs as drawn are the same to the heating."""
+    lengths = [abs(getattr(a.mold, name) - getattr(b.mold, name)) for name in ("lead", "gap", "width", "thickness")]
+    lengths.append(abs(a.clamps.clearance - b.clamps.clearance))
+    vents = (vent_profile(rig, np.linspace(0.0, 1.0, VENT_PLACES)) for rig in (a, b))
+    return max(lengths) < SAME and float(np.abs(next(vents) - next(vents)).max()) < SAME
+
+
+def _settled(mold: Mold, plan: HeatingPlan) -> bool:
+    """Whether the mold holds what the plan heats, and was drawn with what the plan knows."""
+    groove = mold.grooves[0]
+    uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
+    differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]
+    short = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _lead_and_gap(groove)
+    return max(abs(x) for x in differences) < SAME and short < SAME
+
+
+def _needed(plan: HeatingPlan) -> str:
+    need = 1e3 * (plan.cold_end + LONGER)
+    have = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
+    return f"the heating needs {need:.1f} mm from clamp to bend, the mold has {have:.1f} mm"

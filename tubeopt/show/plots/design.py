@@ -1,0 +1,236 @@
+"""Pictures of designs: task poses in their anatomy, what margin costs, what manufacture leaves."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from ...bodies.obstacles import Capsule, Sphere
+from ...design import Avoid, Corridor, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
+from ...design.pareto import front_label
+from ...design.requirements import of_kind
+from ...design.stock import objective_label
+from ...typing import Array
+from .maps import draw_map
+from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+    from ...stability import StabilityMap
+
+MM = 1e3
+CORRIDOR = "#DCE3EA"
+BODY = "#C9CDD2"
+FREE, LOST = "#0072B2", "#D55E00"
+VIEWS = ((1, 2), (0, 2))
+"""Coordinates across and up of the two views."""
+
+
+@styled
+def plot_poses(solution: DesignSolution, path: str | PathLike[str] | None = None) -> Figure:
+    """A design in its task poses, seen from two sides: every tube in its colour where it shows, the corridor and
+    obstacles behind, targets as rings.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(8.2, 4.8)
+    views = figure.subplots(1, 2, sharey=True)
+    for axes, (i, j) in zip(views, VIEWS, strict=True):
+        _draw_anatomy(axes, solution, i, j)
+        for equilibrium in solution.equilibria:
+            _draw_arm(axes, equilibrium, i, j)
+        _draw_targets(axes, solution, i, j)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_xlabel(f"{'xyz'[i]} (mm)")
+    views[0].set_ylabel("z (mm)")
+    least = min((e.margin for e in solution.equilibria), default=1.0)
+    count = len(solution.equilibria)
+    figure.suptitle(
+        f"{solution.robot.name or 'design'}: {count} task poses, least margin {least:.3f}",
+        fontsize=9,
+        x=0.02,
+        ha="left",
+    )
+    handles = [
+        *(
+            views[0].plot([], [], color=tube_colour(k), lw=2 + k, label=f"tube {k + 1}")[0]
+            for k in range(solution.robot.n_tubes)
+        ),
+    ]
+    if of_kind(solution.task.requirements, Reach):
+        handles += views[0].plot([], [], "o", ms=6, mfc="none", mec=INK, label="target")
+    if of_kind(solution.task.requirements, Corridor):
+        handles += views[0].plot([], [], color=CORRIDOR, lw=8, label="corridor")
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return finish(figure, path)
+
+
+def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
+    s, ends = equilibrium.arc_length, equilibrium.tube_end
+    fine = np.linspace(0.0, s[-1], 200)
+    points = CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])(fine)[:, [i, j]] * MM
+    start = 0.0
+    for tube in reversed(range(len(ends))):
+        part = (fine >= start - 1e-9) & (fine <= ends[tube] + s[-1] / 200)
+        if part.sum() > 1 and ends[tube] > start:
+            axes.plot(*points[part].T, color=tube_colour(tube), lw=1.2 + 0.7 * tube, solid_capstyle="butt", zorder=4)
+            start = max(start, float(ends[tube]))
+
+
+def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
+    from matplotlib.patches import Circle
+
+    for corridor in of_kind(solution.task.requirements, Corridor):
+        _draw_tube(axes, np.array(corridor.centreline)[:, [i, j]] * MM, corridor.radius * MM, CORRIDOR)
+    for avoid in of_kind(solution.task.requirements, Avoid):
+        for body in avoid.obstacles:
+            if isinstance(body, Sphere):
+                centre = body.centre[i] * MM, body.centre[j] * MM
+                axes.add_patch(Circle(centre, body.radius * MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
+            elif isinstance(body, Capsule):
+                line = np.array([body.start, body.end])[:, [i, j]] * MM
+                _draw_tube(axes, line, body.radius * MM, BODY)
+
+
+def _draw_tube(axes: Axes, line: Array, radius: float, colour: str) -> None:
+    """All that is within `radius` of a projected polyline."""
+    from matplotlib.patches import Circle, Polygon
+
+    for a, b in pairwise(line):
+        way = b - a
+        size = float(np.linalg.norm(way))
+        if size > 1e-9:
+            across = radius * np.array([-way[1], way[0]]) / size
+            axes.add_patch(Polygon([a + across, b + across, b - across, a - across], fc=colour, ec="none", zorder=0))
+    for centre in line:
+        axes.add_patch(Circle((float(centre[0]), float(centre[1])), radius, fc=colour, ec="none", zorder=0))
+
+
+def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
+    for reach in of_kind(solution.task.requirements, Reach):
+        points = np.array([target.position for target in reach.targets]) * MM
+        axes.plot(points[:, i], points[:, j], "o", ms=6, mfc="none", mec=INK, mew=0.9, ls="", zorder=5)
+
+
+@styled
+def plot_before_after(before: StabilityMap, after: StabilityMap, path: str | PathLike[str] | None = None) -> Figure:
+    """Stability maps of a robot before and after a design, at one scale.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(8.6, 4.6)
+    views = figure.subplots(1, 2, sharey=True)
+    for axes, chart, name in zip(views, (before, after), ("before", "after"), strict=True):
+        image, handles = draw_map(axes, chart)
+        snapped = 100 * float(np.mean(chart.snaps > 0))
+        axes.set_title(f"{name}: {snapped:.0f} % reached through a snap", loc="left")
+        axes.set_xlabel(f"rotation of tube {chart.tubes[0] + 1} relative to home (deg)")
+        if name == "before":
+            axes.set_ylabel(f"rotation of tube {chart.tubes[1] + 1} relative to home (deg)")
+            figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    bar = figure.colorbar(image, ax=views, label="stability margin", pad=0.02, shrink=0.8, aspect=28)
+    bar.outline.set_visible(False)
+    return finish(figure, path)
+
+
+@styled
+def plot_front(front: ParetoFront, path: str | PathLike[str] | None = None) -> Figure:
+    """The objective against the margin that is demanded, one dot per design.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(4.8, 3.4)
+    axes = figure.add_subplot()
+    name, unit, factor = front_label(front)
+    margin = [point.margin for point in front.points]
+    value = [point.objective * factor for point in front.points]
+    axes.plot(margin, value, "-o", color=FREE, ms=4.5, mfc="white", mew=1.2, lw=1.4)
+    if front.ended is not None:
+        axes.axvline(front.ended, color=LOST, lw=1.0, ls="--")
+        axes.annotate(
+            "no design", (front.ended, 0.96), xycoords=("data", "axes fraction"), xytext=(-4, 0),
+            textcoords="offset points", color=LOST, ha="right", va="top", rotation=90,
+        )  # fmt: skip
+    axes.set_xlabel("margin demanded")
+    axes.set_ylabel(f"{name} ({unit})" if unit else name)
+    axes.set_title(front.task.name or front.task.robot.name, loc="left")
+    return finish(figure, path)
+
+
+@styled
+def plot_tolerance(analysis: ToleranceAnalysis, path: str | PathLike[str] | None = None) -> Figure:
+    """The certificate of robots as they may be made, those that may snap apart from the others; and how far the tips of
+    the task poses spread.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    poses = analysis.tip.shape[1]
+    figure = new_figure(7.4 if poses else 4.6, 3.2)
+    axes = figure.add_subplot(1, 2 if poses else 1, 1)
+    values = analysis.certificate
+    low, high = float(values.min()), float(values.max())
+    width = max(high - low, 1e-6) / 30
+    # One edge lies at 0, so that no bar is of both kinds.
+    edges = width * np.arange(np.floor(low / width), np.ceil(high / width) + 1)
+    for part, colour, words in ((values > 0, FREE, "snap-free"), (values <= 0, LOST, "not proved snap-free")):
+        if part.any():
+            axes.hist(values[part], edges.tolist(), color=colour, label=f"{words}, {100 * part.mean():.1f} %")
+    axes.axvline(0.0, color=INK, lw=0.8)
+    axes.set_xlabel("certificate")
+    axes.set_ylabel(f"of {len(values)} samples")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    if poses:
+        beside = figure.add_subplot(1, 2, 2)
+        at = np.arange(1, poses + 1)
+        beside.bar(at, analysis.spread_95 * MM, color="#B8CEDF", width=0.7, label="95 % within")
+        beside.bar(at, analysis.spread * MM, color=FREE, width=0.35, label="RMS")
+        beside.set_xticks(at)
+        beside.set_xlabel("task pose")
+        beside.set_ylabel("distance of the tip (mm)")
+        beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return finish(figure, path)
+
+
+@styled
+def plot_stock(
+    task: DesignTask, choice: StockChoice, path: str | PathLike[str] | None = None, *, most: int = 12
+) -> Figure:
+    """The best choices from stock: each stack of tubes to scale in cross-section, and the objective it reaches.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    from matplotlib.patches import Annulus
+
+    name, unit, factor = objective_label(task)
+    best = [one for one in choice.candidates if one.objective is not None][:most]
+    figure = new_figure(6.4, 0.8 + 0.34 * len(best))
+    left, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 5))
+    for row, one in enumerate(best):
+        for k, size in enumerate(one.sizes):
+            outer = 0.45 * size.outer_diameter / max(s.outer_diameter for c in best for s in c.sizes)
+            wall = outer * (1 - size.inner_diameter / size.outer_diameter)
+            left.add_patch(Annulus((0.0, row), outer, wall, fc=tube_colour(k), ec="none"))
+        value = (one.objective or 0.0) * factor
+        axes.barh(row, value, height=0.62, color=FREE)
+        words = " + ".join(size.name for size in one.sizes)
+        axes.text(value, row, f"{value:.2f} ", ha="right", va="center", color="white")
+        axes.text(0, row, f"  {words}", ha="left", va="center", color="white")
+    left.set_aspect("equal")
+    left.set(xlim=(-0.6, 0.6), ylim=(len(best) - 0.4, -0.6))
+    left.axis("off")
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(left=False, labelleft=False)
+    axes.set_xlabel(f"{name} ({unit})" if unit else name)
+    return finish(figure, path)

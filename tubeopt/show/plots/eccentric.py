@@ -1,0 +1,219 @@
+"""What an eccentric robot reaches, and how little it matters which of its tubes does what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...typing import Array
+from . import mesh as surfaces
+from .mesh import Centreline
+from .shape import PLATE_COLOUR
+from .stage import MM, Box, View, draw_box, facets
+from .style import FAINT, INK, finish, new_figure, number, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+
+MAP = "cividis"
+MICRO = 1e6
+ARM_POINTS = 33
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line in space (k, 3), m, the value that colours it, (k,) or one for all, and whether its end is a tip."""
+
+    points: Array
+    value: Array | float
+    tip: bool = True
+
+
+def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:
+    """The centreline of an equilibrium as a smooth curve of one colour."""
+    line = Centreline(equilibrium)
+    return Curve(line.position(np.linspace(0.0, line.length, ARM_POINTS)), value)
+
+
+@styled
+def plot_reach(
+    curves: Sequence[Curve],
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str,
+    label: str,
+    view: tuple[float, float] = (18.0, -60.0),
+    opacity: float = 1.0,
+) -> Figure:
+    """Picture of many arms, or of lines on which tips lie: in space, from above, and folded into one meridian.
+
+    Args:
+        curves: what to draw, coloured by their values.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        title: heading.
+        label: name of the values, with their unit.
+        view: elevation and azimuth of the viewer of the scene, deg.
+        opacity: of the lines, 0 to 1; tips are opaque.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure = new_figure(7.4, 4.6)
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    values = np.concatenate([np.ravel(curve.value) for curve in curves])
+    scale = Normalize(float(values.min()), float(values.max()))
+    grid = figure.add_gridspec(2, 3, width_ratios=[2.5, 1.3, 0.06])
+    scene, above, side = (figure.add_subplot(at) for at in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    seen = View(*view)
+    points = np.concatenate([curve.points for curve in curves])
+    radius = 0.07 * float(np.abs(points).max())
+    plate = surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR)
+    draw_box(scene, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), seen)
+    scene.add_collection(facets(plate, seen))
+    _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)
+    flat = [(curve, curve.points * MM) for curve in curves]
+    _draw_curves(above, flat, scale, opacity)
+    # A line around the axis is a point in the meridian: its mark is drawn there even where it is no tip.
+    _draw_curves(side, [(replace(curve, tip=True), _meridian(at)) for curve, at in flat], scale, opacity)
+    for axes, across, up in ((above, "x (mm)", "y (mm)"), (side, "distance from the axis (mm)", "z (mm)")):
+        axes.set(xlabel=across, ylabel=up)
+        axes.autoscale_view()
+        axes.set_aspect("equal")
+    bar = figure.colorbar(ScalarMappable(scale, MAP), cax=figure.add_subplot(grid[:, 2]), label=label)
+    bar.outline.set_visible(False)
+    return finish(figure, path)
+
+
+def _meridian(points: Array) -> Array:
+    """Points (k, 3) turned about z into one plane: distance from the axis, height, and nothing towards the viewer."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    return np.column_stack([distance, points[:, 2], np.zeros(len(points))])
+
+
+def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Normalize, opacity: float) -> None:
+    """Curves as (curve, its points (k, 3) as seen, mm), pieces farther from the viewer first; then the tips."""
+    from matplotlib import colormaps
+    from matplotlib.collections import LineCollection
+
+    pieces, depth, value = [], [], []
+    for curve, seen in curves:
+        along = np.broadcast_to(np.asarray(curve.value, dtype=float), len(seen))
+        for k, (a, b) in enumerate(pairwise(seen)):
+            pieces.append([a[:2], b[:2]])
+            depth.append(a[2] + b[2])
+            value.append((along[k] + along[k + 1]) / 2)
+    order = np.argsort(depth, kind="stable")
+    colours = colormaps[MAP](scale(np.array(value)[order]))
+    colours[:, 3] = opacity
+    width = 0.6 if opacity < 1 else 1.2
+    lines = LineCollection([pieces[k] for k in order], colors=colours, linewidths=width, capstyle="round", zorder=3)
+    axes.add_collection(lines)
+    tips = [(seen[-1], float(np.ravel(curve.value)[-1])) for curve, seen in curves if curve.tip]
+    if tips:
+        at = np.array([tip for tip, _ in tips])
+        order = np.argsort(at[:, 2], kind="stable")
+        style: dict[str, Any] = {"s": 5 if len(tips) > 60 else 12, "linewidths": 0.15, "edgecolors": "white"}
+        axes.scatter(at[order, 0], at[order, 1], c=[tips[k][1] for k in order], cmap=MAP, norm=scale, zorder=4, **style)
+
+
+@dataclass(frozen=True, eq=False)
+class Permutations:
+    """What `permuted_tips` gives for one mirror actuation, and how far tips get from the reference elsewhere.
+
+    Attributes:
+        tips (6, 3), reference (3,): tips of the assignments, and at d = 0, m.
+        names: of the assignments, six.
+        frame: (3, 3) of the tip: where the picture looks along its last column.
+        separation (k,), deviation (k,): rad; largest distance from the reference over all directions, m.
+        shown: separation of the tips that are drawn, rad.
+        published: a published largest distance, m, and who says so.
+    """
+
+    tips: Array
+    reference: Array
+    names: Sequence[str]
+    frame: Array
+    separation: Array
+    deviation: Array
+    shown: float
+    published: tuple[float, str]
+
+
+@styled
+def plot_permutations(
+    data: Permutations, path: str | PathLike[str] | None = None, *, title: str, arms: Sequence[Equilibrium] = ()
+) -> Figure:
+    """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
+
+    Args:
+        data: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        title: heading.
+        arms: the six and the reference, for a picture at true scale.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(7.4, 3.3)
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    scene, hexagon, curve = figure.subplots(1, 3, width_ratios=[1.0, 1.15, 1.45])
+    _draw_arms(scene, arms)
+    _draw_hexagon(hexagon, data)
+    _draw_deviation(curve, data)
+    return finish(figure, path)
+
+
+def _draw_arms(axes: Axes, arms: Sequence[Equilibrium]) -> None:
+    """All arms in the meridian of their bend, where nobody can tell them apart."""
+    for k, arm in enumerate(arms):
+        seen = _meridian(arm_curve(arm, 0.0).points * MM)
+        axes.plot(seen[:, 0], seen[:, 1], color=tube_colour(k) if k < 6 else INK, lw=1.2, ls="-" if k < 6 else ":")
+    axes.set(xlabel="distance from the axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
+    axes.set_aspect("equal")
+
+
+def _draw_hexagon(axes: Axes, data: Permutations) -> None:
+    """The tips in the plane across the tip of the arm, in micrometres from the reference."""
+    seen = (data.tips - data.reference) @ data.frame[:, :2] * MICRO
+    order = np.argsort(np.arctan2(seen[:, 1], seen[:, 0]))
+    axes.fill(seen[order, 0], seen[order, 1], facecolor="none", edgecolor=FAINT, lw=0.7)
+    reach = float(np.abs(seen).max())
+    for k, (at, name) in enumerate(zip(seen, data.names, strict=True)):
+        axes.plot(*at, "o", ms=5, color=tube_colour(k))
+        outward = 14 * at / np.linalg.norm(at)
+        axes.annotate(name, at, outward, textcoords="offset points", ha="center", va="center", color=tube_colour(k))
+    axes.plot(0, 0, "+", ms=8, mew=1.2, color=INK)
+    axes.annotate("d = 0", (0, 0), (7, 0), textcoords="offset points", ha="left", va="center")
+    axes.set(xlim=(-1.6 * reach, 1.6 * reach), ylim=(-1.6 * reach, 1.6 * reach))
+    axes.set(xlabel="across the arm (µm)", ylabel="across the arm (µm)")
+    axes.set_title(f"tips at separation {number(float(np.degrees(data.shown)), 1)}°")
+    axes.set_aspect("equal")
+
+
+def _draw_deviation(axes: Axes, data: Permutations) -> None:
+    """Largest distance from the reference over separation, beside the published one."""
+    x, y = np.degrees(data.separation), data.deviation * MM
+    axes.semilogy(x, y, color=tube_colour(2), lw=1.6)
+    k = int(np.argmax(y))
+    axes.plot(x[k], y[k], "o", color=tube_colour(2), ms=4)
+    largest = f"{y[k]:.4f} mm at {number(float(x[k]), 0)}°"
+    axes.annotate(largest, (x[k], y[k]), (0, 6), textcoords="offset points", ha="left", color=tube_colour(2))
+    value, source = data.published
+    axes.axhline(value * MM, color=tube_colour(0), lw=1.2, ls="--")
+    text = f"{source}: {number(value * MM, 3)} mm"
+    axes.annotate(text, (x[0], value * MM), (6, 4), textcoords="offset points", color=tube_colour(0))
+    axes.set(xlabel="separation (deg)", ylabel="mm", title="largest distance from d = 0", xlim=(x[0], x[-1]))
+    axes.set_ylim(bottom=1e-4, top=2 * value * MM)
+    axes.set_xticks(np.arange(x[0], x[-1] + 1, 30))

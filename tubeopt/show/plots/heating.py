@@ -1,0 +1,178 @@
+"""A heating plan: temperature and duty over time, temperature along the tube; and how a calibrated rig fits its log."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...robots.materials import ZERO_CELSIUS
+from .style import FAINT, INK, finish, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...shaping.heating.calibration import RigFit
+    from ...shaping.heating.plan import HeatingPlan
+    from ...shaping.heating.robust import Band
+
+MM = 1e3
+TUBE, IDEAL, WINDOW, BATTERY, COLD = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9"
+WINDOW_ALPHA = 0.16
+
+
+@styled
+def plot_heating(
+    plan: HeatingPlan, path: str | PathLike[str] | None = None, *, band: Band | None = None, title: str = ""
+) -> Figure:
+    """Picture of a plan: temperature and duty over time, battery voltage, temperature along the tube as the hold ends.
+
+    Args:
+        plan: what to draw. band: what it may do on uncertain rigs, drawn behind.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        title: heading; default the rig's name.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(9.4, 6.4)
+    grid = figure.add_gridspec(4, 2, width_ratios=(1.35, 1.0), height_ratios=(1.7, 1.7, 1.0, 0.55))
+    over_time = figure.add_subplot(grid[0, 0])
+    close, duty, battery = (figure.add_subplot(grid[k, 0], sharex=over_time) for k in (1, 2, 3))
+    _draw_temperature(over_time, plan, band)
+    _draw_close(close, plan)
+    _draw_duty(duty, plan)
+    _draw_battery(battery, plan)
+    for axes in (over_time, close, duty):
+        axes.tick_params(labelbottom=False)
+    _draw_along(figure.add_subplot(grid[:, 1]), plan)
+    figure.suptitle(_heading(plan, title), fontsize=9, x=0.01, ha="left")
+    return finish(figure, path)
+
+
+def _heading(plan: HeatingPlan, title: str) -> str:
+    low, high = plan.spec.window_degC
+    wanted = f"{low:g} to {high:g} °C for {plan.spec.hold_time:g} s"
+    kept = plan.verdict
+    curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
+    return f"{title or plan.rig.name or 'rig'}:  {wanted}: {kept}\n{curved},  hottest point {plan.hottest:.1f} °C"
+
+
+def _window(axes: Axes, plan: HeatingPlan, *, label: bool = True) -> None:
+    low, high = plan.spec.window_degC
+    axes.axhspan(low, high, color=WINDOW, alpha=WINDOW_ALPHA, lw=0, label="window" if label else None)
+    axes.axhline(plan.spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit" if label else None)
+
+
+def _draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None) -> None:
+    _window(axes, plan)
+    if band is not None:
+        lower, upper = band.quantiles()
+        axes.fill_between(band.time, lower, upper, color=FAINT, alpha=0.3, lw=0, label="90 % of uncertain rigs")
+    curved = plan.temperature[:, plan.curved]
+    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, lw=1.2, label="curved part")
+    axes.plot(plan.time, plan.clamp_temperature, color=COLD, lw=1.0, label="clamps")
+    for at in (plan.hold_start, plan.hold_end):
+        axes.axvline(at, color=FAINT, lw=0.6, ls=":")
+    axes.set_ylabel("temperature (°C)")
+    axes.set_ylim(0, None)
+    axes.set_xlim(0, plan.time[-1])
+    axes.legend(loc="lower center", fontsize=7, ncols=2, bbox_to_anchor=(0.56, 0.1))
+
+
+def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
+    """The window from near: counts against ideal duty."""
+    _window(axes, plan, label=False)
+    curved, ideal = plan.temperature[:, plan.curved], plan.ideal_temperature[:, plan.curved]
+    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, alpha=0.45, lw=0, label="counts")
+    axes.plot(plan.time, ideal.max(1), color=IDEAL, lw=0.8, label="ideal duty, coldest and hottest")
+    axes.plot(plan.time, ideal.min(1), color=IDEAL, lw=0.8)
+    for at in (plan.hold_start, plan.hold_end):
+        axes.axvline(at, color=FAINT, lw=0.6, ls=":")
+    low, high = min(plan.spec.window_degC[0], plan.lowest), max(plan.spec.limit, plan.hottest)
+    axes.set_ylim(low - 0.25 * (high - low), high + 0.12 * (high - low))
+    axes.set_ylabel("in the hold (°C)")
+    axes.legend(loc="lower center", fontsize=7, ncols=2)
+
+
+def _draw_duty(axes: Axes, plan: HeatingPlan) -> None:
+    axes.step(plan.time, plan.duty, where="post", color=TUBE, lw=0.8, label="counts")
+    axes.plot(plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, color=IDEAL, lw=0.9, label="ideal")
+    axes.set_ylabel("duty (of 255)")
+    axes.set_ylim(0, None)
+    axes.legend(loc="upper right", fontsize=7, ncols=2)
+
+
+def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
+    on = plan.duty > 0
+    axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
+    axes.set_ylabel("battery (V)")
+    axes.set_xlabel("time (s)")
+    pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on]))) if on.any() else 0.1
+    if on.any():
+        axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)
+
+
+def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
+    x = plan.position * MM
+    start, end = (int(np.flatnonzero(plan.in_hold)[k]) for k in (0, -1))
+    _window(axes, plan, label=False)
+    axes.plot(x, plan.temperature[start], color=COLD, lw=1.1, label="hold begins")
+    axes.plot(x, plan.temperature[end], color=TUBE, lw=1.4, label="hold ends")
+    axes.plot(x, plan.ideal_temperature[end], color=IDEAL, lw=0.8, ls="--", label="ideal duty")
+    _mark_zones(axes, plan)
+    axes.set_xlim(0, float(x[-1] + x[0]))
+    axes.set_ylim(0, 1.18 * plan.spec.limit)
+    axes.set_xlabel("along the tube, from the end of a clamp (mm)")
+    axes.set_ylabel("temperature (°C)")
+    axes.legend(loc="lower center", fontsize=7)
+
+
+def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
+    """Names of clamp, clearance, lead and curved part, and the lines between them."""
+    rig, tube = plan.rig, plan.tube
+    lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, tube.curved_length]
+    edges = np.cumsum(lengths) * MM
+    total = float(2 * sum(lengths[:3]) + lengths[3]) * MM
+    for at in (*edges[:3], *(total - edges[:3])):
+        axes.axvline(at, color=FAINT, lw=0.5, ls=":")
+    top = axes.get_xaxis_transform()
+    names: list[tuple[str, float]] = [
+        ("clamp", 0.5 * edges[0]),
+        ("bare", 0.5 * (edges[0] + edges[1])),
+        ("lead", 0.5 * (edges[1] + edges[2])),
+        ("curved part", 0.5 * total),
+    ]
+    style: dict[str, Any] = {"transform": top, "fontsize": 7, "color": INK, "ha": "center", "va": "top"}
+    for name, at in names:
+        axes.text(float(at), 0.985, name, rotation=0 if name == "curved part" else 90, **style)
+
+
+@styled
+def plot_rig_fit(fit: RigFit, path: str | PathLike[str] | None = None) -> Figure:
+    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel.
+
+    Args:
+        fit: of `calibrate`.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    names = {"temperature": "temperature (°C)", "voltage": "voltage (V)", "current": "current (A)"}
+    channels = fit.log.channels
+    figure = new_figure(7.0, 1.1 + 1.9 * len(channels))
+    rows = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, logged) in zip(rows, channels.items(), strict=True):
+        zero = ZERO_CELSIUS if name == "temperature" else 0.0
+        axes.plot(fit.log.time, logged - zero, ".", ms=3, color=INK, label="logged")
+        axes.plot(fit.log.time, fit.before[name] - zero, color=FAINT, lw=1.0, ls="--", label="rig file")
+        axes.plot(fit.log.time, fit.after[name] - zero, color=TUBE, lw=1.2, label="calibrated")
+        axes.set_ylabel(names[name])
+    rows[0].legend(fontsize=7, ncols=3, loc="lower right")
+    rows[-1].set_xlabel("time (s)")
+    words = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)
+    figure.suptitle(f"{fit.rig.name or 'rig'}:  {words or 'nothing is determined'}", fontsize=9, x=0.01, ha="left")
+    return finish(figure, path)

@@ -1,0 +1,159 @@
+"""A closed path: what the robot does on its way forth, and what on its way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import InputError
+from ...typing import Array
+from .style import angle_locator, finish, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+    from ...stability import Path, Snap
+
+MM = 1e3
+MILLI = 1e3
+WAYS = (("forth", "#D55E00", 2.6, "-"), ("back", "#0072B2", 1.3, "-"))
+"""Name and look of both ways: the thin line of the way back lies on the wide one where both are the same."""
+
+
+@styled
+def plot_hysteresis(
+    forth: Path,
+    back: Path,
+    angles_deg: ArrayLike,
+    path: str | PathLike[str] | None = None,
+    *,
+    axis: str | None = None,
+    title: str = "",
+) -> Figure:
+    """Picture of a path forth and back: a coordinate of the tip, elastic energy and margin over the angle that turns.
+
+    Snaps are arrows, with the jump of the tip in mm and the energy released in mJ.
+
+    Args:
+        forth, back: of `follow`, through the same waypoints; the second in the opposite order.
+        angles_deg: (T,) angle at each waypoint of `forth`, deg.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        axis: coordinate of the tip to show, "x", "y" or "z"; default the one that jumps most.
+        title: a heading.
+
+    Raises:
+        InputError: paths and angles of different lengths, an unknown axis, a name of the picture that does not end in
+            a known format.
+    """
+    angles = np.array(angles_deg, dtype=float)
+    if angles.shape != (len(forth.equilibria),) or len(back.equilibria) != len(forth.equilibria):
+        raise InputError(
+            f"forth has {len(forth.equilibria)} waypoints, back {len(back.equilibria)}, and angles_deg has shape "
+            f"{angles.shape}; there must be one angle per waypoint"
+        )
+    if axis is not None and axis not in ("x", "y", "z"):
+        raise InputError(f"axis is {axis!r}; it must be x, y or z")
+    chosen = "xyz".index(axis) if axis else _liveliest(forth, back)
+    figure = new_figure(6.4, 6.0)
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.5, 1.2, 1.0])
+    quantities: list[tuple[str, Callable[[Equilibrium], float]]] = [
+        (f"tip {'xyz'[chosen]} (mm)", lambda e: float(e.tip_position[chosen]) * MM),
+        ("elastic energy (mJ)", lambda e: e.energy * MILLI),
+        ("stability margin", lambda e: e.margin),
+    ]
+    for panel, (name, quantity) in zip(panels, quantities, strict=True):
+        for walked, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
+            _draw_way(panel, walked, along, way, quantity)
+        panel.set_ylabel(name)
+        panel.grid(color="#E6E8EB", lw=0.5)
+        panel.set_axisbelow(True)
+    for walked, along, way in ((forth, angles, WAYS[0]), (back, angles[::-1], WAYS[1])):
+        _name_snaps(panels[0], walked, along, way, quantities[0][1])
+    figure.align_ylabels(panels)
+    panels[0].set_title(title, loc="left")
+    panels[0].legend(loc="best")
+    panels[-1].set_ylim(min(0.0, panels[-1].get_ylim()[0]), None)
+    panels[-1].set_xlabel("rotation (deg)")
+    panels[-1].xaxis.set_major_locator(angle_locator())
+    return finish(figure, path)
+
+
+def _liveliest(forth: Path, back: Path) -> int:
+    """The coordinate that jumps most, or, without snaps, that moves most."""
+    snaps = [*forth.snaps, *back.snaps]
+    if snaps:
+        jumps = [np.abs(snap.after.tip_position - snap.before.tip_position) for snap in snaps]
+        return int(np.argmax(np.max(jumps, axis=0)))
+    return int(np.argmax(np.ptp([e.tip_position for e in forth.equilibria], axis=0)))
+
+
+def snap_angle(snap: Snap, angles: Array) -> float:
+    """Angle at which a snap happens, from the angles (T,) of the waypoints."""
+    return float(angles[snap.index] + snap.fraction * (angles[snap.index + 1] - angles[snap.index]))
+
+
+def stretches(walked: Path, angles: Array) -> list[tuple[Array, list[Equilibrium]]]:
+    """A path cut at its snaps: angles and equilibria of each stretch, up to and from the very snap."""
+    out: list[tuple[Array, list[Equilibrium]]] = []
+    where, what, done = [float(angles[0])], [walked.equilibria[0]], 1
+    for snap in walked.snaps:
+        until = snap.index + 1
+        here = snap_angle(snap, angles)
+        where += [*angles[done:until].tolist(), here]
+        what += [*walked.equilibria[done:until], snap.before]
+        out.append((np.array(where), what))
+        where, what, done = [here], [snap.after], max(done, until)
+    out.append((np.array([*where, *angles[done:].tolist()]), [*what, *walked.equilibria[done:]]))
+    return out
+
+
+def _draw_way(
+    axes: Axes,
+    walked: Path,
+    angles: Array,
+    way: tuple[str, str, float, str],
+    quantity: Callable[[Equilibrium], float],
+) -> None:
+    """One way: its stretches, and an arrow for each snap between them."""
+    name, colour, width, line = way
+    parts = [(where, np.array([quantity(e) for e in what])) for where, what in stretches(walked, angles)]
+    for k, (where, values) in enumerate(parts):
+        axes.plot(where, values, color=colour, lw=width, ls=line, label=name if k == 0 else "_", zorder=3)
+    for (where, values), (_, following) in pairwise(parts):
+        x, old, new = float(where[-1]), float(values[-1]), float(following[0])
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 0.9, "shrinkA": 2, "shrinkB": 2, "mutation_scale": 8}
+        axes.annotate("", (x, new), (x, old), arrowprops=arrow, zorder=2)
+        axes.plot(where[-1:], values[-1:], "o", ms=4.5, mfc="white", mec=colour, mew=1.2, zorder=4)
+        axes.plot(where[-1:], following[:1], "o", ms=4.5, color=colour, zorder=4)
+
+
+def _name_snaps(
+    axes: Axes,
+    walked: Path,
+    angles: Array,
+    way: tuple[str, str, float, str],
+    quantity: Callable[[Equilibrium], float],
+) -> None:
+    """Angle, jump of the tip and energy of each snap, beside it: ahead of the way on which it happens."""
+    side = 1 if angles[-1] > angles[0] else -1
+    for snap in walked.snaps:
+        x = snap_angle(snap, angles)
+        y = (quantity(snap.before) + quantity(snap.after)) / 2
+        text = f"{x:.2f}°\ntip jumps {snap.tip_jump * MM:.1f} mm\n{snap.energy_released * MILLI:.2f} mJ released"
+        axes.annotate(
+            text.replace("-", "\N{MINUS SIGN}"),
+            (x, y),
+            (7 * side, 0),
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+            va="center",
+            color=way[1],
+            zorder=6,
+        )

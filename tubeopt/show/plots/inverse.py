@@ -1,0 +1,165 @@
+"""The arm at its target, with its other postures as ghosts, and a path of targets with the arm along it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .mesh import Mesh
+from .shape import draw_scenes, robot_mesh
+from .stage import Box, View, draw_box, facets, note, widest_view
+from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+    from ...inverse import InverseSolution
+    from ...typing import Array
+
+TARGET = "#B00020"
+ARROW_SHARE = 0.12
+"""Length of the arrow of a wanted direction, as a share of the arm."""
+
+
+@styled
+def plot_inverse(
+    solutions: InverseSolution | Sequence[InverseSolution],
+    path: str | PathLike[str] | None = None,
+    *,
+    view: tuple[float, float] | None = None,
+) -> Figure:
+    """Picture of the arm at its target; further answers for the same target stand behind it as ghosts.
+
+    Args:
+        solutions: one answer, or several of the same target, the best first.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        view: elevation and azimuth of the viewer, deg; None looks across the widest side.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    found = list(solutions) if isinstance(solutions, Sequence) else [solutions]
+    first, *others = found
+    arms = [each.equilibrium for each in found]
+    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in arms]))
+    figure = new_figure(7.0, 5.0)
+    figure.suptitle(caption(first.equilibrium) + _alternatives(others), fontsize=9, x=0.02, ha="left")
+    ghosts = [each.equilibrium for each in others]
+    (scene,) = draw_scenes(figure, [first.equilibrium], [ghosts], (seen.elevation, seen.azimuth))
+    _draw_target(scene, first, seen)
+    return finish(figure, path)
+
+
+def _alternatives(others: Sequence[InverseSolution]) -> str:
+    if not others:
+        return ""
+    margins = ", ".join(f"{each.margin:.3f}" for each in others)
+    return f"\nghosts: {len(others)} other posture{'s' if len(others) > 1 else ''} with the same tip, margin {margins}"
+
+
+def _draw_target(scene: Axes, solution: InverseSolution, view: View) -> None:
+    """A cross at the target, an arrow along the wanted direction, and a line where the tip misses it."""
+    at = view.project(solution.target_position)
+    scene.plot(at[0], at[1], marker="+", ms=11, mew=1.3, color=TARGET, zorder=7)
+    if solution.target_direction is not None:
+        length = ARROW_SHARE * float(solution.equilibrium.arc_length[-1])
+        end = view.project(solution.target_position + length * solution.target_direction)
+        style = {"arrowstyle": "-|>", "color": TARGET, "lw": 1.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
+        scene.annotate("", (end[0], end[1]), (at[0], at[1]), arrowprops=style, zorder=7)
+    if not solution.reached:
+        tip = view.project(solution.equilibrium.tip_position)
+        scene.plot([tip[0], at[0]], [tip[1], at[1]], color=TARGET, lw=1.0, ls=(0, (4, 2)), zorder=7)
+        middle = (tip[:2] + at[:2]) / 2
+        note(scene, f"{solution.position_error * 1e3:.2f} mm short", middle, np.array([6.0, 0.0]), colour=TARGET)
+
+
+@styled
+def plot_targets(
+    solutions: Sequence[InverseSolution],
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str = "",
+    shown: int = 5,
+    view: tuple[float, float] | None = None,
+) -> Figure:
+    """Picture of an arm that follows targets: the arm at some of them, the targets, margin and joint values.
+
+    Args:
+        solutions: one answer per target, in their order.
+        path, view: as in `plot_inverse`.
+        title: heading; default the robot's name.
+        shown: at how many of the targets the arm is drawn, the last one solid.
+    """
+    arms = [each.equilibrium for each in solutions]
+    chosen = np.unique(np.linspace(0, len(arms) - 1, shown).round().astype(int))
+    targets = np.array([each.target_position for each in solutions])
+    figure = new_figure(9.0, 5.0)
+    name = title or arms[-1].robot.name or "robot"
+    worst = max(each.position_error for each in solutions)
+    figure.suptitle(
+        f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least "
+        f"{min(each.margin for each in solutions):.3f}",
+        fontsize=9,
+        x=0.02,
+        ha="left",
+    )
+    grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
+    scene = figure.add_subplot(grid[:, 0])
+    _draw_arms(scene, [arms[k] for k in chosen], targets, view)
+    rows = [figure.add_subplot(grid[k, 1]) for k in range(3)]
+    _draw_joints(rows, arms, arc_length(targets) * 1e3)
+    return finish(figure, path)
+
+
+def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], targets: Array, view: tuple[float, float] | None) -> None:
+    points = np.concatenate([targets, *(each.position for each in arms)])
+    seen = View(*view) if view is not None else widest_view(points)
+    last = len(arms) - 1
+    meshes = [robot_mesh(each, opacity=1.0 if k == last else 0.22) for k, each in enumerate(arms)]
+    box = Box.around(np.concatenate([points, *(mesh.corners.reshape(-1, 3) for mesh in meshes)]))
+    draw_box(scene, box, seen)
+    scene.add_collection(facets(Mesh.join(meshes), seen))
+    way = seen.project(targets)
+    scene.plot(way[:, 0], way[:, 1], color=TARGET, lw=1.1, zorder=5)
+    note(scene, "targets", way[0, :2], np.array([5.0, 5.0]), colour=TARGET)
+
+
+def arc_length(points: Array) -> Array:
+    """(T,) length of the way through points (T, 3) up to each, m."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) -> None:
+    """Rotations, translations and margin over the way of the tip."""
+    robot = arms[0].robot
+    rotations = np.degrees([each.rotations for each in arms])
+    translations = np.array([each.translations for each in arms]) * 1e3
+    for i in range(robot.n_tubes):
+        rows[0].plot(way, rotations[:, i], color=tube_colour(i), lw=1.2)
+    for tubes in robot.moving_together:
+        rows[1].plot(way, translations[:, tubes[0]], color=tube_colour(tubes[0]), lw=1.2)
+    rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.2)
+    rows[2].axhline(0.0, color=FAINT, lw=0.8)
+    rows[2].set_ylim(-0.05, 1.05)
+    for axes, label in zip(rows, ("rotations (deg)", "translations (mm)", "margin"), strict=True):
+        axes.set_ylabel(label)
+        axes.set_xlim(way[0], max(way[-1], 1e-9))
+        axes.grid(color="#E6E8EB", lw=0.6)
+    for axes in rows[:2]:
+        axes.tick_params(labelbottom=False)
+    for i in range(robot.n_tubes):
+        note(
+            rows[0],
+            f"tube {i + 1}",
+            np.array([way[-1], rotations[-1, i]]),
+            np.array([3.0, 0.0]),
+            colour=tube_colour(i),
+            level=True,
+        )
+    rows[2].set_xlabel("way of the tip (mm)")

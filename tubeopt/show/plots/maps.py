@@ -1,0 +1,191 @@
+"""Maps: elastic energy over two tip angles, and the stability margin over two relative rotations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...typing import Array
+from .style import INK, angle_locator, finish, new_figure, number, styled
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.contour import ContourSet
+    from matplotlib.figure import Figure
+
+    from ...stability import EnergyMap, StabilityMap
+
+MAP = "cividis"
+SNAP_COLOUR = "#D55E00"
+HATCH_COLOUR = INK
+MILLI = 1e3
+ENERGY_LEVELS = 24
+MOST_MAPS = 4
+
+MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: unstable"))
+"""Sign and name of an equilibrium, by its index; the last one for all that are higher."""
+
+
+@styled
+def plot_energy_maps(
+    maps: Sequence[EnergyMap], path: str | PathLike[str] | None = None, *, titles: Sequence[str] = ()
+) -> Figure:
+    """Filled contours of elastic energy over two tip angles, up to four maps at one scale of colours.
+
+    Levels are closer where the energy is low. The line through each saddle, above which a robot must be lifted to leave
+    its minimum, is drawn white.
+
+    Args:
+        maps: of `energy_map`.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        titles: a heading for each; default its joint rotations.
+
+    Raises:
+        InputError: no map or more than four, titles of another number, a name of the picture that does not end in a
+            known format.
+    """
+    if not 1 <= len(maps) <= MOST_MAPS:
+        raise InputError(f"{len(maps)} maps are given; there must be 1 to {MOST_MAPS}")
+    if titles and len(titles) != len(maps):
+        raise InputError(f"{len(titles)} titles are given for {len(maps)} maps; they must be as many")
+    columns = min(2, len(maps))
+    rows = -(-len(maps) // columns)
+    figure = new_figure(1.2 + 3.1 * columns, 0.7 + 2.9 * rows)
+    panels = figure.subplots(rows, columns, squeeze=False)
+    levels = energy_levels([each.energy for each in maps])
+    for k, panel in enumerate(panels.ravel()):
+        if k >= len(maps):
+            panel.axis("off")
+            continue
+        filled = _draw_energy(panel, maps[k], levels)
+        panel.set_title(titles[k] if titles else _rotations(maps[k]), loc="left")
+    if len({(*each.tubes, *each.first[[0, -1]], *each.second[[0, -1]]) for each in maps}) == 1:
+        for panel in panels.ravel():
+            panel.label_outer()
+    bar = figure.colorbar(filled, ax=panels, label="elastic energy (mJ)", shrink=0.8, aspect=30, pad=0.02)
+    bar.set_ticks(levels[::4].tolist(), labels=[f"{level:.1f}" for level in levels[::4]])
+    bar.outline.set_visible(False)
+    _name_marks(figure, maps)
+    return finish(figure, path)
+
+
+def energy_levels(energies: Sequence[Array]) -> Array:
+    """Levels (mJ) for maps of energy in J, spread as the square root from the least: even rings around a minimum."""
+    low = min(float(energy.min()) for energy in energies) * MILLI
+    high = max(float(energy.max()) for energy in energies) * MILLI
+    span = max(high - low, 1e-9 * max(abs(high), 1e-12))
+    return np.asarray(low + span * np.linspace(0, 1, ENERGY_LEVELS + 1) ** 2)
+
+
+def _rotations(energy_map: EnergyMap) -> str:
+    if not energy_map.equilibria:
+        return ""
+    angles = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(energy_map.equilibria[0].rotations))
+    return f"rotations ({angles})"
+
+
+def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet:
+    """One map, with its equilibria marked; returns the filled contours."""
+    from matplotlib.colors import BoundaryNorm
+
+    first, second = np.degrees(energy_map.first), np.degrees(energy_map.second)
+    energy = energy_map.energy.T * MILLI
+    filled = axes.contourf(first, second, energy, levels=levels, cmap=MAP, norm=BoundaryNorm(levels, 256))
+    axes.contour(first, second, energy, levels=levels, colors=INK, linewidths=0.3, alpha=0.5)
+    saddles = sorted({e.energy * MILLI for e in energy_map.equilibria if e.index == 1})
+    if saddles:
+        axes.contour(first, second, energy, levels=saddles, colors="white", linewidths=1.1)
+    for e in energy_map.equilibria:
+        x, y = np.degrees(e.tip_rotations[list(energy_map.tubes)])
+        sign = MARKS[min(e.index, len(MARKS) - 1)][0]
+        axes.plot([x], [y], sign, ms=7, mfc="white", mec=INK, mew=0.9, zorder=5, clip_on=False)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(angle_locator())
+    axes.set_xlabel(f"tip angle of tube {energy_map.tubes[0] + 1} (deg)")
+    axes.set_ylabel(f"tip angle of tube {energy_map.tubes[1] + 1} (deg)")
+    return filled
+
+
+def _name_marks(figure: Figure, maps: Sequence[EnergyMap]) -> None:
+    """Names of the signs that occur, below all panels."""
+    from matplotlib.lines import Line2D
+
+    found = sorted({min(e.index, len(MARKS) - 1) for each in maps for e in each.equilibria})
+    handles = [
+        Line2D([], [], ls="", marker=MARKS[k][0], ms=7, mfc="white", mec=INK, mew=0.9, label=MARKS[k][1]) for k in found
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+
+
+@styled
+def plot_stability_map(
+    stability_map: StabilityMap, path: str | PathLike[str] | None = None, *, title: str = ""
+) -> Figure:
+    """Margin over the rotations of two tubes relative to the others, turned together straight from home.
+
+    Hatched cells were reached through a snap; the line is where the robot snaps, computed exactly.
+
+    Args:
+        stability_map: of `stability_map`.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        title: a heading.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(5.6, 4.9)
+    axes = figure.add_subplot()
+    image, handles = draw_map(axes, stability_map)
+    first, second = stability_map.tubes
+    axes.set_xlabel(f"rotation of tube {first + 1} relative to home (deg)")
+    axes.set_ylabel(f"rotation of tube {second + 1} relative to home (deg)")
+    axes.set_title(title, loc="left")
+    bar = figure.colorbar(image, ax=axes, label="stability margin", pad=0.02, shrink=0.9, aspect=28)
+    bar.outline.set_visible(False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return finish(figure, path)
+
+
+def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:
+    """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains."""
+    angles = np.degrees(stability_map.angles)
+    values = np.clip(stability_map.margin.T, 0, 1)
+    image = axes.pcolormesh(angles, angles, values, cmap=MAP, vmin=0, vmax=1, shading="nearest", rasterized=True)
+    handles = [_hatch(axes, stability_map), *_draw_boundary(axes, stability_map)]
+    handles += axes.plot([0], [0], "o", ms=6, mfc="white", mec=INK, mew=1.0, ls="", label="home")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(angle_locator())
+    axes.set_aspect("equal")
+    axes.set(xlim=(angles[0], angles[-1]), ylim=(angles[0], angles[-1]))
+    return image, [h for h in handles if h]
+
+
+def _hatch(axes: Axes, stability_map: StabilityMap) -> Artist | None:
+    """Hatching of the cells that were reached through a snap, and its name."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    angles = np.degrees(stability_map.angles)
+    half = (angles[1] - angles[0]) / 2
+    centres = angles[np.argwhere(stability_map.snaps > 0)]
+    if not len(centres):
+        return None
+    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    look: dict[str, Any] = {"facecolor": "none", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
+    axes.add_collection(PolyCollection(list(centres[:, None] + corners), **look))
+    return Patch(**(look | {"facecolor": "#7C7B78"}), label="reached through a snap")
+
+
+def _draw_boundary(axes: Axes, stability_map: StabilityMap) -> list[Artist]:
+    """The closed curve of first snaps, broken where directions lead to none."""
+    points = np.degrees(np.vstack([stability_map.boundary, stability_map.boundary[:1]]))
+    if not np.isfinite(points).any():
+        return []
+    return [
+        *axes.plot(points[:, 0], points[:, 1], color=SNAP_COLOUR, lw=2.0, label="snap on the straight way from home")
+    ]

@@ -1,0 +1,317 @@
+"""Molds: a picture, the one-page set-up sheet, spring-back over its trials, materials side by side."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...shaping.mold.drawing import draw_plate
+from ...shaping.mold.groove import Arc, Piece
+from ...typing import Array
+from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    from ...shaping.mold.mold import Groove, Mold
+    from ...shaping.mold.ranking import MaterialRating
+    from ...shaping.mold.springback import Calibration
+
+MM = 1e3
+INCH = 25.4
+PLATE, SLOT, VENT, CLAMP = "#F1EEE6", "#C9D6E3", "#FFFFFF", "#B9BDC2"
+A4 = (297.0, 210.0)
+EDGE = 12.0
+SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
+"""Reductions of the drawing on the set-up sheet."""
+
+
+@styled
+def plot_mold(mold: Mold, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+    """The base plate from above, with grooves, bolts, dowels and clamps, and where the vents of the lid lie.
+
+    Args:
+        mold: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    low, high = _extent(mold)
+    wide, tall = high - low
+    figure = new_figure(7.5, max(2.6, 7.5 * tall / wide + 0.9))
+    axes = figure.add_subplot()
+    draw_mold(axes, mold)
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+    radii = ",  ".join(f"tube {groove.number}: {groove.radius * MM:.2f} mm" for groove in mold.grooves)
+    axes.set_title(f"{title or _heading(mold)}\nradius of the groove  {radii}", loc="left")
+    return finish(figure, path)
+
+
+def draw_mold(axes: Axes, mold: Mold) -> None:
+    """Draw the base plate and the clamps into `axes`, in mm to the same scale both ways."""
+    from matplotlib.patches import Circle, Rectangle
+
+    drawing = draw_plate(mold, "base")
+    plate = Rectangle((0, 0), *drawing.size, fc=PLATE, ec=INK, lw=0.9, zorder=0)
+    axes.add_patch(plate)
+    for groove in mold.grooves:
+        _draw_groove(axes, groove, mold, plate)
+    for hole in mold.holes:
+        face = "white" if hole.purpose == "bolt" else FAINT
+        centre = (hole.centre[0] * MM, hole.centre[1] * MM)
+        axes.add_patch(Circle(centre, hole.diameter / 2 * MM, fc=face, ec=INK, lw=0.6, zorder=3))
+    low, high = _extent(mold)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+
+
+def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> None:
+    from matplotlib.patches import Circle, Polygon
+
+    curve = groove.centreline
+    left, right = (_line(curve.offset(side * groove.width / 2).pieces) for side in (1, -1))
+    outline = np.vstack([left, right[::-1]])
+    slot = Polygon(outline, fc=SLOT, ec=INK, lw=0.4, zorder=1)
+    axes.add_patch(slot)
+    slot.set_clip_path(plate)
+    middle = _line(curve.pieces)
+    colour = tube_colour(groove.number - 1)
+    axes.plot(*middle.T, color=colour, lw=0.8, ls=(0, (8, 2, 1.5, 2)), zorder=2)
+    for vent in groove.vents:
+        centre = (vent.centre[0] * MM, vent.centre[1] * MM)
+        axes.add_patch(Circle(centre, vent.diameter / 2 * MM, fc=VENT, ec=colour, lw=0.5, zorder=3))
+    for clamp in groove.clamps:
+        along = np.asarray(clamp.direction)
+        across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2 * MM
+        near = np.asarray(clamp.face) * MM
+        far = near + along * mold.spec.clamps.grip * MM
+        axes.add_patch(Polygon([near - across, far - across, far + across, near + across], fc=CLAMP, ec=INK, lw=0.6))
+        mouth = curve.lead_in.start if clamp.end == "proximal" else curve.lead_out.end
+        axes.plot(*np.array([np.asarray(mouth) * MM, far]).T, color=colour, lw=1.2, zorder=3)
+        if clamp.slides:
+            start, end = (far + way * along for way in (1.5, 6.5))
+            axes.annotate(
+                "", (end[0], end[1]), (start[0], start[1]), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 0.8}
+            )
+        x, y = near + 0.3 * (far - near) + 0.55 * across
+        axes.text(x, y, str(groove.number), color=colour, ha="center", va="center", fontsize=7, fontweight="bold")
+
+
+def _line(pieces: Sequence[Piece]) -> Array:
+    """(N, 2) points in mm, fine on arcs."""
+    counts = [200 if isinstance(piece, Arc) else 2 for piece in pieces]
+    points = [piece.point(np.linspace(0, piece.length, count)) for piece, count in zip(pieces, counts, strict=True)]
+    return np.asarray(np.vstack(points) * MM)
+
+
+def _extent(mold: Mold) -> tuple[Array, ...]:
+    """Least and greatest coordinates (mm) of plate and clamps, with some room."""
+    reach = mold.spec.clamps.grip + mold.spec.clamps.width / 2
+    tips = [
+        np.asarray(clamp.face) + reach * np.asarray(clamp.direction)
+        for groove in mold.grooves
+        for clamp in groove.clamps
+    ]
+    points = np.array([(0.0, 0.0), mold.size, *tips]) * MM
+    return points.min(axis=0) - 4, points.max(axis=0) + 4
+
+
+def _heading(mold: Mold) -> str:
+    plate = mold.spec.plate
+    return (
+        f"Mold of {mold.spec.material.name.replace('_', ' ')}, {mold.size[0] * MM:g} × {mold.size[1] * MM:g} mm, base "
+        f"{plate.thickness * MM:g} mm, lid {plate.lid_thickness * MM:g} mm"
+    )
+
+
+@styled
+def plot_setup_sheet(mold: Mold, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+    """The set-up sheet for the workshop: one page A4, the drawing to scale, a column of numbers per tube, the steps.
+
+    Args:
+        mold: what to set up.
+        path: where to save the sheet, mostly a PDF; None saves nothing.
+        title: what the mold is for.
+
+    Raises:
+        InputError: the name does not end in a known format.
+    """
+    figure = new_figure(A4[0] / INCH, A4[1] / INCH)
+    figure.set_layout_engine("none")
+    low, high = _extent(mold)
+    room = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
+    fitting = [scale for scale in SCALES if (high - low <= room * scale).all()]
+    scale = fitting[0] if fitting else SCALES[-1]
+    wide, tall = (high - low) / scale
+    top = A4[1] - EDGE - 9 - tall
+    axes = figure.add_axes((EDGE / A4[0], top / A4[1], wide / A4[0], tall / A4[1]))
+    draw_mold(axes, mold)
+    axes.set_axis_off()
+    _text(figure, EDGE, A4[1] - EDGE, f"Set-up sheet{': ' + title if title else ''}", size=13, weight="bold")
+    key = "White: bolts; dark: dowels; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
+    where = f"drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
+    _text(figure, EDGE, A4[1] - EDGE - 6, f"{_heading(mold)}, {where}")
+    _text(figure, EDGE, EDGE + 3, key)
+    _numbers(figure, mold, top - 4)
+    _steps(figure, mold, top - 4)
+    return finish(figure, path)
+
+
+def _text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+    figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
+
+
+def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
+    """What the workshop needs to know of one groove; mm and deg."""
+    tube, back = groove.tube, mold.spec.springback
+    radius = "straight" if tube.curvature == 0 else f"{1e3 / abs(tube.curvature):.2f}"
+    passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
+    return [
+        ("tube, outer / inner diameter", f"{tube.outer_diameter * MM:.3f} / {tube.inner_diameter * MM:.3f}"),
+        ("wanted radius", radius),
+        ("mold radius", f"{groove.radius * MM:.3f}"),
+        (
+            "spring-back of the curvature",
+            f"{(1 - back.obtained(1.0)) * 100 if back.slope == 0 else _lost(groove):.2f} %",
+        ),
+        ("bend, length / angle", f"{groove.bend_length * MM:.2f} / {math.degrees(groove.bend_angle):.2f}°"),
+        ("groove, width / depth", f"{groove.width * MM:.3f} / {groove.depth * MM:.3f}"),
+        ("end mill / passes", f"{groove.mill.diameter * MM:g} / {passes} × {len(groove.cutter_offsets)}"),
+        ("strain when pressed in", f"{groove.strain * 100:.2f} %"),
+        ("cut the tube to", f"{groove.stock_length * MM:.1f}"),
+        ("mark: bend begins at / ends at", f"{groove.before_bend * MM:.1f} / {_bend_end(groove) * MM:.1f}"),
+        ("plate to clamp, proximal / distal", f"{groove.gaps[0] * MM:.1f} / {groove.gaps[1] * MM:.1f}"),
+        ("cold end from the clamp", f"{groove.cold.length * MM:.1f}"),
+        ("growth / travel of the sliding clamp", f"{groove.growth * MM:.2f} / {_travel(groove) * MM:.1f}"),
+        ("trim, proximal / distal", f"{groove.trim[0] * MM:.1f} / {groove.trim[1] * MM:.1f}"),
+    ]
+
+
+def _lost(groove: Groove) -> float:
+    return (1 - abs(groove.tube.curvature) / abs(groove.curvature)) * 100 if groove.curvature else 0.0
+
+
+def _bend_end(groove: Groove) -> float:
+    return groove.before_bend + groove.bend_length
+
+
+def _travel(groove: Groove) -> float:
+    return max(clamp.travel for clamp in groove.clamps)
+
+
+def _numbers(figure: Figure, mold: Mold, top: float) -> None:
+    column, step, first = 30.0, 4.5, EDGE + 52.0
+    shown = mold.grooves[:3]
+    _text(figure, EDGE, top, "mm, tubes cold", weight="bold")
+    for k, groove in enumerate(shown):
+        x = first + k * column
+        _text(figure, x, top, f"tube {groove.number}", weight="bold")
+        for row, (name, value) in enumerate(_rows(groove, mold)):
+            y = top - (row + 1) * step
+            if k == 0:
+                _text(figure, EDGE, y, name)
+            _text(figure, x, y, value)
+    if len(mold.grooves) > len(shown):
+        y = top - (len(_rows(shown[0], mold)) + 1.4) * step
+        rest = ", ".join(str(groove.number) for groove in mold.grooves[len(shown) :])
+        _text(figure, EDGE, y, f"tubes {rest}: see mold.json")
+
+
+def _steps(figure: Figure, mold: Mold, top: float) -> None:
+    spec = mold.spec
+    heat, clamps = spec.heat, spec.clamps
+    bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
+    degrees = heat.set_temperature - 273.15
+    fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
+    steps = [
+        f"Mill the grooves (grooves.nc). Drill {bolts} bolt holes of {spec.plate.bolt_diameter * MM:g} mm and ream 2 "
+        f"dowel holes of {spec.plate.dowel_diameter * MM:g} mm through both plates, {len(mold.vents)} vents of "
+        f"{spec.vents.diameter * MM:g} mm through the lid (base.dxf, lid.dxf).",
+        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the arc; dowels, lid, bolts.",
+        f"Clamps at the distances of the table from the plate, {clamps.grip * MM:g} mm of tube in each. The {fixed} "
+        f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
+        "buckles.",
+        f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
+        "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
+    ]
+    lines = [f"{k}.  " + textwrap.fill(step, 78, subsequent_indent="      ") for k, step in enumerate(steps, start=1)]
+    lines += ["!  " + textwrap.fill(remark, 78, subsequent_indent="      ") for remark in mold.remarks]
+    _text(figure, 158.0, top, "\n".join(lines))
+
+
+@styled
+def plot_springback(calibration: Calibration, path: str | PathLike[str] | None = None) -> Figure:
+    """The part of the mold's curvature that tubes lost, over the mold's radius, with the fitted model.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    c = calibration
+    figure = new_figure(5.2, 3.4)
+    axes = figure.add_subplot()
+    axes.plot(
+        c.mold_curvature, c.lost * 100, "o", ms=4, mfc="white", mec=tube_colour(0), mew=1.1, label="trials", zorder=3
+    )
+    low, high = float(c.mold_curvature.min()), float(c.mold_curvature.max())
+    pad = 0.08 * (high - low) or 0.05 * high
+    kappa = np.linspace(max(low - pad, 0.0), high + pad, 100)
+    fitted = (c.springback.fraction + c.springback.slope * kappa) * 100
+    axes.plot(kappa, fitted, color=tube_colour(2), lw=1.4, label=f"{c.model} model")
+    if np.isfinite(c.noise):
+        spread = 2 * c.noise * 100
+        axes.fill_between(
+            kappa, fitted - spread, fitted + spread, color=tube_colour(5), alpha=0.25, lw=0, label="± 2 s"
+        )
+    axes.set_xlabel("curvature of the mold (1/m)")
+    axes.set_ylabel("lost part of the curvature (%)")
+    axes.set_ylim(min(0.0, float((c.lost * 100).min()) * 1.2), max(1.0, float(c.lost.max()) * 135))
+    upper = axes.secondary_xaxis("top", functions=(_reciprocal, _reciprocal))
+    upper.set_xlabel("radius of the mold (mm)")
+    radii = np.unique(np.round(1e3 / c.mold_curvature, 3))
+    upper.set_xticks(radii if len(radii) <= 6 else radii[np.linspace(0, len(radii) - 1, 5).astype(int)])
+    axes.legend(loc="lower right")
+    return finish(figure, path)
+
+
+def _reciprocal(values: Any) -> Any:
+    """1/m to mm and back."""
+    return np.asarray(1e3 / np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-9))
+
+
+@styled
+def plot_materials(ratings: Sequence[MaterialRating], path: str | PathLike[str] | None = None) -> Figure:
+    """Mold materials side by side: heat drawn, temperature to spare, current that leaks; the unsuitable hatched.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(9.0, 0.5 * len(ratings) + 1.3)
+    panels = figure.subplots(1, 3, sharey=True)
+    names = [rating.material.name.replace("_", " ") for rating in ratings]
+    columns = (
+        ("heat drawn in the hold (kJ per m of tube)", [r.heat_drawn / 1e3 for r in ratings]),
+        ("limit above the set temperature (K)", [r.limit_margin for r in ratings]),
+        ("current beside the tube, at most", [max(r.leak, 1e-18) for r in ratings]),
+    )
+    for axes, (label, values) in zip(panels, columns, strict=True):
+        bars = axes.barh(names, values, color=[tube_colour(1 if r.suitable else 0) for r in ratings], height=0.6)
+        for bar, rating in zip(bars, ratings, strict=True):
+            if not rating.suitable:
+                bar.set_hatch("////")
+                bar.set_edgecolor("white")
+        axes.set_xlabel(label)
+    panels[0].invert_yaxis()
+    panels[1].axvline(0, color=INK, lw=0.8)
+    panels[2].set_xscale("log")
+    panels[2].axvline(0.01, color=INK, lw=0.8, ls=(0, (4, 3)))
+    return finish(figure, path)

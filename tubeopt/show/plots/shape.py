@@ -1,0 +1,306 @@
+"""The robot in space: tubes as shaded surfaces of true diameter, with close-ups of where each tube ends.
+
+Tubes of an eccentric robot stand at their true places, in a translucent sheath.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...typing import Array
+from . import mesh as surfaces
+from .mesh import Centreline, Mesh
+from .stage import MM, Box, View, draw_box, facets, note, rule_step, widest_view
+from .style import FAINT, INK, caption, finish, new_figure, number, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+
+GHOST_OPACITY = 0.25
+PLATE_COLOUR = np.array([0.80, 0.82, 0.85, 1.0])
+BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
+SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
+
+
+@styled
+def plot_shape(
+    equilibrium: Equilibrium,
+    path: str | PathLike[str] | None = None,
+    *,
+    ghosts: Sequence[Equilibrium] = (),
+    view: tuple[float, float] | None = None,
+) -> Figure:
+    """Picture of the robot's shape to scale, with close-ups of the ends of its tubes.
+
+    Args:
+        equilibrium: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        ghosts: other equilibria, drawn translucent.
+        view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    figure = new_figure(7.0, 5.0)
+    figure.suptitle(caption(equilibrium), fontsize=9, x=0.02, ha="left")
+    draw_scenes(figure, [equilibrium], [ghosts], view)
+    return finish(figure, path)
+
+
+@styled
+def plot_shapes(
+    equilibria: Sequence[Equilibrium],
+    path: str | PathLike[str] | None = None,
+    *,
+    titles: Sequence[str] | None = None,
+    view: tuple[float, float] | None = None,
+) -> Figure:
+    """Picture of several shapes side by side, from one side and at one scale; close-ups of the last one.
+
+    Args:
+        equilibria: what to draw, left to right.
+        path, view: as in `plot_shape`.
+        titles: a heading for each; None is the robot's name.
+    """
+    figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
+    scenes = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
+    for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
+        scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
+    return finish(figure, path)
+
+
+def draw_scenes(
+    figure: Figure,
+    equilibria: Sequence[Equilibrium],
+    ghosts: Sequence[Sequence[Equilibrium]],
+    view: tuple[float, float] | None,
+    *,
+    close_ups: bool = True,
+) -> list[Axes]:
+    """Fill `figure` with a scene for each equilibrium and its ghosts; return the scenes.
+
+    With `close_ups`, a column of close-ups of the last equilibrium stands to the right.
+    """
+    everyone = [*equilibria, *(ghost for some in ghosts for ghost in some)]
+    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
+    meshes = [_scene_mesh(equilibrium, some) for equilibrium, some in zip(equilibria, ghosts, strict=True)]
+    box = Box.around(np.concatenate([mesh.corners.reshape(-1, 3) for mesh in meshes]))
+    last = equilibria[-1]
+    ends = bundles(last) if close_ups else []
+    widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
+    grid = figure.add_gridspec(max(len(ends), 3) if close_ups else 1, len(widths), width_ratios=widths)
+    scenes = [figure.add_subplot(grid[:, column]) for column in range(len(equilibria))]
+    for scene, equilibrium, some, mesh in zip(scenes, equilibria, ghosts, meshes, strict=True):
+        draw_box(scene, box, seen)
+        _draw_shadows(scene, [equilibrium, *some], box, seen)
+        scene.add_collection(facets(mesh, seen))
+        if exposed(equilibrium):
+            _name_tubes(scene, equilibrium, seen)
+    for row, bundle in enumerate(reversed(ends)):
+        close_up = figure.add_subplot(grid[row, -1])
+        _draw_close_up(close_up, scenes[-1], last, bundle, seen)
+        if row == len(ends) - 1:
+            _draw_scale_bar(close_up)
+    return scenes
+
+
+def exposed(equilibrium: Equilibrium) -> list[tuple[int, float, float]]:
+    """Tubes of which something shows, with the arc lengths between which they do, m; outermost first.
+
+    A tube shows from where the last tube around it ends to its own end.
+    """
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    place = assembly.offset * np.exp(1j * assembly.offset_angle)
+    stretches = []
+    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
+        around = [equilibrium.tube_end[j] for j in range(i + 1, len(place)) if abs(place[j] - place[i]) < 1e-9]
+        start = max(around, default=0.0)
+        if end > start:
+            stretches.append((i, float(start), float(end)))
+    return stretches
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Tubes side by side that show between the same arc lengths, m, with the radius around them all, m."""
+
+    tubes: tuple[int, ...]
+    start: float
+    end: float
+    radius: float
+
+
+def bundles(equilibrium: Equilibrium) -> list[Bundle]:
+    """What `exposed` tells, with the tubes of a segment together; of a concentric robot every tube for itself."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    groups: dict[tuple[float, float], list[int]] = {}
+    for i, start, end in exposed(equilibrium):
+        groups.setdefault((start, end), []).append(i)
+    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + assembly.offset
+    return [
+        Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
+    ]
+
+
+def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[float, float] | None = None) -> Mesh:
+    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside.
+
+    Args:
+        opacity: 0 to 1.
+        window: arc lengths, m; only what lies between them, in finer facets.
+    """
+    from matplotlib.colors import to_rgba
+
+    shown = exposed(equilibrium)
+    if not shown:
+        return Mesh.join([])
+    line = Centreline(equilibrium)
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    low, high = window or (0.0, line.length)
+    sides, pieces = (72, 24) if window else (24, 160)
+    parts = []
+    for i, start, end in shown:
+        tube = equilibrium.robot.tubes[i]
+        outer, inner = tube.outer_diameter / 2, tube.inner_diameter / 2
+        angle = assembly.offset_angle[i]
+        offset = assembly.offset[i] * np.array([np.cos(angle), np.sin(angle)])
+        colour = np.array(to_rgba(tube_colour(i), opacity))
+        first, last = max(start, low), min(end, high)
+        if last > first:
+            count = 2 + int(pieces * (last - first) / (min(high, line.length) - max(low, 0.0)))
+            s = np.linspace(first, last, count)
+            parts.append(surfaces.tube_mesh(line, s, outer, colour, offset=offset, sides=sides))
+        if low <= end <= high:
+            rim = 0.45 * colour + 0.55 * np.array([1, 1, 1, opacity])
+            parts.append(surfaces.ring_mesh(line, end, (inner, outer), rim, offset=offset, sides=sides))
+            bore = BORE_COLOUR * [1, 1, 1, opacity]
+            parts.append(surfaces.ring_mesh(line, end, (0.0, inner), bore, offset=offset, sides=sides))
+    if assembly.eccentric:
+        parts += _sheaths(equilibrium, line, (low, high), opacity)
+    return Mesh.join(parts)
+
+
+def _sheaths(equilibrium: Equilibrium, line: Centreline, window: tuple[float, float], opacity: float) -> list[Mesh]:
+    """The sheath of every segment of an eccentric robot, as wide as its tubes need."""
+    parts = []
+    for bundle in bundles(equilibrium):
+        first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
+        if last > first:
+            s = np.linspace(first, last, 2 + int((last - first) / bundle.radius * 2))
+            sheath = surfaces.tube_mesh(line, s, bundle.radius, SHEATH_COLOUR * [1, 1, 1, opacity], sides=48)
+            parts.append(replace(sheath, lift=np.full(len(sheath.corners), bundle.radius)))
+    return parts
+
+
+def plate_radius(equilibrium: Equilibrium) -> float:
+    """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
+    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
+    return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
+
+
+def _widest(equilibrium: Equilibrium) -> float:
+    """Diameter of the thickest tube, m; of an eccentric robot, inner diameter of its widest sheath."""
+    offset = equilibrium.robot.assembly(equilibrium.translations).offset
+    radius = [tube.outer_diameter / 2 for tube in equilibrium.robot.tubes] + offset
+    return 2 * float(radius.max())
+
+
+def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
+    """The robot on its plate, and the ghosts."""
+    radius = plate_radius(equilibrium)
+    parts = [surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR), robot_mesh(equilibrium)]
+    return Mesh.join(parts + [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts])
+
+
+def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view: View) -> None:
+    """Every centreline as it falls straight down onto the floor."""
+    for equilibrium in equilibria:
+        fallen = equilibrium.position.copy()
+        fallen[:, 2] = box.low[2] / MM
+        shadow = view.project(fallen)
+        axes.plot(shadow[:, 0], shadow[:, 1], color=FAINT, lw=1.3, alpha=0.4, solid_capstyle="round", zorder=1)
+
+
+def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
+    """Name each tube to the lower right of the middle of where it shows, and the tip to the upper left of it."""
+    line = Centreline(equilibrium)
+    for bundle in bundles(equilibrium):
+        middle = (bundle.start + bundle.end) / 2
+        beside = _beside(line, middle, view)
+        at = view.project(line.position([middle])[0])[:2] + bundle.radius * MM * beside
+        for row, i in enumerate(bundle.tubes):
+            lower = np.array([0.0, 10.0 * ((len(bundle.tubes) - 1) / 2 - row)])
+            several = len(bundle.tubes) > 1
+            shift = (12 if several else 5) * beside + lower
+            note(axes, f"tube {i + 1}", at, shift, colour=tube_colour(i), level=several)
+    beside = _beside(line, line.length, view)
+    at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * MM * beside
+    note(axes, "tip", at, -3 * beside)
+
+
+def _beside(line: Centreline, s: float, view: View) -> Array:
+    """(2,) unit vector in the picture, square to the arm at arc length `s`, to its right if it points upwards."""
+    tangent = view.project(line.axes(np.array([s]))[2][0])[:2]
+    beside = np.array([tangent[1], -tangent[0]])
+    length = float(np.linalg.norm(beside))
+    return beside / length if length > 1e-9 else np.array([1.0, 0.0])
+
+
+def close_up_radius(equilibrium: Equilibrium) -> float:
+    """Radius of what a close-up shows, m."""
+    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
+    return max(1.7 * thickest, 1.1 * _widest(equilibrium))
+
+
+def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
+    """The end of a tube, or of a segment, seen from the same side, in a circle that is drawn in the scene too."""
+    from matplotlib.patches import Circle, ConnectionPatch
+
+    radius, end = close_up_radius(equilibrium), bundle.end
+    centre = Centreline(equilibrium).position([end])[0]
+    shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius)), view, centre)
+    rim = Circle((0, 0), radius * MM, facecolor="white", edgecolor=FAINT, lw=0.8)
+    axes.add_patch(rim)
+    axes.add_collection(shown)
+    shown.set_clip_path(rim)
+    limit = 1.04 * radius * MM
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
+    axes.set_aspect("equal")
+    axes.axis("off")
+    first = bundle.tubes[0]
+    diameter = number(equilibrium.robot.tubes[first].outer_diameter * MM, 3)
+    if len(bundle.tubes) == 1:
+        name, colour = f"tube {first + 1}, \N{EMPTY SET} {diameter} mm", tube_colour(first)
+    else:
+        name, colour = f"tubes {first + 1}\N{EN DASH}{bundle.tubes[-1] + 1}, \N{EMPTY SET} {diameter} mm", INK
+    axes.text(0, 1.08 * radius * MM, name, color=colour, ha="center", va="bottom")
+    at = view.project(centre)
+    ring = Circle((at[0], at[1]), radius * MM, fill=False, edgecolor=FAINT, lw=0.6, zorder=5)
+    scene.add_patch(ring)
+    link = ConnectionPatch(
+        xyA=(at[0] + radius * MM, at[1]),
+        coordsA=scene.transData,
+        xyB=(-radius * MM, 0),
+        coordsB=axes.transData,
+        color=FAINT,
+        lw=0.5,
+        alpha=0.7,
+    )
+    link.set_in_layout(False)
+    axes.add_artist(link)
+
+
+def _draw_scale_bar(axes: Axes) -> None:
+    """A bar of a round length below a close-up."""
+    low, high = axes.get_xlim()
+    length, y = rule_step(high - low), 1.1 * low
+    axes.plot([-length / 2, length / 2], [y, y], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False)
+    axes.text(0, 1.05 * y, f"{number(length, 3)} mm", ha="center", va="top")

@@ -1,0 +1,213 @@
+"""A stage for pictures in space: parallel projection at one scale, with a ruled floor and back walls in mm.
+
+Parallel projection is drawn here, on plain axes of equal aspect, and not by 3-D axes: lengths in a picture can then be
+compared, and facets, shadows and labels are laid in the wanted order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...typing import Array
+from .mesh import Mesh
+from .style import INK, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
+
+MM = 1e3
+RULE = "#DADDE1"
+FLOOR = "#F6F7F8"
+
+
+@dataclass(frozen=True)
+class View:
+    """Direction from which a scene is seen: elevation above the plate and azimuth about its axis, deg."""
+
+    elevation: float
+    azimuth: float
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) unit vectors to the right, upwards, and towards the viewer, as rows."""
+        up, around = np.radians([self.elevation, self.azimuth])
+        right = np.array([-np.sin(around), np.cos(around), 0.0])
+        towards = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        return np.array([right, np.cross(towards, right), towards])
+
+    @property
+    def towards_viewer(self) -> Array:
+        """(3,) unit vector from the scene to the viewer."""
+        return np.asarray(self.axes[2])
+
+    @property
+    def towards_light(self) -> Array:
+        """(3,) unit vector towards the light: above the viewer's left shoulder."""
+        light = np.array([-0.5, 0.6, 0.62])
+        return np.asarray(light / np.linalg.norm(light) @ self.axes)
+
+    def project(self, points: Array) -> Array:
+        """(..., 3) millimetres to the right, upwards and towards the viewer, of points (..., 3) in m."""
+        seen: Array = points @ self.axes.T * MM
+        return seen
+
+
+def widest_view(points: Array) -> View:
+    """A view in which points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
+    _, _, directions = np.linalg.svd(points[:, :2])
+    along = directions[0] * (1.0 if np.sum(points[:, :2] @ directions[0]) >= 0 else -1.0)
+    wanted = np.degrees(np.arctan2(along[1], along[0])) - 60.0
+    azimuths = np.array([quarter + turn for quarter in (-180, -90, 0, 90) for turn in (30, 60)])
+    return View(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - wanted)))]))
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """The ruled box around a scene: corners `low` and `high` (3,) and the distance of the rules `step`, mm."""
+
+    low: Array
+    high: Array
+    step: float
+
+    @classmethod
+    def around(cls, points: Array) -> Box:
+        """The box around points (k, 3) in m, its sides on whole rules, its floor at the lowest point."""
+        low, high = points.min(0) * MM, points.max(0) * MM
+        step = rule_step(float((high - low).max()))
+        lower, upper = np.floor(low / step + 1e-9) * step, np.ceil(high / step - 1e-9) * step
+        lower[2] = low[2]
+        return cls(lower, upper, step)
+
+    def rules(self, axis: int) -> Array:
+        """(k,) multiples of `step` from `low` to `high` along `axis`, mm."""
+        first, last = np.ceil(self.low[axis] / self.step - 1e-9), np.floor(self.high[axis] / self.step + 1e-9)
+        return np.arange(first, last + 1) * self.step
+
+
+def rule_step(span: float) -> float:
+    """A round step that puts about four to ten rules on `span`."""
+    decade = 10.0 ** np.floor(np.log10(span / 4))
+    return float(max(step for step in (1, 2, 5) if step * decade <= span / 4) * decade)
+
+
+def draw_box(axes: Axes, box: Box, view: View) -> None:
+    """Floor, the two walls behind the scene, their rules, and the scales along the front edges."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    viewer = view.towards_viewer
+    back = np.where(viewer > 0, box.low, box.high)
+    back[2] = box.low[2]
+    front = np.where(viewer > 0, box.high, box.low)
+    lines, outlines = [], []
+    for normal in range(3):
+        first, second = (axis for axis in range(3) if axis != normal)
+        corner = back.copy()
+        outline = np.tile(corner, (4, 1))
+        outline[:, first] = np.array([box.low, box.low, box.high, box.high])[:, first]
+        outline[:, second] = np.array([box.low, box.high, box.high, box.low])[:, second]
+        outlines.append(outline)
+        for along, across in ((first, second), (second, first)):
+            for at in box.rules(across):
+                line = np.tile(corner, (2, 1))
+                line[:, across], line[:, along] = at, [box.low[along], box.high[along]]
+                lines.append(line)
+    faces = view.project(np.array(outlines) / MM)[..., :2]
+    axes.add_collection(
+        PolyCollection(
+            list(faces), facecolors=["white", "white", FLOOR], edgecolors="#B8BCC2", linewidths=0.6, zorder=0
+        )
+    )
+    ruled = view.project(np.array(lines) / MM)[..., :2]
+    axes.add_collection(LineCollection(list(ruled), colors=RULE, linewidths=0.5, zorder=0.5))
+    _draw_scales(axes, box, view, back, front)
+    axes.set_aspect("equal")
+    axes.axis("off")
+    axes.autoscale_view()
+
+
+def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) -> None:
+    """Numbers and names along the front edges of the floor and the left upright edge."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    outline = view.project((box.low + corners * (box.high - box.low)) / MM)[:, :2]
+    middle, height = outline.mean(0), float(np.ptp(outline[:, 1]))
+    left = min(((front[0], back[1]), (back[0], front[1])), key=lambda xy: view.project(np.array([*xy, 0.0]))[0])
+    for axis, name in enumerate("xyz"):
+        edge = np.array([front[0], front[1], box.low[2]]) if axis < 2 else np.array([*left, 0.0])
+        ends = np.tile(edge, (2, 1))
+        ends[:, axis] = box.low[axis], box.high[axis]
+        start, stop = view.project(ends / MM)[:, :2]
+        if np.linalg.norm(stop - start) < 1e-6 * height:
+            continue  # seen end-on
+        outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
+        outward *= np.sign(outward @ ((start + stop) / 2 - middle))
+        rules = _spaced(box, axis, stop - start, height)
+        if axis < 2 and view.axes[0, axis] ** 2 < 0.5:
+            # The two scales meet at the front corner, where only one of them has room for its number.
+            rules = rules[np.abs(rules - front[axis]) > box.step / 2]
+        points = np.tile(edge, (len(rules), 1))
+        points[:, axis] = rules
+        for value, at in zip(rules, view.project(points / MM)[:, :2], strict=True):
+            note(axes, number(value, 3), at, 5 * outward)
+        if axis < 2:
+            note(axes, f"{name} (mm)", (start + stop) / 2, 21 * outward, size=9)
+        else:
+            note(axes, f"{name} (mm)", (start + stop) / 2, 28 * outward, size=9, rotation=90)
+
+
+def _spaced(box: Box, axis: int, edge: Array, height: float) -> Array:
+    """The rules along `axis` that may carry numbers without crowding, if its edge is seen as `edge` (2,).
+
+    `height` is that of the whole box as seen, which fills about four inches: numbers are wider than high.
+    """
+    length = float(np.linalg.norm(edge))
+    room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * height
+    gap = length * box.step / (box.high[axis] - box.low[axis])
+    every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
+    rules = box.rules(axis)
+    kept: Array = rules[np.round(rules / box.step).astype(int) % every == 0]
+    return kept
+
+
+def note(
+    axes: Axes,
+    text: str,
+    at: Array,
+    shift: Array,
+    *,
+    size: float = 8,
+    rotation: float = 0,
+    colour: str = INK,
+    level: bool = False,
+) -> None:
+    """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it; `level`, its middle line."""
+    horizontal = "left" if shift[0] > 2 else "right" if shift[0] < -2 else "center"
+    vertical = "center" if level or abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
+    axes.annotate(
+        text,
+        (float(at[0]), float(at[1])),
+        (float(shift[0]), float(shift[1])),
+        textcoords="offset points",
+        ha=horizontal,
+        va=vertical,
+        fontsize=size,
+        rotation=rotation,
+        color=colour,
+        annotation_clip=False,
+        zorder=6,
+    )
+
+
+def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollection:
+    """The mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
+    from matplotlib.collections import PolyCollection
+
+    seen = view.project(mesh.corners if centre is None else mesh.corners - centre)
+    order = np.argsort(mesh.depth(view.towards_viewer))
+    colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
+    # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
+    edges = np.where(colours[:, 3:] < 1, 0.0, colours)
+    return PolyCollection(list(seen[order, :, :2]), facecolors=colours, edgecolors=edges, linewidths=0.2, zorder=3)

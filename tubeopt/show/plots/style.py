@@ -1,0 +1,155 @@
+"""One look for all pictures: colours, type, and how a picture reaches the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+
+import numpy as np
+
+from ...errors import InputError
+from ...files.files import atomic_write
+from ...typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    from ...equilibrium.result import Equilibrium
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
+"""Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
+
+INK = "#222222"
+FAINT = "#8A8A8A"
+DPI = 200
+LAYOUT_PASSES = 3
+"""Passes until axes of equal aspect, whose size follows from their place, leave room for all that stands above them."""
+
+FORMATS = ("png", "pdf", "svg")
+
+RC = {
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8,
+    "hatch.linewidth": 0.5,
+    "legend.frameon": False,
+    "mathtext.fontset": "dejavusans",
+    "pdf.fonttype": 42,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tubeopt",
+    "text.color": INK,
+    "xtick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.color": INK,
+    "ytick.labelsize": 8,
+}
+
+
+def styled(draw: Callable[P, T]) -> Callable[P, T]:
+    """Let `draw` make its artists with the look of this module, whatever the caller's matplotlib is set to."""
+
+    @wraps(draw)
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
+        import matplotlib
+
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(cast(Any, RC))
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def tube_colour(index: int) -> str:
+    """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
+    return TUBE_COLOURS[index % len(TUBE_COLOURS)]
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size in inches that draws into memory: no window, no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def picture_format(path: str | PathLike[str]) -> str:
+    """Format that the file name asks for; raises InputError where it is none of `FORMATS`."""
+    suffix = Path(path).suffix.lower().removeprefix(".")
+    if suffix not in FORMATS:
+        raise InputError(f"the picture's name is {str(path)!r}; it must end in .{', .'.join(FORMATS)}")
+    return suffix
+
+
+@styled
+def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
+    """Write `figure` as PNG (200 dpi), PDF or SVG, as the name ends; whole, or not at all."""
+    kind = picture_format(path)
+    # A picture depends on its data alone, so that the same data give the same file.
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
+    return Path(path)
+
+
+def angle_locator() -> MaxNLocator:
+    """Ticks for an axis in deg, at round parts of a turn."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=9, steps=[1, 1.5, 3, 4.5, 6, 9, 10])
+
+
+def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
+    """Return `figure`, laid out, and saved under `path` if that is given."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        for _ in range(LAYOUT_PASSES):
+            engine.execute(figure)
+    if path is not None:
+        save_figure(figure, path)
+    return figure
+
+
+def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:
+    """Heading of a picture: `title` or the robot's name, tip, margin and joint values, in two lines or one each."""
+    kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
+    name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
+    rotations = ", ".join(f"{number(angle, 1)}°" for angle in np.degrees(equilibrium.rotations))
+    joints = [f"rotations ({rotations})"]
+    if np.any(equilibrium.translations):
+        first = [tubes[0] for tubes in equilibrium.robot.moving_together]
+        joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
+    margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
+    verdict = margin if equilibrium.stable else f"{margin}, unstable"
+    state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
+    if narrow:
+        return "\n".join([name, *joints, *state])
+    return f"{name}:  {',  '.join(state)}\n{',  '.join(joints)}"
+
+
+def _millimetres(lengths: Array) -> str:
+    return ", ".join(number(length * 1e3, 1) for length in lengths)
+
+
+def number(value: float, digits: int) -> str:
+    """`value` with at most `digits` decimals, without trailing zeros, and never "-0"; a true minus sign."""
+    text = f"{value:.{digits}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text in ("-0", "") else text.replace("-", "\N{MINUS SIGN}")

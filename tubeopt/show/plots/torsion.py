@@ -1,0 +1,163 @@
+"""Twist along the arm: how far each tube is turned, and how fast it turns, over arc length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from ...typing import Array
+from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+
+MM = 1e3
+
+
+@styled
+def plot_torsion(equilibrium: Equilibrium, path: str | PathLike[str] | None = None) -> Figure:
+    """Picture of the rotation and the torsion of every tube over arc length.
+
+    theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends. Curves of outer tubes are
+    thicker, so that curves that coincide stay visible inside one another.
+
+    Args:
+        equilibrium: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    return plot_torsions([equilibrium], path)
+
+
+@styled
+def plot_torsions(
+    equilibria: Sequence[Equilibrium],
+    path: str | PathLike[str] | None = None,
+    *,
+    titles: Sequence[str] | None = None,
+) -> Figure:
+    """`plot_torsion` of several equilibria of one robot side by side, with the same scales.
+
+    Args:
+        equilibria: what to draw, left to right.
+        path: as in `plot_torsion`.
+        titles: a heading for each; None is the robot's name.
+    """
+    count = len(equilibria)
+    figure = new_figure(7.0 if count == 1 else 4.0 * count, 5.0)
+    panels = figure.subplots(2, count, sharex=True, sharey="row", squeeze=False)
+    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles or [""] * count, strict=True):
+        _draw_curves(above, below, equilibrium)
+        _draw_inputs(above, equilibrium)
+        rows = _mark_sections(above, below, equilibrium, room=0.12 if count == 1 else 0.22)
+        below.set_xlabel("arc length s from the base plate (mm)")
+        above.set_title(caption(equilibrium, title, narrow=count > 1), loc="left", pad=8 + 9 * rows)
+    above, below = panels[:, 0]
+    above.set_ylabel("rotation \N{GREEK SMALL LETTER THETA} (deg)")
+    below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")
+    length = max(float(each.tube_end.max()) for each in equilibria)
+    below.set_xlim(0, 1.02 * MM * length if length > 0 else 1.0)
+    _widen(above, 20.0)
+    _widen(below, 0.02)
+    _add_legend(figure, above)
+    return finish(figure, path)
+
+
+def _draw_curves(above: Axes, below: Axes, equilibrium: Equilibrium) -> None:
+    """theta_i in deg into `above` and theta_i' in deg/mm into `below`, up to the end of each tube."""
+    for i, end in reversed(list(enumerate(equilibrium.tube_end))):
+        s, rotation, torsion = _curve(equilibrium, i, float(end))
+        for axes, values in ((above, np.degrees(rotation)), (below, np.degrees(torsion) / MM)):
+            look: dict[str, Any] = {"color": tube_colour(i), "clip_on": False}
+            axes.plot(s * MM, values, lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}", **look)
+            if end > 0:
+                axes.plot(s[-1:] * MM, values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
+    for axes in (above, below):
+        axes.grid(axis="y", color="#E6E8EB", lw=0.5)
+        axes.set_axisbelow(True)
+
+
+def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Array, Array]:
+    """Arc length, theta and theta' of one tube up to its `end`: cubic between the points of the solution."""
+    inside = equilibrium.arc_length <= end + 1e-12
+    s = equilibrium.arc_length[inside]
+    rotation, torsion = equilibrium.rotation[tube, inside], equilibrium.torsion[tube, inside]
+    if len(s) < 2:
+        return s, rotation, torsion
+    fine = np.union1d(s, np.linspace(0.0, s[-1], 301))
+    curve = CubicHermiteSpline(s, rotation, torsion)
+    return fine, curve(fine), curve(fine, 1)
+
+
+def _draw_inputs(axes: Axes, equilibrium: Equilibrium) -> None:
+    """The rotation imposed behind the plate, at the left edge: its distance to the curve is the wind-up there."""
+    for i, rotation in reversed(list(enumerate(np.degrees(equilibrium.rotations)))):
+        axes.plot([0], [rotation], ">", mfc="white", mec=tube_colour(i), ms=5 + 2 * i, clip_on=False, zorder=5)
+
+
+def _add_legend(figure: Figure, axes: Axes) -> None:
+    """Names of the curves in `axes` and of the sign of an input, below all panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    (mark,) = axes.plot([], [], ">", mfc="white", mec=INK, ms=6)
+    figure.legend(
+        [*reversed(handles), mark],
+        [*reversed(labels), "rotation imposed behind the plate"],
+        loc="outside lower center",
+        ncols=len(handles) + 1,
+        handlelength=1.8,
+        columnspacing=1.6,
+    )
+
+
+def breakpoints(equilibrium: Equilibrium) -> dict[float, str]:
+    """What happens at which arc length in front of the plate, mm: "tube 2 curves", "tube 3 ends"."""
+    events: dict[float, list[str]] = {}
+    for i, tube in enumerate(equilibrium.robot.tubes):
+        end = float(equilibrium.tube_end[i])
+        for s, what in ((end - tube.curved_length, "curves"), (end, "ends")):
+            if s > 1e-9 and (what == "ends" or tube.curved_length > 0):
+                events.setdefault(round(s * MM, 6), []).append(f"{i + 1} {what}")
+    return {s: "tube " + ", ".join(events[s]) for s in sorted(events)}
+
+
+def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: float) -> int:
+    """A thin line at every breakpoint, named on top; return how many rows of names that took.
+
+    Names less than `room` (a fraction of the width) apart go into different rows.
+    """
+    width = float(equilibrium.tube_end.max()) * MM
+    reached: list[float] = []
+    for s, what in breakpoints(equilibrium).items():
+        for axes in (above, below):
+            axes.axvline(s, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
+        row = next((k for k, last in enumerate(reached) if s - last > room * width), len(reached))
+        reached[row : row + 1] = [s]
+        above.annotate(
+            what,
+            (s, 1),
+            (0, 2 + 9 * row),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=7,
+            color=FAINT,
+        )
+    return len(reached)
+
+
+def _widen(axes: Axes, least: float) -> None:
+    """Let the y axis span at least `least`, so that round-off about a constant does not look like a signal."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - least / 2, middle + least / 2)

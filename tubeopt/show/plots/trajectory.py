@@ -1,0 +1,279 @@
+"""Pictures of trajectories: the arm as it sweeps, joint values and margin over time; the same as a film."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...bodies.corridors import Corridor, MeshObstacle
+from ...bodies.obstacles import Box as BoxObstacle
+from ...bodies.obstacles import Capsule, HalfSpace, Sphere
+from ...equilibrium.kinematics import forward_kinematics
+from ...equilibrium.result import Equilibrium
+from ...errors import InputError
+from ...files.files import atomic_write
+from ...typing import Array
+from .mesh import Centreline, Mesh, _quads, tube_mesh
+from .shape import exposed
+from .stage import MM, Box, View, draw_box, facets, widest_view
+from .style import FAINT, INK, finish, new_figure, number, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...planning import Trajectory
+
+SHOWN = 9
+"""Shapes of the arm in the picture."""
+
+FRAMES = 48
+"""Pictures of the film."""
+
+OBSTACLE = np.array([0.55, 0.55, 0.58, 0.35])
+VESSEL = np.array([0.80, 0.47, 0.65, 0.10])
+
+
+@styled
+def plot_trajectory(
+    trajectory: Trajectory,
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str = "",
+    view: tuple[float, float] | None = None,
+) -> Figure:
+    """Picture of a trajectory: the swept arm to scale with the way of its tip; joint values, margin and,
+    with obstacles, clearance over time.
+
+    Args:
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        title: heading; by default the robot's name.
+        view: elevation and azimuth of the viewer, deg; None looks across the widest side of the motion.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    t = trajectory
+    figure = new_figure(10.0, 5.4)
+    curves = _curve_count(t)
+    grid = figure.add_gridspec(curves, 2, width_ratios=(1.15, 1.0))
+    scene = figure.add_subplot(grid[:, 0])
+    arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
+    seen, box = _stage(t, arms, view)
+    _draw_scene(scene, t, arms, (seen, box))
+    first: Axes = figure.add_subplot(grid[0, 1])
+    axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
+    _draw_curves(axes, t)
+    figure.suptitle(_heading(t, title), fontsize=9, x=0.02, ha="left")
+    return finish(figure, path)
+
+
+@styled
+def animate_trajectory(
+    trajectory: Trajectory,
+    path: str | PathLike[str],
+    *,
+    frames: int = FRAMES,
+    view: tuple[float, float] | None = None,
+) -> Path:
+    """The moving arm as a film, with the margin over time below it: GIF, or MP4 where there is ffmpeg.
+
+    Raises:
+        InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
+    """
+    from matplotlib.animation import FuncAnimation, PillowWriter, writers
+
+    ending = Path(path).suffix.lower()
+    if ending not in (".gif", ".mp4"):
+        raise InputError(f"{path}: the name of a film must end in .gif or .mp4")
+    if ending == ".mp4" and not writers.is_available("ffmpeg"):
+        raise InputError(f"{path}: MP4 needs ffmpeg, which was not found; install it, or let the name end in .gif")
+    t = trajectory
+    rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
+    arms = arms_at(t, rows)
+    figure = new_figure(5.0, 5.6)
+    figure.set_layout_engine("none")
+    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
+    stage = _stage(t, arms, view)
+
+    def draw(k: int) -> Sequence[Any]:
+        scene.clear()
+        below.clear()
+        _draw_scene(scene, t, [arms[k]], stage, upto=int(rows[k]))
+        below.plot(t.time, t.margin, color=FAINT, lw=1)
+        below.plot(t.time[: rows[k] + 1], t.margin[: rows[k] + 1], color=INK, lw=1.4)
+        below.set_xlabel("time (s)")
+        below.set_ylabel("margin")
+        below.set_ylim(min(0.0, float(t.margin.min())) - 0.02, 1.05)
+        return []
+
+    figure.suptitle(f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", fontsize=9, x=0.04, ha="left")
+    film = FuncAnimation(figure, draw, frames=len(rows), blit=False)
+    with atomic_write(path) as temporary:
+        if ending == ".gif":
+            film.save(temporary, writer=PillowWriter(fps=12), dpi=100)
+        else:
+            film.save(temporary, writer="ffmpeg", fps=24, dpi=150)
+    return Path(path)
+
+
+def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
+    """The equilibria at some samples, in order, followed through all that are between them."""
+    t, here, found = trajectory, trajectory.start, []
+    wanted = {int(row) for row in rows}
+    for k in range(len(t.time)):
+        here = forward_kinematics(t.robot, t.rotations[k], t.translations[k], guess=here)
+        if k in wanted:
+            found.append(here)
+    return found
+
+
+def _stage(trajectory: Trajectory, arms: Sequence[Equilibrium], view: tuple[float, float] | None) -> tuple[View, Box]:
+    points = np.concatenate([*(arm.position for arm in arms), trajectory.tip_position])
+    seen = View(*view) if view is not None else widest_view(points)
+    bodies = [_body(obstacle) for obstacle in trajectory.obstacles]
+    corners = [mesh.corners.reshape(-1, 3) for mesh in bodies if mesh is not None]
+    return seen, Box.around(np.concatenate([points, *corners, np.array([[0.0, 0.0, 0.0]])]))
+
+
+def _draw_scene(
+    scene: Axes, trajectory: Trajectory, arms: Sequence[Equilibrium], stage: tuple[View, Box], upto: int | None = None
+) -> None:
+    seen, box = stage
+    draw_box(scene, box, seen)
+    parts = [mesh for obstacle in trajectory.obstacles if (mesh := _body(obstacle)) is not None]
+    for k, arm in enumerate(arms):
+        strong = 1.0 if k == len(arms) - 1 else 0.45 if k == 0 else 0.2
+        parts += [_arm(arm, strong)]
+    scene.add_collection(facets(Mesh.join(parts), seen))
+    tips = seen.project(trajectory.tip_position[: None if upto is None else upto + 1])
+    scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5)
+    scene.plot(*tips[0, :2], "o", mfc="white", mec=INK, ms=4, zorder=6)
+    scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6)
+
+
+def _arm(arm: Equilibrium, strong: float) -> Mesh:
+    """The tubes of one shape, paler the less it counts."""
+    from matplotlib.colors import to_rgba
+
+    line = Centreline(arm)
+    assembly = arm.robot.assembly(arm.translations)
+    parts = []
+    for i, start, end in exposed(arm):
+        colour = np.array(to_rgba(tube_colour(i)))
+        colour[3] = strong
+        offset = assembly.offset[i] * np.array([np.cos(assembly.offset_angle[i]), np.sin(assembly.offset_angle[i])])
+        count = max(3, int(np.ceil((end - start) * 300)))
+        radius = arm.robot.tubes[i].outer_diameter / 2
+        parts.append(tube_mesh(line, np.linspace(start, end, count), radius, colour, offset=offset, sides=10))
+    return Mesh.join(parts)
+
+
+def _body(obstacle: object) -> Mesh | None:
+    """An obstacle as facets; None for a half-space, which has no bounds."""
+    if isinstance(obstacle, Sphere):
+        return _swept(np.array([obstacle.centre, obstacle.centre]), obstacle.radius, OBSTACLE)
+    if isinstance(obstacle, Capsule):
+        return _swept(np.array([obstacle.start, obstacle.end]), obstacle.radius, OBSTACLE)
+    if isinstance(obstacle, Corridor):
+        return _swept(np.array(obstacle.centreline), obstacle.radius, VESSEL, capped=False)
+    if isinstance(obstacle, BoxObstacle):
+        return _cuboid(np.array(obstacle.low), np.array(obstacle.high))
+    if isinstance(obstacle, MeshObstacle):
+        corners = np.array(obstacle.vertices)[np.array(obstacle.faces)][:, [0, 1, 2, 2]]
+        return _mesh(corners, OBSTACLE)
+    if not isinstance(obstacle, HalfSpace):
+        raise TypeError(f"there is no picture of a {type(obstacle).__name__}")
+    return None
+
+
+def _swept(line: Array, radius: float, colour: Array, *, capped: bool = True) -> Mesh:
+    """The surface at a distance from a polyline, with half balls at its ends if `capped`."""
+    step = np.diff(line, axis=0)
+    tangent = np.array([s / max(np.linalg.norm(s), 1e-12) for s in step] or [[0, 0, 1.0]])
+    if not step.any():
+        tangent = np.array([[0.0, 0.0, 1.0]])
+    aside = np.cross(tangent[0], np.eye(3)[int(np.argmin(np.abs(tangent[0])))])
+    rings = []
+    angle = np.linspace(0, 2 * np.pi, 21)
+    ends = [(line[0], tangent[0], -1.0), (line[-1], tangent[-1], 1.0)]
+    lifts = np.linspace(0, np.pi / 2, 7)
+    places = [(line[0], tangent[0], radius)]
+    for k in range(1, len(line) - 1):
+        mean = tangent[k - 1] + tangent[k]
+        places.append((line[k], mean / max(float(np.linalg.norm(mean)), 1e-12), radius))
+    places.append((line[-1], tangent[-1], radius))
+    if capped:
+        first, along, _ = ends[0]
+        last, onwards, _ = ends[1]
+        front = [(first - radius * np.sin(x) * along, along, radius * np.cos(x)) for x in lifts[:0:-1]]
+        back = [(last + radius * np.sin(x) * onwards, onwards, radius * np.cos(x)) for x in lifts[1:]]
+        places = [*front, *places, *back]
+    for centre, normal, size in places:
+        x = aside - (aside @ normal) * normal
+        x = x / max(float(np.linalg.norm(x)), 1e-12)
+        aside, y = x, np.cross(normal, x)
+        rings.append(centre + size * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y))
+    return _mesh(_quads(np.array(rings)), colour)
+
+
+def _cuboid(low: Array, high: Array) -> Mesh:
+    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (high - low) + low
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return _mesh(corner[np.array(sides)], OBSTACLE)
+
+
+def _mesh(corners: Array, colour: Array) -> Mesh:
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = np.where(np.linalg.norm(normal, axis=1, keepdims=True) > 0, normal, flat)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return Mesh(corners, normal / np.where(length > 0, length, 1.0), np.tile(colour, (len(corners), 1)))
+
+
+def _curve_count(t: Trajectory) -> int:
+    return 3 + bool(np.isfinite(t.clearance).all()) + (t.deviation is not None)
+
+
+def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
+    """Joint values, margin, clearance and deviation over time."""
+    for i in range(t.robot.n_tubes):
+        axes[0].plot(t.time, np.degrees(t.rotations[:, i]), color=tube_colour(i), lw=1.4, label=f"tube {i + 1}")
+        axes[1].plot(t.time, t.translations[:, i] * MM, color=tube_colour(i), lw=1.4)
+    axes[0].set_ylabel("rotation (deg)")
+    axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    axes[1].set_ylabel("translation (mm)")
+    rest = iter(axes[2:])
+    margin = next(rest)
+    margin.plot(t.time, t.margin, color=INK, lw=1.4)
+    margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--")
+    margin.set_ylim(min(0.0, float(t.margin.min())) - 0.02, 1.05)
+    margin.set_ylabel("margin")
+    if np.isfinite(t.clearance).all():
+        clear = next(rest)
+        clear.plot(t.time, t.clearance * MM, color=INK, lw=1.4)
+        clear.axhline(t.min_clearance * MM, color=FAINT, lw=0.8, ls="--")
+        clear.set_ylim(bottom=0)
+        clear.set_ylabel("clearance (mm)")
+    if t.deviation is not None:
+        off = next(rest)
+        off.plot(t.time, t.deviation * MM, color=INK, lw=1.4)
+        off.set_ylim(bottom=0)
+        off.set_ylabel("deviation (mm)")
+    for each in axes:
+        each.grid(axis="y", color="#E6E8EB", lw=0.5)
+        each.set_axisbelow(True)
+        each.tick_params(labelbottom=each is axes[-1])
+    axes[-1].set_xlabel("time (s)")
+    axes[-1].set_xlim(0, max(float(t.time[-1]), 1e-9))
+
+
+def _heading(t: Trajectory, title: str) -> str:
+    least = f"least margin {t.proof.least_margin:.3f}"
+    clear = f",  least clearance {t.proof.least_clearance * MM:.2f} mm" if np.isfinite(t.proof.least_clearance) else ""
+    proved = "proved" if t.proved else "not proved"
+    return f"{title or t.robot.name or 'robot'}\n{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}"

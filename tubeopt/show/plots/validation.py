@@ -1,0 +1,270 @@
+"""Measured against predicted tips: residual vectors, and errors by direction and separation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ...typing import Array
+from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...validation import ErrorTable, Validation
+
+MM = 1e3
+GRID = "#E6E8EB"
+MEASURED = "#D55E00"
+PREDICTED = "#0072B2"
+LONG_ENOUGH = 0.16
+"""Arrows are lengthened by a round factor until the longest is this part of the picture's width."""
+
+
+@styled
+def plot_residuals(validation: Validation, path: str | PathLike[str] | None = None) -> Figure:
+    """Predicted tips with arrows towards the measured ones, seen along the plate's axis and from the side.
+
+    Arrows are to scale, or lengthened by the factor that the heading tells.
+
+    Args:
+        validation: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    v = validation
+    figure = new_figure(8.0, 4.6)
+    above, beside = figure.subplots(1, 2)
+    spread = float(np.ptp(v.predicted, axis=0).max()) or 1e-3
+    factor = _round_factor(LONG_ENOUGH * spread / max(float(v.errors.max()), 1e-12))
+    for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
+        _draw_arrows(axes, v.predicted[:, [i, j]] * MM, v.residuals[:, [i, j]] * MM, factor)
+        axes.set_xlabel(f"{'xyz'[i]} (mm)")
+        axes.set_ylabel(f"{'xyz'[j]} (mm)")
+    above.set_title("seen along the axis of the base", loc="left")
+    beside.set_title("seen from the side", loc="left")
+    scale = "to scale" if factor == 1 else f"{factor:g} times their length"
+    s = v.summary
+    figure.suptitle(
+        f"{v.robot.name or 'robot'}: {s.count} measured tips, registration {v.registration.method}, error mean "
+        f"{s.mean * MM:.2f} mm, max {s.max * MM:.2f} mm\narrows from predicted to measured, {scale}",
+        fontsize=9,
+        x=0.01,
+        ha="left",
+    )
+    return finish(figure, path)
+
+
+def _draw_arrows(axes: Axes, start: Array, arrow: Array, factor: float) -> None:
+    tip = start + factor * arrow
+    axes.plot(*start.T, "o", ms=3.2, mfc="white", mec=PREDICTED, mew=0.9, zorder=2, label="predicted")
+    axes.quiver(
+        *start.T,
+        *(tip - start).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.004,
+        headwidth=3.5,
+        headlength=4,
+        headaxislength=3.6,
+        color=MEASURED,
+        zorder=3,
+    )
+    # Arrows do not widen the view by themselves.
+    both = np.vstack([start, tip])
+    pad = 0.06 * float(np.ptp(both, axis=0).max() or 1.0)
+    axes.set_xlim(both[:, 0].min() - pad, both[:, 0].max() + pad)
+    axes.set_ylim(both[:, 1].min() - pad, both[:, 1].max() + pad)
+    axes.set_aspect("equal")
+    axes.grid(color=GRID, lw=0.5)
+    axes.set_axisbelow(True)
+
+
+def _round_factor(value: float) -> float:
+    """1, 2, 5, 10, 20, ...: the greatest that does not exceed `value`, and at least 1."""
+    if value < 2:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(k for k in (1.0, 2.0, 5.0) if k * power <= value) * power)
+
+
+@styled
+def plot_errors(validation: Validation, path: str | PathLike[str] | None = None) -> Figure:
+    """Tip errors: how they are distributed, and by direction (radar) and separation, or else by row.
+
+    Args:
+        validation: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    v = validation
+    m, errors = v.measurements, v.errors * MM
+    mirrored = m.direction is not None and m.separation is not None
+    figure = new_figure(10.0 if mirrored else 7.5, 3.8)
+    places = [131, 132, 133] if mirrored else [121, 122]
+    if m.direction is not None and m.separation is not None:
+        radar = figure.add_subplot(places[0], projection="polar")
+        _draw_radar(radar, *_mean_by_place(m.direction, m.separation, errors))
+        _draw_by_separation(figure.add_subplot(places[1]), m.separation, errors)
+    else:
+        _draw_by_row(figure.add_subplot(places[0]), errors)
+    _draw_histogram(figure.add_subplot(places[-1]), v)
+    return finish(figure, path)
+
+
+def _mean_by_place(direction: Array, separation: Array, errors: Array) -> tuple[Array, Array, Array]:
+    """Directions (D,), separations (S,) and mean errors (S, D), NaN where nothing was measured."""
+    turned = np.round(np.degrees(direction) % 360, 4) % 360
+    around, where = np.unique(turned, return_inverse=True)
+    apart, row = np.unique(np.round(np.degrees(separation), 4), return_inverse=True)
+    total, count = np.zeros((len(apart), len(around))), np.zeros((len(apart), len(around)))
+    np.add.at(total, (row, where), errors)
+    np.add.at(count, (row, where), 1)
+    mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return np.radians(around), np.radians(apart), mean
+
+
+def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -> None:
+    """Errors (S, D), mm, over directions (D,) as closed lines, one for each of separations (S,); rad."""
+    from matplotlib.projections.polar import PolarAxes
+    from matplotlib.ticker import MaxNLocator
+
+    assert isinstance(axes, PolarAxes)
+    axes.set_theta_zero_location("N")  # clockwise from the top, as the thesis draws it
+    axes.set_theta_direction(-1)
+    for k, (apart, row) in enumerate(zip(separation, error, strict=True)):
+        there = np.isfinite(row)
+        around, values = np.append(direction[there], direction[there][:1]), np.append(row[there], row[there][:1])
+        axes.plot(around, values, "o-", color=tube_colour(k), lw=1.2, ms=2.5, label=f"{np.degrees(apart):g}°")
+    axes.set_ylim(0, None)
+    axes.set_xticks(np.radians(np.arange(0, 360, 40)))
+    axes.set_rlabel_position(350)
+    axes.yaxis.set_major_locator(MaxNLocator(6, min_n_ticks=3))
+    axes.tick_params(axis="y", labelsize=7, labelcolor=FAINT)
+    axes.grid(color="#D5D8DC", lw=0.5)
+    axes.legend(title="separation", loc="upper left", bbox_to_anchor=(-0.28, 1.13), handlelength=1.4)
+    axes.set_title("tip error (mm) over direction", pad=12)
+
+
+def _draw_by_separation(axes: Axes, separation: Array, errors: Array) -> None:
+    apart = np.round(np.degrees(separation), 4)
+    for k, value in enumerate(np.unique(apart)):
+        here = errors[apart == value]
+        spread = np.linspace(-0.25, 0.25, len(here)) if len(here) > 1 else np.zeros(1)
+        axes.plot(k + spread, here, "o", ms=3, mfc="none", mec=tube_colour(k), mew=0.9)
+        axes.plot([k - 0.33, k + 0.33], [here.mean()] * 2, color=INK, lw=1.4)
+        axes.annotate(f"{here.mean():.1f}", (k + 0.36, here.mean()), va="center", fontsize=7)
+    axes.set_xticks(range(len(np.unique(apart))), [f"{value:g}" for value in np.unique(apart)])
+    axes.set_xlabel("separation (deg), line: mean")
+    axes.set_ylabel("tip error (mm)")
+    axes.set_ylim(0, None)
+    axes.set_xlim(-0.5, len(np.unique(apart)) - 0.2)
+
+
+def _draw_by_row(axes: Axes, errors: Array) -> None:
+    axes.plot(np.arange(1, len(errors) + 1), errors, "o", ms=3, mfc="none", mec=PREDICTED, mew=0.9)
+    axes.set_xlabel("row of the measurements")
+    axes.set_ylabel("tip error (mm)")
+    axes.set_ylim(0, None)
+
+
+def _draw_histogram(axes: Axes, v: Validation) -> None:
+    s, errors = v.summary, v.errors * MM
+    bins = int(np.clip(np.sqrt(len(errors)) * 1.5, 5, 20))
+    axes.hist(errors, bins=bins, color="#C9D6E3", edgecolor="white", lw=0.6)
+    heights = (("mean", s.mean, 0.98), ("RMS", s.rms, 0.90), ("95 %", s.p95, 0.98), ("max", s.max, 0.90))
+    top = axes.get_ylim()[1] * 1.15
+    axes.set_ylim(0, top)
+    for name, value, height in heights:
+        axes.axvline(value * MM, color=INK, lw=0.8, ls=(0, (4, 3)), ymax=height - 0.03)
+        axes.annotate(
+            f"{name} {value * MM:.2f}",
+            (value * MM, height * top),
+            ha="center",
+            va="center",
+            fontsize=7,
+            bbox={"fc": "white", "ec": "none", "pad": 0.8},
+        )
+    axes.set_xlabel(f"tip error (mm)\n1 mm is {0.1 / v.length:.2f} % of the length")
+    axes.set_ylabel("configurations")
+    axes.set_xlim(0, 1.12 * float(errors.max()) or 1.0)
+
+
+@styled
+def plot_error_table(table: ErrorTable, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+    """A published table of tip errors as a radar plot: a closed line over direction for every separation."""
+    figure = new_figure(5.4, 5.0)
+    axes = figure.add_subplot(projection="polar")
+    _draw_radar(axes, table.direction, table.separation, table.error * MM)
+    row, column = np.unravel_index(int(table.error.argmax()), table.error.shape)
+    worst = float(table.error[row, column]) * MM
+    axes.annotate(
+        f"{worst:.1f} mm",
+        (float(table.direction[column]), worst),
+        xytext=(-9, -1),
+        textcoords="offset points",
+        fontsize=8,
+        ha="right",
+    )
+    axes.set_title(title or f"tip error (mm) over direction, mean {table.summary.mean * MM:.1f} mm", pad=16)
+    return finish(figure, path)
+
+
+def _closed(direction: Array, points: Array) -> Array:
+    """(361, 2) points of the smooth closed line through `points` (D, 2) at directions (D,), rad."""
+    start = direction[0]
+    knots, values = np.append(direction, start + 2 * np.pi), np.vstack([points, points[:1]])
+    return np.asarray(CubicSpline(knots, values, bc_type="periodic")(start + np.linspace(0, 2 * np.pi, 361)))
+
+
+@styled
+def plot_simulated_circles(
+    circles: Sequence[Array], table: ErrorTable, path: str | PathLike[str] | None = None, *, title: str = ""
+) -> Figure:
+    """Simulated tips of every separation, marked with their direction, and a published table's errors around them.
+
+    A disc around each simulated tip has the printed error as its radius: the measured tip, whose coordinates are not
+    printed, lies in it as seen along the axis, since a distance in space only shortens.
+
+    Args:
+        circles: for every separation of the table, (D, 3) tips at its directions, m.
+        table: of as many separations and directions.
+    """
+    from matplotlib.patches import Circle
+
+    figure = new_figure(5.6, 6.0)
+    axes = figure.add_subplot()
+    for k, (tips, errors) in enumerate(zip(circles, table.error, strict=True)):
+        colour, line = tube_colour(k), _closed(table.direction, tips[:, :2] * MM)
+        for at, error in zip(tips * MM, errors * MM, strict=True):
+            axes.add_patch(Circle((at[0], at[1]), error, fc=colour, ec="none", alpha=0.13, zorder=1))
+        radius = float(np.hypot(*tips.T[:2]).mean()) * MM
+        label = f"{np.degrees(table.separation[k]):g}°, radius {radius:.1f} mm"
+        axes.plot(*line.T, color=colour, lw=1.2, zorder=2, label=label)
+        axes.plot(*tips.T[:2] * MM, "o", color=colour, ms=3, zorder=2)
+    for at, angle in zip(circles[0][::2], table.direction[::2], strict=True):
+        outward = at[:2] / np.hypot(*at[:2])
+        axes.annotate(
+            f"{np.degrees(angle):.0f}°", at[:2] * MM + 6 * outward, ha="center", va="center", fontsize=7, color=FAINT
+        )
+    reach = 1.16 * MM * max(np.abs(tips[:, :2]).max() + e.max() for tips, e in zip(circles, table.error, strict=True))
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-reach, reach)
+    axes.set_aspect("equal")
+    axes.grid(color=GRID, lw=0.5)
+    axes.set_axisbelow(True)
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+    figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
+    axes.set_title(title, loc="left")
+    return finish(figure, path)

@@ -1,0 +1,128 @@
+"""Where a robot reaches: tips in space, from how many sides, and what snapping takes."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...typing import Array
+from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
+from ...workspaces.voxels import Keys
+from . import mesh as surfaces
+from .shape import PLATE_COLOUR
+from .stage import MM, Box, View, draw_box, facets
+from .style import finish, new_figure, number, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import Collection
+    from matplotlib.figure import Figure
+
+MAP = "cividis"
+LOST_COLOUR = "#D55E00"
+MOST_TIPS = 4000
+"""Tips that are drawn; of more, so many are drawn."""
+
+
+@styled
+def plot_workspace(
+    workspace: Workspace,
+    path: str | PathLike[str] | None = None,
+    *,
+    loss: SnappingLoss | None = None,
+    size: float | None = None,
+    title: str = "",
+    view: tuple[float, float] = (18.0, -60.0),
+) -> Figure:
+    """Picture of a workspace: tips in space coloured by margin, and folded about z, the share of all directions in
+    which they point, and the largest margin with the places that are lost to snapping.
+
+    Args:
+        workspace: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+        loss: of `snapping_loss`.
+        size: edge of the voxels, m; by default as in `voxels`.
+        title: heading; default the robot's name and the number of samples.
+        view: elevation and azimuth of the viewer of the scene, deg.
+
+    Raises:
+        InputError: no sample has a stable equilibrium, a loss of another robot, the name of the picture does not end in
+            a known format.
+    """
+    if loss is not None and loss.robot != workspace.robot:
+        raise InputError("loss is of another robot than the workspace")
+    found = voxels(workspace, size)
+    figure = new_figure(9.0, 4.9)
+    name = workspace.robot.name or f"robot of {workspace.robot.n_tubes} tubes"
+    figure.suptitle(title or f"{name}: tips at {len(workspace):,} joint values", fontsize=9, x=0.02, ha="left")
+    scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
+    tips = _draw_tips(scene, workspace, View(*view))
+    _bar(figure, tips, scene, "stability margin")
+    share = _draw_section(sides, found, found.dexterity, None)
+    _bar(figure, share, sides, "share of directions")
+    best = _draw_section(margins, found, found.margin, (0.0, 1.0))
+    _bar(figure, best, margins, "largest margin")
+    if loss is not None:
+        _draw_lost(margins, loss)
+    margins.sharey(sides)
+    return finish(figure, path)
+
+
+def _bar(figure: Figure, drawn: Any, axes: Axes, label: str) -> None:
+    bar = figure.colorbar(drawn, ax=axes, label=label, orientation="horizontal", shrink=0.75, aspect=25, pad=0.02)
+    bar.outline.set_visible(False)
+
+
+def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
+    """Tips in space, those farther from the viewer first."""
+    table = workspace.some(MOST_TIPS)
+    table = table[np.isfinite(table[:, -1])]
+    points, margin = table[:, -7:-4], table[:, -1]
+    radius = 0.07 * float(np.abs(points).max())
+    plate = surfaces.plate_mesh(radius, 0.25 * radius, PLATE_COLOUR)
+    draw_box(axes, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
+    axes.add_collection(facets(plate, view))
+    seen = view.project(points)
+    order = np.argsort(seen[:, 2], kind="stable")
+    style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
+    return axes.scatter(seen[order, 0], seen[order, 1], c=margin[order], cmap=MAP, vmin=0, vmax=1, **style)
+
+
+def _fold(centres: Array, size: float) -> Keys:
+    """(V, 2) cell of each voxel in the meridian: distance from the axis and height."""
+    distance = np.hypot(centres[:, 0], centres[:, 1])
+    return np.floor(np.column_stack([distance, centres[:, 2]]) / size).astype(np.int64)
+
+
+def _draw_section(axes: Axes, found: Voxels, values: Array, ends: tuple[float, float] | None) -> Collection:
+    """Voxels folded into the meridian, the largest value of each cell."""
+    cells = _fold(found.centres, found.size)
+    low, high = cells.min(0), cells.max(0)
+    grid = np.full(high - low + 1, -np.inf)
+    np.maximum.at(grid, tuple((cells - low).T), values)
+    edges = [np.arange(low[k], high[k] + 2) * found.size * MM for k in range(2)]
+    shown = np.ma.masked_invalid(grid.T)
+    span = ends or (0.0, float(values.max()))
+    drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=span[0], vmax=span[1], rasterized=True)
+    axes.set(xlabel="distance from the axis (mm)", ylabel="z (mm)")
+    axes.set_aspect("equal")
+    return drawn
+
+
+def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
+    """Cells of the meridian with lost voxels, as squares, and what they come to."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    share = f"lost to snapping: {number(100 * loss.fraction, 1)} %"
+    look: dict[str, Any] = {"facecolor": "none", "edgecolor": LOST_COLOUR, "linewidth": 1.0}
+    if len(loss.lost):
+        cells = np.unique(_fold(np.asarray((loss.lost + 0.5) * loss.size), loss.size), axis=0)
+        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        corners = (cells[:, None] + square) * loss.size * MM
+        axes.add_collection(PolyCollection(list(corners), zorder=5, **look))
+        axes.autoscale_view()
+    axes.legend(handles=[Patch(label=share, **look)], loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

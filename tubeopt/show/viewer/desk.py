@@ -1,0 +1,395 @@
+"""One tab of the viewer: its session, what is done with it, and what is shown of it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, SolveError
+from ...files.files import atomic_write
+from ...inverse.mirror import mirror_rotations
+from ...stability import Snap
+from ...workspaces import workspace
+from . import export
+from .designs import Knob, with_knob
+from .insights import Insights
+from .panel import MIRROR, Panel
+from .plots import torsion_plot
+from .reel import Reel, load_waypoints, make_reel, play_to
+from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
+from .servo import pull
+from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
+from .surfaces import between
+from .swept import swept_volume
+from .view import View
+from .worker import Worker
+
+FRAMES, SNAP_SECONDS = 12, 0.36
+"""Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
+
+TICK = 0.04
+"""Time between pictures of a trajectory, s."""
+
+CLOUD = 4000
+"""Samples of the workspace layer."""
+
+ADVISED = "this tab has a robot of its own"
+
+
+class Desk:
+    """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
+
+    def __init__(self, client: Any, view: View) -> None:
+        self._client, self._view = client, view
+        self.session = view.session()
+        self.scene = Scene(client.scene)
+        self._reel: Reel | None = None
+        self._time = 0.0
+        self._playing: float | None = None
+        self._trail = True
+        self._target: Any = None
+        self._pulling = False
+        self._stale = False
+        self.panel = Panel(client.gui, self, view)
+        self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
+        self._worker = Worker(
+            self._insights.chores, lambda error: self._say(f"something went wrong: {error}", bad=True)
+        )
+        self._do(self._begin)
+
+    # --- what the page asks for --------------------------------------------------------------------------------------
+
+    def slide(self, joint: int, value: float) -> None:
+        """Move one joint to a value (rad or m)."""
+
+        def go() -> None:
+            if joint < self.session.robot.n_tubes:
+                self._insights.tube = joint
+            words = ""
+
+            def verb(session: Session) -> Session:
+                nonlocal words
+                moved, words = move_joint(session, joint, value)
+                return moved
+
+            self._change(verb, lambda: words, dragged=joint)
+
+        self._by_hand(go)
+
+    def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
+        """Move to joint values, rad and m."""
+        self._by_hand(lambda: self._change(lambda session: move(session, rotations, translations)))
+
+    def mirror(self, direction: float, separation: float) -> None:
+        """Turn an eccentric robot's three tubes by the mirror law, rad."""
+        rotations = mirror_rotations(direction, separation)
+        self._by_hand(
+            lambda: self._change(lambda s: move(s, rotations, s.equilibrium.translations), dragged=MIRROR), key="mirror"
+        )
+
+    def home(self) -> None:
+        """Go home."""
+        self._by_hand(lambda: self._change(go_home))
+
+    def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
+        """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
+
+        def go() -> None:
+            words = ""
+
+            def verb(session: Session) -> Session:
+                nonlocal words
+                led = pull(session, target, min_margin=margin, obstacles=self._view.obstacles)
+                if not led.reached:
+                    words = f"the tip stops {led.error * 1e3:.2f} mm short of the target: {', '.join(led.held)}"
+                return led.session
+
+            self._pulling = not done
+            self._change(verb, lambda: words)
+
+        self._by_hand(go, key=None if done else "lead")
+
+    def turn(self, knob: Knob, value: float) -> None:
+        """Change a dimension of a tube, in the knob's unit."""
+        self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
+
+    def reset_design(self) -> None:
+        """The robot as it was loaded."""
+        self._by_hand(lambda: self._change(lambda session: redesign(session, self._view.robot)))
+
+    def ghosts(self) -> None:
+        """Show all other equilibria, or hide them."""
+        self._do(self._toggle_ghosts)
+
+    def show(self, layer: str, on: bool) -> None:
+        """Show or hide a layer: trail, workspace, obstacles, swept, target, map."""
+        self._do(lambda: self._show(layer, on))
+
+    def forget_trail(self) -> None:
+        """Begin the trail anew."""
+        self._do(lambda: self._change(clear_trail))
+
+    def record(self, on: bool) -> None:
+        """Record from here, or forget what was recorded."""
+        self._do(lambda: self._change(lambda session: record(session, on)))
+
+    def load(self, name: str, content: bytes) -> None:
+        """Take a trajectory from a CSV file."""
+        self._do(lambda: self._load(name, content))
+
+    def play(self) -> None:
+        """Play, or pause."""
+        self._do(self._toggle_play)
+
+    def scrub(self, seconds: float) -> None:
+        """Go to a time of the trajectory."""
+        self._by_hand(lambda: self._to_time(seconds, log=False), key="scrub")
+
+    def save(self, what: str) -> None:
+        """Send an export to the browser: joints, robot, recording, picture, page."""
+        self._do(lambda: self._save(what))
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self._worker.close()
+
+    # --- in the worker -----------------------------------------------------------------------------------------------
+
+    def _do(self, job: Callable[[], object], *, key: str | None = None) -> None:
+        def go() -> None:
+            try:
+                job()
+            finally:
+                # What waited did not show the change that left it to be shown.
+                if self._stale and not self._worker.waiting:
+                    self._refresh()
+
+        self._worker.post(go, key=key)
+
+    def _by_hand(self, job: Callable[[], object], *, key: str | None = None) -> None:
+        """Have something done to the robot; a trajectory that is being played pauses for it."""
+
+        def go() -> None:
+            self._playing = None
+            job()
+
+        self._do(go, key=key)
+
+    def _begin(self) -> None:
+        self.scene.set_stage(self.session.equilibrium)
+        if self._view.obstacles:
+            self._show("obstacles", True)
+        if self._view.waypoints is not None:
+            self._say("following the trajectory …")
+            try:
+                self._reel = make_reel(self.session.robot, self._view.waypoints)
+            except (InputError, SolveError) as error:
+                self._say(f"the trajectory cannot be followed: {error}", bad=True)
+                self._refresh()
+                return
+            self.panel.offer_reel(self._reel.duration)
+        self._say(ADVISED)
+        self._refresh()
+
+    def _change(
+        self, verb: Callable[[Session], Session], words: Callable[[], str] = lambda: "", *, dragged: int | None = None
+    ) -> None:
+        """Change the session; say why where that cannot be, and show what came of it unless more is to come."""
+        before = self.session
+        try:
+            self.session = verb(before)
+        except (InputError, SolveError) as error:
+            self._say(str(error), bad=True)
+            self.panel.sync(self.session, refused=True)
+            return
+        moved = self.session is not before
+        if moved:
+            self.scene.clear("ghosts")
+        if moved and self.session.last:
+            self._animate(self.session.last)
+        if self.session.robot is not before.robot:
+            self.scene.set_stage(self.session.equilibrium)
+            self.panel.untick("workspace", "swept")
+        said = words()
+        self._say(said, bad=bool(said))
+        self._stale = True
+        if not self._worker.waiting:
+            self._refresh(None if said else dragged)
+
+    def _refresh(self, dragged: int | None = None) -> None:
+        """Show the session; the slider that is being dragged is left to the hand."""
+        self._stale = False
+        equilibrium = self.session.equilibrium
+        with self._client.atomic():
+            self.scene.show(equilibrium)
+            if self._target is not None and not self._pulling:
+                self._target.position = tuple(equilibrium.tip_position * SCALE)
+            self.scene.show_trail(self.session, self._trail)
+            self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
+            self._insights.plot()
+        self.panel.sync(self.session, dragged)
+
+    def _animate(self, snaps: Sequence[Snap]) -> None:
+        for snap in snaps:
+            for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
+                began = time.monotonic()
+                with self._client.atomic():
+                    self.scene.show(shape)
+                self._client.flush()
+                time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))
+
+    def _say(self, text: str, *, bad: bool = False) -> None:
+        self.panel.say(text, bad=bad)
+
+    def _toggle_ghosts(self) -> None:
+        if self.scene.has("ghosts"):
+            self.scene.clear("ghosts")
+            self._say("")
+            return
+        try:
+            others = other_equilibria(self.session)
+        except SolveError as error:
+            self._say(str(error), bad=True)
+            return
+        self.scene.layer("ghosts", ghost_parts(others))
+        stable = sum(each.stable for each in others)
+        many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
+        kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
+        self._say(f"{many} at these joint values{kinds}")
+
+    def _show(self, layer: str, on: bool) -> None:
+        if layer == "trail":
+            self._trail = on
+            self.scene.show_trail(self.session, on)
+        elif layer == "map":
+            self._insights.want_map(on)
+        elif layer == "target":
+            self._mark_target(on)
+        elif not on:
+            self.scene.clear(layer)
+        elif layer == "obstacles":
+            reach = max(tube.length for tube in self.session.robot.tubes)
+            self.scene.layer("obstacles", obstacle_parts(self._view.obstacles, reach))
+        elif layer == "workspace":
+            self._say(f"solving {CLOUD} configurations …")
+            found = workspace(self.session.robot, CLOUD)
+            self.scene.show_cloud(found)
+            self._say(f"{len(found) - len(found.failures)} tips, coloured by their margin (green 1, red 0)")
+        elif layer == "swept":
+            self._sweep()
+
+    def _sweep(self) -> None:
+        if self._reel is None:
+            self._say("there is no trajectory whose swept volume could be shown", bad=True)
+            return
+        self._say("joining shapes …")
+        try:
+            swept = swept_volume(self._reel)
+        except InputError as error:
+            self._say(str(error), bad=True)
+            return
+        self.scene.layer("swept", [swept_part(swept.surface)])
+        self._say(f"the arm sweeps {swept.volume * 1e6:.2f} cm3 (hulls between {swept.shapes} shapes; snaps left out)")
+
+    def _mark_target(self, on: bool) -> None:
+        if self._target is not None:
+            self._target.remove()
+            self._target = None
+        if not on:
+            return
+        tip = self.session.equilibrium.tip_position
+        size = 0.2 * max(tube.curved_length for tube in self.session.robot.tubes) * SCALE
+        self._target = self._client.scene.add_transform_controls(
+            "/target", scale=size, disable_rotations=True, position=tuple(tip * SCALE), depth_test=False
+        )
+
+        async def led(event: Any) -> None:
+            if event.phase != "start":
+                target = np.array(event.target.position) / SCALE
+                self.lead(target, self.panel.least_margin, done=event.phase == "end")
+
+        self._target.on_update(led)
+
+    def _load(self, name: str, content: bytes) -> None:
+        with tempfile.TemporaryDirectory() as directory:
+            path = Path(directory) / "trajectory.csv"
+            path.write_bytes(content)
+            try:
+                self._reel = make_reel(self.session.robot, load_waypoints(path, self.session.robot))
+            except (InputError, SolveError) as error:
+                self._say(str(error).replace(str(path), name), bad=True)
+                return
+        self.scene.clear("swept")
+        self.panel.offer_reel(self._reel.duration)
+        self._to_time(0.0, log=False)
+        self._say(f"{name}: {len(self._reel.path.equilibria)} waypoints, {len(self._reel.path.snaps)} snaps on the way")
+
+    def _toggle_play(self) -> None:
+        if self._reel is None:
+            self._say("there is no trajectory to be played", bad=True)
+            return
+        if self._playing is not None:
+            self._playing = None
+            return
+        if self._time >= self._reel.duration:
+            self._time = 0.0
+        self._to_time(self._time, log=False)
+        self._playing = time.monotonic() - self._time
+        self._do(self._tick)
+
+    def _tick(self) -> None:
+        if self._playing is None or self._reel is None:
+            return
+        began = time.monotonic()
+        now = began - self._playing
+        self._to_time(now, log=True)
+        if now >= self._reel.duration:
+            self._playing = None
+            return
+        time.sleep(max(0.0, TICK - (time.monotonic() - began)))
+        self._do(self._tick)
+
+    def _to_time(self, seconds: float, *, log: bool) -> None:
+        reel = self._reel
+        if reel is None:
+            return
+        if self.session.robot != reel.path.equilibria[0].robot:
+            self._say("the trajectory is of other tubes than these: go back to those, or load it again", bad=True)
+            self._playing = None
+            return
+        since = self._time if log else None
+        self._time = min(max(seconds, 0.0), reel.duration)
+        self._change(lambda session: play_to(session, reel, self._time, since=since))
+        self.panel.at_time(self._time)
+
+    def _save(self, what: str) -> None:
+        try:
+            name, content = self._exported(what)
+            if self._view.out is not None:
+                with atomic_write(self._view.out / name) as temporary:
+                    temporary.write_bytes(content)
+        except (InputError, SolveError, RuntimeError, OSError) as error:
+            self._say(str(error), bad=True)
+            return
+        self._client.send_file_download(name, content, save_immediately=True)
+        self._say(f"saved {name}")
+
+    def _exported(self, what: str) -> tuple[str, bytes]:
+        """File name and content of an export."""
+        if what == "joints":
+            return "joints.yaml", export.joints_yaml(self.session).encode()
+        if what == "robot":
+            return "robot.yaml", export.robot_yaml(self.session.robot).encode()
+        if what == "recording":
+            return "trajectory.csv", export.recording_csv(self.session).encode()
+        if what == "picture":
+            self._say("taking the picture …")
+            seen = self._client.camera
+            height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
+            return "view.png", export.png(self._client.get_render(height, width, transport_format="png", timeout=60))
+        return "view.html", export.scene_html(self.session, self.scene.contents, trail=self._trail).encode()

@@ -1,0 +1,113 @@
+"""What leaves the viewer: joint values, a recorded trajectory, the robot, a picture, a page for a colleague."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...files.csv_file import to_csv
+from ...files.units import DEG, MM, RAD, in_unit
+from ...files.yaml_file import save_yaml
+from ...planning.file import BRANCH, TIME
+from ...robots.file import save_robot
+from ...robots.robot import Robot
+from ...runs.path_file import joint_columns
+from .host import quiet_server
+from .reel import paced
+from .scene import Scene, camera
+from .session import Session
+from .surfaces import Part
+
+
+def joints_yaml(session: Session) -> str:
+    """Joint values with the keys rotations_deg and translations_mm, as `tubeopt ik --from` reads them."""
+    here = session.equilibrium
+    data = {
+        "rotations_deg": [in_unit(x, DEG) for x in here.rotations.tolist()],
+        "translations_mm": [in_unit(x, MM) for x in here.translations.tolist()],
+    }
+    return _text(lambda path: save_yaml(path, data, f"Joint values of {session.robot.name or 'a robot'}."), ".yaml")
+
+
+def robot_yaml(robot: Robot) -> str:
+    """The robot as `load_robot` reads it."""
+    return _text(lambda path: save_robot(robot, path), ".yaml")
+
+
+def recording_csv(session: Session) -> str:
+    """The recorded joint values with times, and with the branch on which they begin, as `load_trajectory` reads them.
+
+    The robot passes them at constant speed of its fastest tube: the times at which a hand moved sliders mean nothing.
+
+    Raises:
+        InputError: nothing was recorded.
+    """
+    start = session.recorded_from
+    if start is None or session.recording is None or len(session.recording) < 2:
+        raise InputError("nothing is recorded: switch recording on and move the robot first")
+    rows = np.array(session.recording)
+    rows = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)]
+    n = session.robot.n_tubes
+    turns, shifts = joint_columns(n)
+    time = paced(rows[:, :n], rows[:, n:])
+    cells = [
+        [
+            in_unit(float(t), RAD),
+            *(in_unit(x, DEG) for x in row[:n].tolist()),
+            *(in_unit(x, MM) for x in row[n:].tolist()),
+        ]
+        for t, row in zip(time, rows, strict=True)
+    ]
+    tips = ", ".join(str(in_unit(float(angle), DEG)) for angle in start.tip_rotations)
+    return to_csv([TIME, *turns, *shifts], cells, f"A recording of {session.robot.name or 'a robot'}.\n{BRANCH}{tips}")
+
+
+def _text(write: Callable[[Path], None], suffix: str) -> str:
+    """What `write` writes into a file."""
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / f"file{suffix}"
+        write(path)
+        return path.read_text(encoding="utf-8")
+
+
+def png(picture: np.ndarray) -> bytes:
+    """An image (h, w, 3 or 4) of 0 to 255 as PNG, on white."""
+    from PIL import Image
+
+    image = Image.fromarray(np.asarray(picture, dtype=np.uint8))
+    if image.mode == "RGBA":
+        white = Image.new("RGBA", image.size, (255, 255, 255, 255))
+        image = Image.alpha_composite(white, image).convert("RGB")
+    out = io.BytesIO()
+    image.save(out, "PNG")
+    return out.getvalue()
+
+
+def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
+    """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
+
+    Args:
+        layers: further parts by the names of their layers.
+        trail: whether the way of the tip is shown.
+
+    Raises:
+        InputError: viser is not installed.
+    """
+    with quiet_server("127.0.0.1", 0) as server:
+        position, look_at = camera(session.equilibrium)
+        server.initial_camera.position = tuple(position)
+        server.initial_camera.look_at = tuple(look_at)
+        scene = Scene(server.scene)
+        scene.set_stage(session.equilibrium)
+        scene.show(session.equilibrium)
+        scene.show_trail(session, trail)
+        for name, parts in layers.items():
+            scene.layer(name, parts)
+        title = escape(f"{session.robot.name or 'robot'}, tubeopt")
+        return str(server.scene.as_html()).replace("<title>Viser</title>", f"<title>{title}</title>", 1)

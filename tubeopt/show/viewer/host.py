@@ -1,0 +1,98 @@
+"""A viser server that listens where it is told to, and answers to its own page alone."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any
+
+from ...errors import InputError
+
+LOCAL = "127.0.0.1"
+LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
+"""Under what a browser on this machine may ask for the page."""
+
+
+@contextmanager
+def quiet_server(host: str, port: int) -> Iterator[Any]:
+    """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
+
+    Raises:
+        InputError: viser is not installed, the address is none of this machine's, the port is taken.
+    """
+    try:
+        import rich
+        import viser
+    except ImportError:
+        raise InputError("the viewer needs viser: python -m pip install 'tubeopt[view]'") from None
+    _bind(host, port)
+    console = rich.get_console()
+    loud, console.quiet = console.quiet, True
+    try:
+        with _own_page_alone(host):
+            server = viser.ViserServer(host=host, port=port, verbose=False)
+        # viser's relay would put the page on the public internet at the press of a key.
+        server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
+        try:
+            yield server
+        finally:
+            server.stop()
+    finally:
+        console.quiet = loud
+
+
+def address_of(host: str, port: int) -> str:
+    """Where a browser on this machine finds the page."""
+    if host in ("0.0.0.0", "::"):
+        host = LOCAL if host == "0.0.0.0" else "::1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def _bind(host: str, port: int) -> None:
+    """Raise InputError where the address or port cannot be had; viser would take another port without a word."""
+    if not 0 <= port <= 65535:
+        raise InputError(f"port is {port}; it must be from 0 to 65535 (0 takes any that is free)")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"cannot listen on {host}, port {port}: {why}; choose another --port, or 0 for any") from None
+
+
+@contextmanager
+def _own_page_alone(host: str) -> Iterator[None]:
+    """Have the server that is made meanwhile refuse requests that other pages in the same browser make.
+
+    viser checks neither the host that a browser believes to talk to nor the page that opens a websocket: any site that
+    is open in another tab could move the robot. There is no setting for it, so the server's maker is wrapped.
+    """
+    import websockets.asyncio.server as library
+
+    make = library.serve
+
+    def guarded(handler: Any, address: str, port: int, *, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            if not is_own(request.headers.get("Host", ""), request.headers.get("Origin"), host):
+                return connection.respond(HTTPStatus.FORBIDDEN, "tubeopt view answers to its own page alone\n")
+            return process_request(connection, request)
+
+        return make(handler, address, port, process_request=answer, **options)
+
+    library.serve = guarded  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        library.serve = make  # type: ignore[misc]
+
+
+def is_own(host_header: str, origin: str | None, host: str) -> bool:
+    """Whether a request is from the server's own page: right host, and origin the same where the browser tells one."""
+    if origin is not None and origin.split("://", 1)[-1] != host_header:
+        return False
+    name = host_header.rsplit(":", 1)[0].strip("[]")
+    return name in LOCAL_NAMES if host in LOCAL_NAMES else True

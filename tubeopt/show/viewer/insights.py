@@ -1,0 +1,118 @@
+"""What takes longer to know than a shape: certificate, S-curve and stability map, each computed when the hand rests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ...errors import InputError, SolveError
+from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
+from .panel import Panel
+from .plots import map_plot, s_curve_plot
+from .session import Session
+from .worker import Job
+
+MAP_SAMPLES = 13
+"""Points per axis of the small stability map."""
+
+WIDEST = 2 * np.pi
+"""S-curves are traced no farther than a turn from home, where limits are wider."""
+
+
+class _InterruptedError(Exception):
+    """Something more urgent is to be done."""
+
+
+class Insights:
+    """Remembers each answer with the question that it belongs to, and shows it while that is the question.
+
+    Args:
+        session: what is shown now.
+        waiting: whether something more urgent is to be done.
+    """
+
+    def __init__(self, panel: Panel, session: Callable[[], Session], waiting: Callable[[], bool]) -> None:
+        self._panel, self._session, self._waiting = panel, session, waiting
+        self.tube = 0
+        self._certificate: tuple[object, float] | None = None
+        self._curve: tuple[object, Branch | None] | None = None
+        self._map: tuple[object, StabilityMap | None] | None = None
+        self._map_wanted = False
+
+    @property
+    def chores(self) -> list[tuple[float, Job]]:
+        """What to do when it has been quiet for so many seconds."""
+        return [(0.03, self._certify), (0.35, self._trace), (0.6, self._chart)]
+
+    @property
+    def certificate(self) -> float | None:
+        """The certificate at the present translations, None where it is not known yet."""
+        return self._certificate[1] if self._certificate and self._certificate[0] == self._at() else None
+
+    def want_map(self, on: bool) -> None:
+        """Show a stability map, or none."""
+        self._map_wanted, self._map = on, None
+        self._panel.map("computing the stability map …" if on else "", text=on)
+
+    def plot(self) -> None:
+        """Mark the present place in the plots that hold at it."""
+        here = self._session().equilibrium
+        if self._curve and self._curve[1] is not None and self._curve[0] == self._way():
+            self._panel.curve(s_curve_plot(self._curve[1], here, self.tube))
+        if self._map and self._map[1] is not None and self._map[0] == self._at():
+            self._panel.map(map_plot(self._map[1], here))
+
+    def _at(self) -> object:
+        """What certificate and map depend on."""
+        session = self._session()
+        return session.robot, tuple(session.equilibrium.translations.tolist())
+
+    def _way(self) -> object:
+        """What the S-curve depends on."""
+        here = self._session().equilibrium
+        return self._at(), self.tube, tuple(np.delete(here.rotations, self.tube).tolist())
+
+    def _certify(self) -> None:
+        if self.certificate is None:
+            session = self._session()
+            value = snap_free_certificate(session.robot, session.equilibrium.translations)
+            self._certificate = self._at(), value
+            self._panel.show(session, value, None)
+
+    def _trace(self) -> None:
+        key = self._way()
+        if self._curve and self._curve[0] == key:
+            return
+        session = self._session()
+        low, high = np.clip(session.robot.limits.rotations[self.tube], -WIDEST, WIDEST)
+        start, end = session.equilibrium.rotations.copy(), session.equilibrium.rotations.copy()
+        start[self.tube], end[self.tube] = low, high
+        try:
+            self._curve = key, trace_branch(session.robot, start, end, session.equilibrium.translations)
+        except (InputError, SolveError) as error:
+            self._curve = key, None
+            self._panel.curve(f"no S-curve here: {error}", text=True)
+        self.plot()
+
+    def _chart(self) -> None:
+        key = self._at()
+        if not self._map_wanted or (self._map and self._map[0] == key):
+            return
+
+        def urgent(done: int, of: int) -> None:
+            if self._waiting():
+                raise _InterruptedError
+
+        session = self._session()
+        shift = session.equilibrium.translations
+        try:
+            chart = stability_map(session.robot, shift, samples=MAP_SAMPLES, directions=1, workers=1, progress=urgent)
+        except _InterruptedError:
+            return
+        except (InputError, SolveError) as error:
+            self._map = key, None
+            self._panel.map(f"no stability map: {error}", text=True)
+            return
+        self._map = key, chart
+        self.plot()

@@ -1,0 +1,322 @@
+"""The controls of one tab, as widgets of viser: they tell the desk what is wanted and show what it answers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...robots.eccentric import EccentricRobot
+from .designs import Knob, knobs
+from .session import Session, joint_names, space_of
+from .view import View
+from .words import log_words, message_words, readout
+
+if TYPE_CHECKING:
+    from .desk import Desk
+
+STEP = 0.1
+"""Step of the sliders of joints, deg or mm."""
+
+EXACT = 6
+"""Digits behind the point in the boxes for exact values, deg or mm."""
+
+MIRROR = -1
+"""Stands for the joint that is dragged where it is the direction or the separation."""
+
+LONGEST_TURN = 720.0
+"""Sliders reach no farther (deg) where limits do."""
+
+PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
+
+
+class Panel:
+    """The widgets of one client.
+
+    Args:
+        gui: `gui` of a client of a viser server.
+        desk: told of everything that is wanted.
+        view: what there is to show.
+    """
+
+    def __init__(self, gui: Any, desk: Desk, view: View) -> None:
+        self._gui, self._desk, self._view = gui, desk, view
+        self._shown: dict[int, float] = {}
+        self._in_hand: set[int] = set()
+        self._layers: dict[str, Any] = {}
+        robot = view.robot
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(390)
+        self._readout = gui.add_html("")
+        self._message = gui.add_html(message_words(""))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Joints"):
+            self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
+            self._buttons()
+            self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
+            self._boxes = self._exact()
+        with tabs.add_tab("Tip"):
+            self._margin = self._lead_controls(view.min_margin)
+        with tabs.add_tab("Play"):
+            self._time = self._play_controls()
+        with tabs.add_tab("Design"):
+            self._knobs = self._design_controls()
+        with tabs.add_tab("Layers"):
+            self._layer_controls()
+        with tabs.add_tab("Save"):
+            self._save_controls()
+        with gui.add_folder("What happened"):
+            self._log = gui.add_html(log_words(()))
+        plots = gui.add_panel()
+        with plots.add_tab("Plots"):
+            self._torsion, self._curve, self._map = (gui.add_html("") for _ in range(3))
+        plots.dock_left()
+        plots.set_width(340)
+
+    # --- shown -------------------------------------------------------------------------------------------------------
+
+    @property
+    def least_margin(self) -> float:
+        """What the tip keeps when it is led."""
+        return float(self._margin.value)
+
+    def say(self, text: str, *, bad: bool = False) -> None:
+        """One sentence below the readout."""
+        self._message.content = message_words(text, bad=bad)
+
+    def show(self, session: Session, certificate: float | None, torsion: str | None) -> None:
+        """The readout and the log; with the plot of torsion where it is given."""
+        self._readout.content = readout(session, certificate)
+        self._log.content = log_words(session.log)
+        if torsion is not None:
+            self._torsion.content = torsion
+
+    def curve(self, content: str, *, text: bool = False) -> None:
+        """The S-curve, or why there is none."""
+        self._curve.content = PAD.format(_escaped(content)) if text else content
+
+    def map(self, content: str, *, text: bool = False) -> None:
+        """The stability map, or why there is none."""
+        self._map.content = PAD.format(_escaped(content)) if text else content
+
+    def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
+        """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
+
+        What was refused stays in the boxes, to be corrected there.
+        """
+        n, space, q = session.robot.n_tubes, space_of(session.robot), session.q
+        factor = np.where(np.arange(len(q)) < n, np.degrees(1.0), 1e3)
+        low, high = _reach(space.lower * factor, n), _reach(space.upper * factor, n)
+        for k, (slider, value) in enumerate(zip(self._sliders, q * factor, strict=True)):
+            shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
+            if (slider.min, slider.max) != shown:
+                slider.min, slider.max = shown
+            if k != dragged or not self._held(slider):
+                self._put(slider, round(float(value), 1))
+        if self._mirror:
+            self._sync_mirror(np.degrees(session.equilibrium.rotations), dragged=dragged == MIRROR)
+        values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * 1e3)]
+        for box, value in zip(self._boxes, values, strict=True):
+            if not refused:
+                box.value = round(float(value), EXACT)
+        for knob, slider in self._knobs:
+            self._put(slider, round(knob.shown(session.robot), 4))
+
+    def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
+        """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
+        direction, ahead, behind = rotations
+        separation = (ahead - behind) / 2
+        if abs(ahead + behind - 2 * direction) < STEP and -STEP / 2 < separation < self._mirror[1].max + STEP / 2:
+            for slider, value in zip(self._mirror, (direction, max(separation, 0.0)), strict=True):
+                if not dragged or not self._held(slider):
+                    self._put(slider, round(float(value), 1))
+
+    def untick(self, *layers: str) -> None:
+        """Layers are shown no more: what they show is of other tubes. Tells the desk as a click would."""
+        for layer in layers:
+            self._layers[layer].value = False
+
+    def offer_reel(self, duration: float) -> None:
+        """There is a trajectory of this length, s."""
+        self._time.max = max(round(duration, 3), 0.01)
+        self._time.disabled = False
+        self.at_time(0.0)
+
+    def at_time(self, seconds: float) -> None:
+        """The time of the trajectory that is shown."""
+        self._put(self._time, round(seconds, 3))
+
+    def _put(self, widget: Any, value: float) -> None:
+        """Set a widget without taking it for a wish of the user; what shows it already is left to the hand."""
+        if self._shown.get(id(widget)) != value:
+            self._in_hand.discard(id(widget))
+            self._shown[id(widget)] = value
+            widget.value = value
+
+    def _held(self, widget: Any) -> bool:
+        """Whether a widget shows what the hand last put there: a trajectory may have moved it since."""
+        return id(widget) in self._in_hand
+
+    def _wished(self, event: Any) -> bool:
+        """Whether an event is a user's, and not an echo of what was put there."""
+        wish = event.client is not None and abs(event.target.value - self._shown.get(id(event.target), np.inf)) > 1e-6
+        if wish:
+            self._shown[id(event.target)] = event.target.value
+            self._in_hand.add(id(event.target))
+        return bool(wish)
+
+    # --- built -------------------------------------------------------------------------------------------------------
+
+    def _slider(self, joint: int, name: str) -> Any:
+        robot = self._view.robot
+        space, n = space_of(robot), robot.n_tubes
+        unit, factor = ("deg", np.degrees(1.0)) if joint < n else ("mm", 1e3)
+        low, high = (
+            float(_reach(x[joint : joint + 1] * factor, int(joint < n))[0]) for x in (space.lower, space.upper)
+        )
+        slider = self._gui.add_slider(
+            f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
+        )
+
+        async def moved(event: Any) -> None:
+            if self._wished(event):
+                self._desk.slide(joint, float(event.target.value) / factor)
+
+        slider.on_update(moved)
+        return slider
+
+    def _buttons(self) -> None:
+        for label, act in (("Home", self._desk.home), ("All equilibria", self._desk.ghosts)):
+            self._button(label, act)
+
+    def _button(self, label: str, act: Any, **options: Any) -> Any:
+        button = self._gui.add_button(label, **options)
+
+        async def pressed(event: Any) -> None:
+            act()
+
+        button.on_click(pressed)
+        return button
+
+    def _mirror_sliders(self) -> list[Any]:
+        with self._gui.add_folder("Direction and separation"):
+            direction = self._gui.add_slider("direction (deg)", -360.0, 360.0, STEP, 0.0, marks=())
+            separation = self._gui.add_slider("separation (deg)", 0.0, 120.0, STEP, 0.0, marks=())
+
+        async def moved(event: Any) -> None:
+            if self._wished(event):
+                self._desk.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
+
+        for slider in (direction, separation):
+            slider.on_update(moved)
+        return [direction, separation]
+
+    def _exact(self) -> list[Any]:
+        """Number boxes for every joint of every tube, which act when their button is pressed: the way is straight."""
+        robot = self._view.robot
+        n = robot.n_tubes
+        labels = [f"rotation {i + 1} (deg)" for i in range(n)] + [f"translation {i + 1} (mm)" for i in range(n)]
+        with self._gui.add_folder("Exact values", expand_by_default=False):
+            boxes = [self._gui.add_number(label, 0.0, step=10.0**-EXACT) for label in labels]
+
+            def go() -> None:
+                values = np.array([float(box.value) for box in boxes])
+                self._desk.go_to(np.radians(values[:n]).tolist(), (values[n:] / 1e3).tolist())
+
+            self._button("Move there", go)
+        return boxes
+
+    def _lead_controls(self, least: float) -> Any:
+        margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
+        drag = self._gui.add_checkbox("drag the tip", False, hint="Arrows at the tip lead it.")
+
+        async def shown(event: Any) -> None:
+            self._desk.show("target", bool(event.target.value))
+
+        drag.on_update(shown)
+        boxes = [self._gui.add_number(f"target {axis} (mm)", 0.0, step=0.001) for axis in "xyz"]
+
+        def lead() -> None:
+            self._desk.lead(np.array([box.value for box in boxes]) / 1e3, self.least_margin, done=True)
+
+        self._button("Lead the tip there", lead)
+        return margin
+
+    def _play_controls(self) -> Any:
+        time = self._gui.add_slider("time (s)", 0.0, 1.0, 0.001, 0.0, marks=(), disabled=True)
+
+        async def scrubbed(event: Any) -> None:
+            if self._wished(event):
+                self._desk.scrub(float(event.target.value))
+
+        time.on_update(scrubbed)
+        self._button("Play / pause", self._desk.play)
+        upload = self._gui.add_upload_button("Load a trajectory (CSV)", mime_type="text/csv")
+
+        async def loaded(event: Any) -> None:
+            self._desk.load(event.target.value.name, event.target.value.content)
+
+        upload.on_upload(loaded)
+        self._check("record what the robot passes", False, self._desk.record)
+        return time
+
+    def _check(self, label: str, value: bool, act: Any) -> Any:
+        box = self._gui.add_checkbox(label, value)
+
+        async def changed(event: Any) -> None:
+            act(bool(event.target.value))
+
+        box.on_update(changed)
+        return box
+
+    def _design_controls(self) -> list[tuple[Knob, Any]]:
+        out = []
+        for knob in knobs(self._view.robot):
+            value = knob.shown(self._view.robot)
+            slider = self._gui.add_slider(knob.label, knob.low, knob.high, knob.step, value, marks=())
+            self._shown[id(slider)] = round(value, 4)
+            self._on_knob(knob, slider)
+            out.append((knob, slider))
+        self._check("stability map", False, lambda on: self._desk.show("map", on))
+        self._button("Back to the robot as loaded", self._desk.reset_design)
+        self._button("Save robot as YAML", lambda: self._desk.save("robot"))
+        return out
+
+    def _on_knob(self, knob: Knob, slider: Any) -> None:
+        async def turned(event: Any) -> None:
+            if self._wished(event):
+                self._desk.turn(knob, float(event.target.value))
+
+        slider.on_update(turned)
+
+    def _layer_controls(self) -> None:
+        layers = [("trail of the tip", "trail", True), ("workspace, by margin", "workspace", False)]
+        if self._view.obstacles:
+            layers.append(("obstacles", "obstacles", True))
+        layers.append(("volume swept by the trajectory", "swept", False))
+        for label, layer, on in layers:
+            self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._desk.show(layer, value))
+        self._button("Forget the trail", self._desk.forget_trail)
+
+    def _save_controls(self) -> None:
+        for label, what in (
+            ("Picture (PNG)", "picture"),
+            ("Joint values (YAML)", "joints"),
+            ("Robot (YAML)", "robot"),
+            ("Recorded trajectory (CSV)", "recording"),
+            ("Page for a colleague (HTML)", "page"),
+        ):
+            self._button(label, lambda what=what: self._desk.save(what))
+
+
+def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
+    """Ends of sliders: rotations no farther than `LONGEST_TURN`, all in whole steps."""
+    out = values.copy()
+    out[:rotations] = np.clip(out[:rotations], -LONGEST_TURN, LONGEST_TURN)
+    return np.round(out, 1)
+
+
+def _escaped(text: str) -> str:
+    from html import escape
+
+    return escape(text)

@@ -1,0 +1,143 @@
+"""A trajectory played by a robot: what it does at every waypoint, and at any time between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ...equilibrium.result import Equilibrium
+from ...errors import InputError
+from ...files.csv_file import read_csv
+from ...planning.file import TIME, load_trajectory
+from ...robots.robot import Robot
+from ...runs.path_file import load_waypoints as load_path
+from ...stability import Path, Snap, follow
+from ...typing import Array
+from .session import Session, check, moved_to, record
+
+TURN_SPEED = np.radians(45.0)
+"""Speed (rad/s) of the fastest tube where a file gives no times."""
+
+SLIDE_SPEED = 0.02
+"""Speed (m/s) likewise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Joint values over time: time (T,) s from 0, increasing; rotations, translations (T, n) rad and m.
+
+    start: the equilibrium at the first; None is where the robot settles there by itself.
+    """
+
+    time: Array
+    rotations: Array
+    translations: Array
+    start: Equilibrium | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Reel:
+    """Waypoints and what the robot does along them, from its own start: one equilibrium per waypoint, and the snaps."""
+
+    waypoints: Waypoints
+    path: Path
+
+    @property
+    def duration(self) -> float:
+        """Time of the last waypoint, s."""
+        return float(self.waypoints.time[-1])
+
+
+def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
+    """Waypoints in CSV: a trajectory of `tubeopt plan` with time_s, or a path of `tubeopt follow` without.
+
+    Without times the fastest tube turns by 45 deg/s, or slides by 20 mm/s.
+
+    Raises:
+        InputError: no such file, a column that is unknown or missing, a cell that is no number, times that do not
+            increase, joint values out of the robot's limits, no equilibrium at the start with the tip rotations given.
+    """
+    if TIME not in read_csv(path).columns:
+        way = load_path(path, robot)
+        found = Waypoints(paced(way.rotations, way.translations), way.rotations, way.translations)
+    else:
+        timed = load_trajectory(path, robot)
+        found = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
+    for k in np.flatnonzero(np.diff(found.time) <= 0):
+        raise InputError(f"{path}: row {k + 2}, column {TIME} does not increase; every time must be after the last")
+    for row, (alpha, shift) in enumerate(zip(found.rotations, found.translations, strict=True)):
+        try:
+            check(robot, alpha, shift, order=False)
+        except InputError as error:
+            raise InputError(f"{path}: row {row + 1}: {error}") from None
+    return found
+
+
+def paced(rotations: Array, translations: Array) -> Array:
+    """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
+    turn = np.abs(np.diff(rotations, axis=0)).max(1, initial=0.0) / TURN_SPEED
+    slide = np.abs(np.diff(translations, axis=0)).max(1, initial=0.0) / SLIDE_SPEED
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
+
+
+def make_reel(robot: Robot, waypoints: Waypoints, progress: Callable[[int], object] | None = None) -> Reel:
+    """Follow the waypoints, from their start.
+
+    Raises:
+        SolveError: the branch was lost on the way.
+    """
+    way = waypoints.rotations, waypoints.translations
+    return Reel(waypoints, follow(robot, *way, start=waypoints.start, progress=progress))
+
+
+def play_to(session: Session, reel: Reel, time: float, *, since: float | None = None) -> Session:
+    """The session with its robot at a time of the trajectory, in the state that the trajectory's own history leads to.
+
+    Args:
+        since: where the robot was before, s: the snaps in between then go into the log. None is a leap: it logs none,
+            and a recording begins anew.
+    """
+    t = min(max(float(time), 0.0), reel.duration)
+    snaps = () if since is None else snaps_between(reel, since, t)
+    there = state_at(reel, t)
+    moved = moved_to(session, there, snaps)
+    # A leap is no motion that could be recorded: what was before it did not lead here.
+    leapt = since is None and session.recording is not None and not _same(session.equilibrium, there)
+    return record(moved, True) if leapt else moved
+
+
+def _same(one: Equilibrium, other: Equilibrium) -> bool:
+    """Whether two equilibria of a robot are at the same joint values, and on the same branch."""
+    pairs = ((getattr(each, name) for each in (one, other)) for name in ("rotations", "translations", "tip_rotations"))
+    return all(np.allclose(a, b, rtol=0, atol=1e-7) for a, b in pairs)
+
+
+def state_at(reel: Reel, time: float) -> Equilibrium:
+    """Where the robot is at a time within the trajectory, s."""
+    points = reel.waypoints
+    k = min(max(int(np.searchsorted(points.time, time, side="right")) - 1, 0), len(points.time) - 1)
+    here = reel.path.equilibria[k]
+    if k == len(points.time) - 1 or time <= points.time[k]:
+        return here
+    part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
+    way = [_straight(table, k, part) for table in (points.rotations, points.translations)]
+    return follow(here.robot, *way, start=here).equilibria[-1]
+
+
+def snaps_between(reel: Reel, start: float, end: float) -> tuple[Snap, ...]:
+    """The snaps of a trajectory that happen after `start` and not after `end`, s."""
+    times = reel.waypoints.time
+    out = []
+    for snap in reel.path.snaps:
+        at = times[snap.index] + snap.fraction * (times[snap.index + 1] - times[snap.index])
+        if start < at <= end:
+            out.append(snap)
+    return tuple(out)
+
+
+def _straight(table: Array, k: int, part: float) -> list[Array]:
+    """From row k a part of the way to the next."""
+    return [table[k], table[k] + part * (table[k + 1] - table[k])]

@@ -1,0 +1,184 @@
+"""The picture of a session in the browser: what is drawn, and what of it changes with a motion.
+
+Lengths are drawn `SCALE` times as large, since the viewer's camera is made for things of the size of a person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...bodies.corridors import Corridor
+from ...bodies.obstacles import HalfSpace, Obstacle
+from ...equilibrium.result import Equilibrium
+from ...typing import Array
+from ...workspaces import Workspace
+from .session import Session
+from .surfaces import Part, Surface, join, margin_colour, obstacle_surface, plate_part, robot_parts
+
+SCALE = 10.0
+"""Units of the scene per metre."""
+
+GHOST_COLOURS = {True: (70, 110, 190), False: (205, 60, 60)}
+"""Of other equilibria: stable, unstable."""
+
+GHOST_OPACITY = 0.3
+DOT = 0.0035
+"""Size of a tip of the workspace, as a share of the longest tube."""
+
+OBSTACLE_COLOUR = (150, 120, 95)
+SWEPT_COLOUR = (120, 90, 200)
+
+
+class Scene:
+    """What one browser shows, as handles of viser that are changed and not made anew.
+
+    Args:
+        api: `scene` of a viser server or of one of its clients.
+        prefix: under which name everything stands.
+    """
+
+    def __init__(self, api: Any, prefix: str = "/robot") -> None:
+        self._api, self._prefix = api, prefix
+        self._parts: dict[str, Any] = {}
+        self._layers: dict[str, list[Any]] = {}
+        self._contents: dict[str, tuple[Part, ...]] = {}
+        self._trail: Any = None
+
+    def set_stage(self, equilibrium: Equilibrium) -> None:
+        """Plate and ruled floor, and the lights."""
+        plate = plate_part(equilibrium)
+        low = float(plate.surface.vertices[:, 2].min())
+        self.layer("plate", [plate])
+        reach = 4 * float(np.ceil(max(tube.length for tube in equilibrium.robot.tubes) * SCALE))
+        self._api.add_grid(
+            "/floor",
+            width=reach,
+            height=reach,
+            plane="xy",
+            cell_size=0.1,
+            section_size=1.0,
+            position=(0.0, 0.0, low * SCALE),
+            fade_distance=2 * reach,
+            shadow_opacity=0.2,
+        )
+        self._api.configure_default_lights(enabled=True, cast_shadow=False)
+
+    def show(self, equilibrium: Equilibrium) -> None:
+        """Draw the robot in a shape; parts that do not show are hidden."""
+        parts = robot_parts(equilibrium)
+        for part in parts:
+            vertices = (part.surface.vertices * SCALE).astype(np.float32)
+            handle = self._parts.get(part.name)
+            if handle is not None and handle.vertices.shape == vertices.shape:
+                handle.vertices = vertices
+                handle.visible = True
+            else:
+                if handle is not None:
+                    handle.remove()
+                self._parts[part.name] = self._add(f"{self._prefix}/{part.name}", part)
+        names = {part.name for part in parts}
+        for name, handle in self._parts.items():
+            if name not in names:
+                handle.visible = False
+
+    def show_trail(self, session: Session, visible: bool) -> None:
+        """The way of the tip so far, coloured by margin; jumps of snaps are straight."""
+        trail = session.trail
+        if not visible or trail is None or len(trail) < 2:
+            if self._trail is not None:
+                self._trail.visible = False
+            return
+        segments = np.stack([trail[:-1, :3], trail[1:, :3]], axis=1).astype(np.float32) * SCALE
+        colours = np.array([[margin_colour(m)] * 2 for m in trail[1:, 3]], dtype=np.uint8)
+        if self._trail is None:
+            self._trail = self._api.add_line_segments(
+                "/trail", points=segments, colors=colours, thickness=2.5, thickness_units="screen"
+            )
+            return
+        self._trail.points = segments
+        self._trail.colors = colours
+        self._trail.visible = True
+
+    def layer(self, name: str, parts: Iterable[Part]) -> None:
+        """Replace everything in a named layer."""
+        self.clear(name)
+        self._contents[name] = tuple(parts)
+        self._layers[name] = [self._add(f"/{name}/{part.name}", part) for part in self._contents[name]]
+
+    def clear(self, name: str) -> None:
+        """Take a layer away."""
+        self._contents.pop(name, None)
+        for handle in self._layers.pop(name, []):
+            handle.remove()
+
+    @property
+    def contents(self) -> dict[str, tuple[Part, ...]]:
+        """The surfaces of every layer that is shown now; points are none."""
+        return dict(self._contents)
+
+    def has(self, name: str) -> bool:
+        """Whether a layer shows something."""
+        return bool(self._layers.get(name))
+
+    def show_cloud(self, found: Workspace) -> None:
+        """The tips of a workspace as points coloured by margin."""
+        self.clear("workspace")
+        rows = found.table[np.isfinite(found.table[:, -1])]
+        n = found.robot.n_tubes
+        points = (rows[:, 2 * n : 2 * n + 3] * SCALE).astype(np.float32)
+        colours = np.array([margin_colour(margin) for margin in rows[:, -1]], dtype=np.uint8)
+        size = DOT * max(tube.length for tube in found.robot.tubes) * SCALE
+        cloud = self._api.add_point_cloud(
+            "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
+        )
+        self._layers["workspace"] = [cloud]
+
+    def _add(self, name: str, part: Part) -> Any:
+        # viser wants None for what is opaque: anything else is drawn by depth, back to front.
+        return self._api.add_mesh_simple(
+            name,
+            (part.surface.vertices * SCALE).astype(np.float32),
+            part.surface.faces,
+            color=part.colour,
+            opacity=None if part.opacity >= 1 else part.opacity,
+            side="front" if part.opacity >= 1 else "double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+
+def ghost_parts(others: Sequence[Equilibrium]) -> list[Part]:
+    """Other equilibria, translucent; stable ones blue, unstable ones red."""
+    out = []
+    for k, each in enumerate(others):
+        surfaces = [part.surface for part in robot_parts(each)]
+        if surfaces:
+            out.append(Part(f"ghost_{k + 1}", join(surfaces), GHOST_COLOURS[each.stable], GHOST_OPACITY))
+    return out
+
+
+def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
+    """Bodies to keep away from; those without end translucent, as far as `reach` (m), and vessels too."""
+    return [
+        Part(
+            f"obstacle_{k + 1}",
+            obstacle_surface(body, reach),
+            OBSTACLE_COLOUR,
+            0.3 if isinstance(body, HalfSpace | Corridor) else 1.0,
+        )
+        for k, body in enumerate(obstacles)
+    ]
+
+
+def swept_part(surface: Surface) -> Part:
+    """A swept volume."""
+    return Part("volume", surface, SWEPT_COLOUR, 0.25)
+
+
+def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
+    """Where to look from and what at, in the scene's units: the whole robot, at any joint values."""
+    length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
+    return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length

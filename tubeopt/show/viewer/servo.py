@@ -1,0 +1,79 @@
+"""The tip led by the hand: towards a target, as far as margin, joints, order and obstacles let it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...bodies.obstacles import Obstacle
+from ...control.posture import Posture
+from ...inverse.answer import DEFAULT_OPTIONS
+from ...inverse.descent import held_by, reach
+from ...inverse.goal import Goal
+from ...inverse.question import pose_question, seed_posture
+from ...typing import Array
+from .session import Session, moved_to
+
+LONGEST_PULL = 0.05
+"""The tip is led along a straight line in parts of this share of the longest tube."""
+
+CLOSE_ENOUGH = 1e-6
+"""Distance (m) at which a target counts as reached."""
+
+ITERATIONS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """Where the robot was led: the session, what is left to the target (m), and in words what holds it there."""
+
+    session: Session
+    error: float
+    held: tuple[str, ...]
+
+    @property
+    def reached(self) -> bool:
+        """Whether the tip is on target."""
+        return self.error <= CLOSE_ENOUGH
+
+
+def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()) -> Pull:
+    """Lead the tip towards `target` (3,) m along its branch, by Gauss-Newton steps that keep all limits.
+
+    Every step is a stable equilibrium on the branch of the one before, with a margin of at least `min_margin` (or no
+    less than at the start): the robot does not snap. It stops where the tip comes no nearer.
+
+    Raises:
+        InputError: a target that is not three finite numbers, a margin that is not from 0 to 1.
+    """
+    goal = pose_question(
+        session.robot, target, None, (session.equilibrium, None), min_margin, None, None, obstacles, DEFAULT_OPTIONS
+    )
+    here = seed_posture(goal.space, session.equilibrium)
+    for part in _parts(goal, here.tip):
+        found = reach(replace(goal, position=part), here, iterations=ITERATIONS)
+        here = found.posture
+        session = moved_to(session, here.equilibrium)
+        if not found.reached and float(np.linalg.norm(part - here.tip)) > CLOSE_ENOUGH:
+            # From here straight at the target, which may lie around the corner.
+            here = reach(goal, here, iterations=ITERATIONS).posture
+            session = moved_to(session, here.equilibrium)
+            break
+    error = float(np.linalg.norm(goal.position - here.tip))
+    held = () if error <= CLOSE_ENOUGH else tuple(_held(goal, here))
+    return Pull(session, error, held)
+
+
+def _parts(goal: Goal, tip: Array) -> list[Array]:
+    way = goal.position - tip
+    count = max(1, int(np.ceil(float(np.linalg.norm(way)) / (LONGEST_PULL * goal.space.length))))
+    return [tip + way * k / count for k in range(1, count + 1)]
+
+
+def _held(goal: Goal, here: Posture) -> list[str]:
+    """What holds the tip; joints beside their ends do not, so the margin and obstacles come first."""
+    words = held_by(goal, here)
+    return sorted(words, key=lambda word: not word.startswith(("margin", "arm"))) or ["no joint leads nearer to it"]

@@ -1,0 +1,313 @@
+"""One robot under somebody's hands: where it is, how it came there, and what happened on the way.
+
+A session is data; every verb returns a new one. Motion is quasi-static and follows the branch of equilibria, so that
+what the robot does depends on its history, as it does on a bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...control.joints import JointSpace, carriage_name, joint_space
+from ...equilibrium.kinematics import forward_kinematics
+from ...equilibrium.result import Equilibrium
+from ...errors import InputError, SolveError, vector
+from ...robots.robot import Robot
+from ...stability import Path, Snap, find_equilibria, follow
+from ...typing import Array
+
+CLOSE = 0.25
+"""Margin below which a stable robot is said to be close to a snap: for the robot of the thesis that is 1 deg before."""
+
+TRAIL = 600
+"""Most tip positions that are remembered."""
+
+TRAIL_TURN, TRAIL_SLIDE = np.radians(15.0), 0.005
+"""Longer motions (rad, m) are remembered in parts."""
+
+SAME_TIP = np.radians(0.1)
+"""Equilibria whose tip rotations differ by less (rad) are the same one, found twice."""
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """Something that happened: a sentence, and the snap where it was one."""
+
+    number: int
+    text: str
+    snap: Snap | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A robot and its history.
+
+    Attributes:
+        equilibrium: where the robot is.
+        log: what happened so far, first to last.
+        last: the snaps of the last motion, in their order; empty where it had none.
+        trail: (k, 4) tips (m) that the robot has passed, with the margin there, oldest first.
+        recording: joint values (2n,) that were passed since recording began, None where nothing is recorded.
+        recorded_from: where it began.
+    """
+
+    equilibrium: Equilibrium
+    log: tuple[Event, ...] = ()
+    last: tuple[Snap, ...] = ()
+    trail: Array | None = None
+    recording: tuple[Array, ...] | None = None
+    recorded_from: Equilibrium | None = None
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.equilibrium.robot
+
+    @property
+    def q(self) -> Array:
+        """(m,) independent joint values, see `space_of`."""
+        return space_of(self.robot).join(self.equilibrium.rotations, self.equilibrium.translations)
+
+    @property
+    def verdict(self) -> str:
+        """The state in a word: "stable", "close to a snap", "snapped" (by the last motion)."""
+        if self.last:
+            return "snapped"
+        return "stable" if self.equilibrium.margin >= CLOSE else "close to a snap"
+
+
+@lru_cache(maxsize=32)
+def space_of(robot: Robot) -> JointSpace:
+    """The joints of a robot that can be set one by one: n rotations (rad), then one translation (m) per carriage."""
+    return joint_space(robot)
+
+
+def joint_names(robot: Robot) -> list[str]:
+    """What each of the independent joints is called: "rotation of tube 1", ..., "translation of tube 1", ..."""
+    names = [f"rotation of tube {i + 1}" for i in range(robot.n_tubes)]
+    return names + [f"translation of {carriage_name(tubes)}" for tubes in space_of(robot).carriages]
+
+
+def open_session(robot: Robot, rotations: ArrayLike | None = None, translations: ArrayLike | None = None) -> Session:
+    """A session that begins where a robot settles by itself at given joint values; by default at home.
+
+    Home is allowed even where it lies out of the robot's own limits or order.
+
+    Raises:
+        InputError: joint values out of the ranges of the robot's limits, or of the wrong number.
+        SolveError: no stable equilibrium there.
+    """
+    n = robot.n_tubes
+    alpha = vector("rotations", np.zeros(n) if rotations is None else rotations, n)
+    shift = vector("translations", robot.home_translations if translations is None else translations, n)
+    if rotations is not None or translations is not None:
+        check(robot, alpha, shift, order=False)
+    return moved_to(Session(forward_kinematics(robot, alpha, shift)))
+
+
+def check(
+    robot: Robot, rotations: Array, translations: Array, *, here: Array | None = None, order: bool = True
+) -> None:
+    """Raise InputError where joint values leave the robot's limits or the order of its tubes, saying which.
+
+    From joint values `here` (m,) that are out of order themselves, it may stay as it is, but not get worse.
+    """
+    space, n = space_of(robot), robot.n_tubes
+    q = space.join(rotations, translations)
+    if np.abs(space.joint(q)[n:] - translations).max() > 1e-9:
+        together = next(tubes for tubes in space.carriages if len(tubes) > 1)
+        raise InputError(f"the translations of {carriage_name(together)} must go together: one carriage moves them")
+    slack = 1e-9 * space.scale
+    for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
+        unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", 1e3)
+        low, high = space.lower[k] * factor, space.upper[k] * factor
+        raise InputError(
+            f"{joint_names(robot)[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}"
+        )
+    gap = space.rows @ q - space.least
+    worst = np.minimum(space.rows @ here - space.least, 0.0) if here is not None else np.zeros_like(gap)
+    short = [space.row_names[k] for k in np.flatnonzero(gap < worst - 1e-9 * space.length)]
+    if order and short:
+        raise InputError(f"the tubes would be out of order: {', '.join(short)}")
+
+
+def allowed(robot: Robot, q: Array, joint: int) -> tuple[tuple[float, str], tuple[float, str]]:
+    """How far one joint may go where the others are at q: least and greatest value, and in words what is there.
+
+    Where q is out of order itself, the joint may stay, but not make it worse.
+    """
+    space = space_of(robot)
+    low, high = (float(space.lower[joint]), "end of its range"), (float(space.upper[joint]), "end of its range")
+    for row, least, name in zip(space.rows, space.least, space.row_names, strict=True):
+        if row[joint] != 0:
+            bound = float((min(least, row @ q) - row @ q) / row[joint] + q[joint]), name
+            low, high = (max(low, bound), high) if row[joint] > 0 else (low, min(high, bound))
+    return low, high
+
+
+def move(session: Session, rotations: ArrayLike, translations: ArrayLike) -> Session:
+    """Move slowly and straight to other joint values, following the branch; snaps on the way go into the log.
+
+    Args:
+        rotations, translations: (n,) rad and m.
+
+    Raises:
+        InputError: joint values out of limits; the robot stays where it was.
+        SolveError: the branch was lost; the robot stays where it was.
+    """
+    robot = session.robot
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    shift = vector("translations", translations, robot.n_tubes)
+    check(robot, alpha, shift, here=session.q)
+    return _walk(session, alpha, shift)
+
+
+def _walk(session: Session, rotations: Array, translations: Array) -> Session:
+    here = session.equilibrium
+    if np.array_equal(rotations, here.rotations) and np.array_equal(translations, here.translations):
+        return session
+    turn = float(np.abs(rotations - here.rotations).max()) / TRAIL_TURN
+    slide = float(np.abs(translations - here.translations).max()) / TRAIL_SLIDE
+    part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(max(turn, slide)))))[:, None]
+    ends = (here.rotations, rotations), (here.translations, translations)
+    path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here)
+    return moved_along(session, path)
+
+
+def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str]:
+    """Move one of the independent joints, as far towards `value` (rad or m) as the others let it.
+
+    Returns:
+        The session, and in words what stopped the joint, "" where it arrived.
+    """
+    robot, q = session.robot, session.q
+    (low, lower), (high, upper) = allowed(robot, q, joint)
+    reached = min(max(value, low), high)
+    words = ""
+    if abs(reached - value) > 1e-9:
+        words = f"{joint_names(robot)[joint]} is stopped: {lower if value < low else upper}"
+    q[joint] = reached
+    rotations, translations = space_of(robot).split(q)
+    return move(session, rotations, translations), words
+
+
+def go_home(session: Session) -> Session:
+    """Straight back to where `open_session` begins, with whatever happens on the way."""
+    robot = session.robot
+    return _walk(session, np.zeros(robot.n_tubes), robot.home_translations)
+
+
+def moved_along(session: Session, path: Path) -> Session:
+    """The session after its robot has gone along a path from where it was."""
+    passed: list[Equilibrium] = []
+    for k, there in enumerate(path.equilibria[1:]):
+        passed += [each for snap in path.snaps if snap.index == k for each in (snap.before, snap.after)]
+        passed.append(there)
+    return moved_to(session, passed[-1], path.snaps, passed=passed)
+
+
+def moved_to(
+    session: Session,
+    equilibrium: Equilibrium | None = None,
+    snaps: tuple[Snap, ...] = (),
+    *,
+    passed: Sequence[Equilibrium] | None = None,
+) -> Session:
+    """The session after its robot has come to a stable equilibrium (by default where it is), by way of snaps.
+
+    passed: what the trail shall show of the way, the end included; by default the snaps and the end.
+    """
+    there = session.equilibrium if equilibrium is None else equilibrium
+    steps = passed or [each for snap in snaps for each in (snap.before, snap.after)] + [there]
+    tips = np.array([[*each.tip_position, each.margin] for each in steps])
+    trail = tips if session.trail is None else np.concatenate([session.trail, tips])[-TRAIL:]
+    recording = session.recording
+    if recording is not None:
+        recording = (*recording, np.concatenate([there.rotations, there.translations]))
+    log = session.log
+    for snap in snaps:
+        log = (*log, Event(len(log) + 1, snap_text(snap), snap))
+    return replace(session, equilibrium=there, log=log, last=tuple(snaps), trail=trail, recording=recording)
+
+
+def note(session: Session, text: str) -> Session:
+    """The session with a sentence in its log."""
+    return replace(session, log=(*session.log, Event(len(session.log) + 1, text)))
+
+
+def clear_trail(session: Session) -> Session:
+    """The session with a trail that begins here."""
+    return moved_to(replace(session, trail=None, last=()))
+
+
+def snap_text(snap: Snap) -> str:
+    """A snap in a sentence: joint values, tip jump, energy."""
+    angles = ", ".join(f"{angle:.4f}" for angle in np.degrees(snap.rotations) + 0.0)
+    where = f"rotations {angles} deg"
+    if np.any(snap.translations != snap.before.robot.home_translations):
+        where += ", translations " + ", ".join(f"{shift * 1e3:.3f}" for shift in snap.translations + 0.0) + " mm"
+    return (
+        f"snap at {where}: the tip jumped by {snap.tip_jump * 1e3:.4f} mm, "
+        f"{snap.energy_released * 1e3:.4f} mJ were released"
+    )
+
+
+def other_equilibria(session: Session) -> list[Equilibrium]:
+    """All other equilibria at the same joint values, stable and unstable, the lowest energy first.
+
+    Raises:
+        SolveError: the set that was found is not complete.
+    """
+    here = session.equilibrium
+    found = find_equilibria(session.robot, here.rotations, here.translations)
+    distance = [float(np.abs(each.tip_rotations - here.tip_rotations).max()) for each in found]
+    nearest = int(np.argmin(distance)) if found else -1
+    return [each for k, each in enumerate(found) if k != nearest or distance[k] > SAME_TIP]
+
+
+def redesign(session: Session, robot: Robot) -> Session:
+    """The same joint values with other tubes, as far as the new limits allow them, on the same branch if it is there.
+
+    Tubes do not change under load in a workshop: where the old shape has no neighbour among the new ones, the robot is
+    assembled afresh, which the log then says.
+
+    Raises:
+        SolveError: no stable equilibrium with the new tubes.
+    """
+    old, space = session.equilibrium, space_of(robot)
+    q, before = space.join(old.rotations, old.translations), space_of(old.robot)
+    inside = bool((space.clip(q) == q).all())
+    keeps = inside and (space.admissible(q) or not before.admissible(session.q))
+    rotations, translations = space.split(q if keeps else space.nearest(q))
+    try:
+        there = forward_kinematics(robot, rotations, translations, guess=_as_guess(old, robot))
+        same = there.stable and float(np.abs(there.tip_rotations - old.tip_rotations).max()) < 0.5
+    except (SolveError, InputError):
+        same = False
+    if not same:
+        there = forward_kinematics(robot, rotations, translations)
+    fresh = record(replace(session, equilibrium=there, last=(), trail=None), session.recording is not None)
+    if not same:
+        fresh = note(fresh, "the old shape does not exist with these tubes: assembled afresh")
+    if fresh.recording is not None:
+        fresh = note(fresh, "the recording begins anew: it is of other tubes")
+    return moved_to(fresh)
+
+
+def _as_guess(equilibrium: Equilibrium, robot: Robot) -> Equilibrium:
+    """An equilibrium of other tubes as a place to start from."""
+    if robot.n_tubes != equilibrium.robot.n_tubes:
+        raise InputError("the robots have different numbers of tubes")
+    return replace(equilibrium, robot=robot)
+
+
+def record(session: Session, on: bool) -> Session:
+    """Begin to record the joint values that the robot passes, from where it is; or stop, and forget them."""
+    here = session.equilibrium
+    joints = np.concatenate([here.rotations, here.translations])
+    return replace(session, recording=(joints,) if on else None, recorded_from=here if on else None)

@@ -1,0 +1,216 @@
+"""One piece of an arm as CasADi expressions: the collocated torsion, the pose that it adds, its energy.
+
+On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix
+A, weights b, and A~ the adjoint of A (itself for Gauss points),
+
+    theta_k = theta + h sum_j A_kj g_j w_j,      w_k = w + h sum_j A~_kj M_j / kt,
+
+and the same with b to the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Every other
+module has the equations, the energy, the shape and all their derivatives from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..physics.shape import GAUSS_POINTS, magnus_quaternion
+from ..physics.torsion import CrossSection, cross_section, section_functions
+from ..typing import Array
+from .tableau import Tableau, tableau
+
+SHAPE_STEPS = 4
+"""Steps of the shape per piece, as those of `forward_kinematics`."""
+
+ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
+"""Fractions of a piece at which its shape points lie, its beginning included."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets."""
+
+    n_tubes: int
+    family: str = "gauss"
+    degree: int = 6
+    eccentric: bool = False
+
+    @property
+    def tableau(self) -> Tableau:
+        """Collocation tableau of every piece."""
+        return tableau(self.family, self.degree)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Symbols or numbers of one piece.
+
+    theta, twist: (n,) where it begins.  inner: (n, K) theta at its points.  stiffness, moment: (n,) kb_i of the tubes
+    present, m_i of the tubes curved.  torsional_stiffness: (n,).  length: h.  place: offset and angle (n,), or nothing.
+    """
+
+    grid: Grid
+    theta: Any
+    twist: Any
+    inner: Any
+    stiffness: Any
+    moment: Any
+    torsional_stiffness: Any
+    length: Any
+    place: tuple[Any, ...] = ()
+
+    @property
+    def arguments(self) -> list[Any]:
+        """What the functions of this module take, in order."""
+        data = [self.stiffness, self.moment, self.torsional_stiffness, self.length]
+        return [self.theta, self.twist, self.inner, *data, *self.place]
+
+    def section(self, theta: Any) -> CrossSection:
+        """The cross-section of this piece at rotations (n,)."""
+        return cross_section(theta, self.stiffness, self.moment, *self.place)
+
+
+def symbols(grid: Grid) -> Piece:
+    """A piece of symbols."""
+    n = grid.n_tubes
+    theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
+    place = (d, phi) if grid.eccentric else ()
+    inner = ca.SX.sym("inner", n, grid.degree)
+    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place)
+
+
+@dataclass(frozen=True, eq=False)
+class Torsion:
+    """theta and w of a piece as polynomials: `twist` (n, K) at its points, `gain` (n, K) M / kt and `extra` (n, K)
+    (g - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w where the piece ends, (n,) each."""
+
+    piece: Piece
+    twist: Any
+    gain: Any
+    extra: Any
+    defect: Any
+    end: tuple[Any, Any]
+
+    def rotation(self, x: Any) -> Any:
+        """theta (n, len(x)) at fractions x of the piece, numbers or symbols."""
+        piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
+        theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
+        theta += piece.length**2 * self.gain @ _lagrange(piece.grid, x, 2).T
+        if piece.place:
+            theta += piece.length * self.extra @ _lagrange(piece.grid, x, 1).T
+        return theta
+
+    def torsion(self, x: Any) -> Any:
+        """w (n, len(x)) at fractions x of the piece."""
+        turned = self.piece.length * self.gain @ _lagrange(self.piece.grid, x, 1).T
+        return ca.repmat(self.piece.twist, 1, turned.shape[1]) + turned
+
+    def curvature(self, x: Any) -> Any:
+        """u (2, len(x)) at fractions x of the piece."""
+        theta = self.rotation(x)
+        return ca.horzcat(*(self.piece.section(theta[:, k]).curvature for k in range(theta.shape[1])))
+
+
+def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
+    """`Tableau.lagrange` at numbers, or at symbols by powers of x."""
+    if not isinstance(x, ca.SX):
+        return grid.tableau.lagrange(x, integrals=integrals)
+    at = ca.vec(x)
+    nodes = np.linspace(0.0, 1.0, grid.degree + integrals)
+    powers = np.linalg.solve(np.vander(nodes, increasing=True), grid.tableau.lagrange(nodes, integrals=integrals))
+    return ca.horzcat(*(at**k for k in range(len(nodes)))) @ ca.DM(powers)
+
+
+def torsion_of(piece: Piece) -> Torsion:
+    """The collocated torsion of a piece."""
+    t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
+    sections = [piece.section(piece.inner[:, k]) for k in range(count)]
+    gain = ca.horzcat(*(here.moment / piece.torsional_stiffness for here in sections))
+    twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
+    stretch = ca.horzcat(*(ca.SX(here.stretch) for here in sections))
+    slope = stretch * twist
+    defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
+    end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
+    return Torsion(piece, twist, gain, slope - twist, defect, end)
+
+
+def untwisting(piece: Piece) -> Torsion:
+    """The torsion of a piece on which no tube feels a moment: linear; its rotations inside are no unknowns."""
+    n, count = piece.grid.n_tubes, piece.grid.degree
+    zero, twist = ca.SX.zeros(n, count), ca.repmat(piece.twist, 1, count)
+    return Torsion(piece, twist, zero, zero, zero, (piece.theta + piece.length * piece.twist, piece.twist))
+
+
+def energy_of(torsion: Torsion) -> Any:
+    """Elastic energy of the piece, J: int kt g w^2 / 2 + bending, g w^2 = w (w + (g - 1) w)."""
+    piece = torsion.piece
+    total: Any = 0.0
+    for k, b in enumerate(piece.grid.tableau.weights.tolist()):
+        w = torsion.twist[:, k]
+        bending = piece.section(piece.inner[:, k]).bending_energy
+        total += b * (ca.dot(piece.torsional_stiffness, w * (w + torsion.extra[:, k])) / 2 + bending)
+    return piece.length * total
+
+
+def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:
+    """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each step up to `fraction`
+    of it, which may be a symbol."""
+    turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
+    out = []
+    step = fraction / SHAPE_STEPS
+    for k in range(SHAPE_STEPS):
+        x = (k + GAUSS_POINTS) / SHAPE_STEPS
+        u = torsion.curvature(fraction * ca.SX(ca.DM(x)) if isinstance(fraction, ca.SX) else fraction * x)
+        turn, shift = magnus_quaternion(turn, shift, u, torsion.piece.length * step)
+        out.append((turn, shift, (k + 1) * step))
+    return out
+
+
+def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tuple[Any, Any]:
+    """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
+
+    The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
+    where w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
+    det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+
+    Args:
+        end: (2n, c) y above v where the piece ends.  inner: (n, K c) y at its points, field by field.
+
+    Returns:
+        (2n, c) y above v where the piece begins; (n, K c) defect of the collocated equations.
+    """
+    piece, t = torsion.piece, torsion.piece.grid.tableau
+    n, count, h = piece.grid.n_tubes, piece.grid.degree, piece.length
+    balance = section_functions(n, bool(piece.place))["balance"]
+    sections = [balance(piece.inner[:, k], piece.stiffness, piece.moment, *piece.place) for k in range(count)]
+    gains = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ here[1] for here in sections]
+    ahead, ahead_twist = t.weights - t.matrix, t.weights - t.adjoint
+    before, defects = [], []
+    for c in range(end.shape[1]):
+        y, v, own = end[:n, c], end[n:, c], inner[:, c * count : (c + 1) * count]
+        gained = ca.horzcat(*(gains[k] @ own[:, k] for k in range(count)))
+        slope = ca.repmat(v, 1, count) - h * gained @ ahead_twist.T
+        if piece.place:
+            turned = [
+                here[3] * slope[:, k] + torsion.twist[:, k] * (here[4] @ own[:, k]) for k, here in enumerate(sections)
+            ]
+            slope = ca.horzcat(*turned)
+        defects.append(own - ca.repmat(y, 1, count) + h * slope @ ahead.T)
+        before.append(ca.vertcat(y - h * slope @ t.weights, v - h * gained @ t.weights))
+    return ca.horzcat(*before), ca.horzcat(*defects)
+
+
+def quaternion_of(frame: Array) -> Array:
+    """(4,) unit quaternion, scalar first, of a rotation (3, 3)."""
+    trace = np.array([1 + np.trace(frame), *(1 + 2 * np.diag(frame) - np.trace(frame))])
+    k = int(np.argmax(trace))
+    skew = np.array([frame[2, 1] - frame[1, 2], frame[0, 2] - frame[2, 0], frame[1, 0] - frame[0, 1]])
+    if k == 0:
+        q = np.concatenate([trace[:1], skew])
+    else:
+        q = np.concatenate([skew[k - 1 : k], frame[k - 1] + frame[:, k - 1]])
+        q[k] = trace[k]
+    return np.asarray(q / np.linalg.norm(q))

@@ -1,0 +1,110 @@
+"""CasADi functions of one piece, built once and mapped over the pieces of every block."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from ..physics.matrix import determinant
+from ..physics.shape import quaternion_product, rotation_matrix
+from .collocated import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
+
+OPTIONS = {"cse": True}
+
+SMOOTH = 1e-6
+"""Curvature (1/m) within which the root of a bend is rounded off at 0."""
+
+
+@lru_cache(maxsize=64)
+def torsion_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> defect (n, K), theta and w (n,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def pose_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> q (4,), p (3,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    q, p, arguments = *_pose(), torsion.piece.arguments
+    turn, shift, _ = shape_of(torsion)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    return ca.Function("pose", [q, p, *arguments], end, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def places_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> positions (3, 4) of its shape points after its beginning."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    places = [p + rotation_matrix(q) @ shift for _, shift, _ in shape_of(torsion)]
+    return ca.Function("places", [q, p, *torsion.piece.arguments], [ca.horzcat(*places)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def inside_function(grid: Grid) -> ca.Function:
+    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    x = ca.SX.sym("x")
+    turn, shift, _ = shape_of(torsion, x)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    theta, w = torsion.rotation(x), torsion.torsion(x)
+    outputs = [*end, theta, w, torsion.piece.section(theta).curvature]
+    return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def energy_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> its elastic energy, J."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def bend_function(grid: Grid) -> ca.Function:
+    """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
+    at the points, |u / g - u*|, 1/m."""
+    piece, natural = symbols(grid), ca.SX.sym("natural", grid.n_tubes)
+    columns = []
+    for k in range(grid.degree):
+        theta = piece.inner[:, k]
+        here = piece.section(theta)
+        across = [here.curvature[0] / here.stretch, here.curvature[1] / here.stretch]
+        gap = across[0] - natural * ca.cos(theta), across[1] - natural * ca.sin(theta)
+        columns.append(ca.sqrt(gap[0] ** 2 + gap[1] ** 2 + SMOOTH**2) - SMOOTH)
+    return ca.Function("bend", [*piece.arguments, natural], [ca.horzcat(*columns)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def fields_function(grid: Grid) -> ca.Function:
+    """(Jacobi fields (2n, n) at the end, (n, K n) at the points, margin, arguments of a piece) -> fields (2n, n) at its
+    beginning, defect (n, K n)."""
+    torsion = torsion_of(symbols(grid))
+    n = grid.n_tubes
+    fields, inner, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("inside", n, grid.degree * n), ca.SX.sym("margin")
+    out = softened_fields(torsion, fields, inner, margin)
+    return ca.Function("fields", [fields, inner, margin, *torsion.piece.arguments], list(out), OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def field_matrix_function(grid: Grid) -> ca.Function:
+    """(margin, arguments of a piece) -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    torsion = torsion_of(symbols(grid))
+    inner, margin = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("margin")
+    defect = softened_fields(torsion, ca.SX.zeros(2 * grid.n_tubes, 1), inner, margin)[1]
+    matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
+    return ca.Function("field_matrix", [margin, *torsion.piece.arguments], [matrix], OPTIONS)
+
+
+@lru_cache(maxsize=16)
+def determinant_function(n: int) -> ca.Function:
+    """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not."""
+    matrix = ca.SX.sym("matrix", n, n)
+    return ca.Function("determinant", [matrix], [determinant(matrix)], OPTIONS)
+
+
+def _pose() -> tuple[Any, Any]:
+    return ca.SX.sym("q", 4), ca.SX.sym("p", 3)
