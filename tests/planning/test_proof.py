@@ -15,12 +15,12 @@ from tubeopt.bodies.scene import Scene
 from tubeopt.control.posture import arm_radius
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import branch
-from tubeopt.planning.clock import Clock
 from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
+from tubeopt.ways.clock import Clock
 
 SEGMENTED = SegmentedEccentricRobot(
     (Tube(0.8e-3, 0.6e-3, 0.09, 0.05, 12.0), Tube(1.2e-3, 0.9e-3, 0.02, 0.05, 8.0)), name="segmented"

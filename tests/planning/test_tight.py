@@ -29,11 +29,11 @@ from tubeopt.bodies.obstacles import Box, Capsule, Obstacle, Sphere
 from tubeopt.control.joints import joint_space
 from tubeopt.control.posture import posture_of
 from tubeopt.planning import plan
-from tubeopt.planning.chart import Chart
-from tubeopt.planning.clock import Clock
-from tubeopt.planning.closed import pocket
-from tubeopt.planning.task import Task
 from tubeopt.robots.robot import Robot
+from tubeopt.ways.chart import Chart
+from tubeopt.ways.clock import Clock
+from tubeopt.ways.closed import pocket
+from tubeopt.ways.task import Task
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
 HOME = ([0.0] * 3, [0.0] * 3)

@@ -21,8 +21,8 @@ from ..files.files import atomic_write, write_text
 from ..files.units import DEG, in_unit, parse_number
 from ..files.units import MM as MM_UNIT
 from ..inverse import InverseSolution, JointWay
+from ..robots.path_file import joint_columns
 from ..runs.inverse_study import InverseStudy, Postures, Row, TargetTable
-from ..runs.path_file import joint_columns
 from ..runs.target_file import DIRECTION, POSITION
 from ..show.progress import working
 from ..show.report import can_be_saved, present, report, to_text, two_columns

@@ -18,11 +18,9 @@ from ..files.files import atomic_write
 from ..files.units import parse_number
 from ..runs.study_file import ForwardKinematicsStudy
 from ..show.report import present, report, two_columns
+from ..show.words import in_a_word
 from ..typing import Array
 from .options import JsonOption, OutOption, PlotOption, RobotArgument, RotationsOption, TranslationsOption, numbers
-
-CLOSE_TO_A_SNAP = 0.05
-"""Margin below which the table warns."""
 
 FLAGS = {
     "robot": "",
@@ -137,13 +135,6 @@ def _verification(v: Verification) -> dict[str, float]:
         "end_torsion_rad_per_m": v.end_torsion,
         "base_rotation_rad": v.base_rotation,
     }
-
-
-def in_a_word(margin: float) -> str:
-    """What a stability margin means."""
-    if margin <= 0:
-        return "unstable"
-    return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
 
 
 def _row(values: Array, form: str) -> str:

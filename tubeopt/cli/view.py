@@ -13,10 +13,10 @@ from rich.console import Console
 from ..errors import InputError
 from ..files.units import parse_number
 from ..robots.file import load_robot
+from ..robots.path_file import Waypoints as Way
 from ..runs.base import Study, metres, radians
 from ..runs.inverse_study import InverseStudy
 from ..runs.obstacle_file import load_obstacles
-from ..runs.path_file import Waypoints as Way
 from ..runs.plan_study import PlanStudy
 from ..runs.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
 from ..runs.study_file import ForwardKinematicsStudy, load_study

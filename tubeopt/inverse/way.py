@@ -10,6 +10,7 @@ import numpy as np
 from ..control.joints import JointSpace
 from ..control.posture import Posture, same_place
 from ..typing import Array
+from ..ways.reachable import snap_free_way
 from .answer import InverseSolution, JointWay
 
 SEARCH_SECONDS = 10.0
@@ -37,9 +38,6 @@ def with_a_way(
     """The answer with a way to it from a posture, its `reachable` False where none is found in so many seconds."""
     if answer.way is not None:
         return answer
-    # Planning builds on inverse kinematics; of it this one question is asked.
-    from ..planning.reachable import snap_free_way
-
     found = None
     if begin is not None and seconds > 0:
         found = snap_free_way(space, begin.equilibrium, answer.equilibrium, seconds=min(SEARCH_SECONDS, seconds))

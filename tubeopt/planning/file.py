@@ -14,8 +14,8 @@ from ..files.csv_file import read_csv, refuse, to_csv
 from ..files.files import read_text, write_text
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
+from ..robots.path_file import joint_columns
 from ..robots.robot import Robot
-from ..runs.path_file import joint_columns
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .trajectory import Trajectory

@@ -19,9 +19,9 @@ from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .clock import Clock
+from ..ways.clock import Clock
+from ..ways.task import Task
 from .reach import least_miss
-from .task import Task
 from .walk import clearance_of
 
 MOST_GOALS = 12

@@ -20,12 +20,12 @@ from ..errors import InputError, SolveError, finite
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
+from ..ways.task import Task
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import Built, build
 from .question import asked
-from .task import Task
 from .tip_path import distance_from, timed
 from .trajectory import PlanStatistics, Trajectory
 from .walk import walk

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..block.own import OwnObjective
 from ..errors import InputError, choice, positive
-from .search import SEARCHES
+from ..ways.search import SEARCHES
 from .smooth import OBJECTIVES
 
 

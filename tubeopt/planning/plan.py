@@ -14,15 +14,15 @@ from ..errors import SolveError
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from .clock import Clock
+from ..ways.clock import Clock
+from ..ways.search import Way, find_way, shorten
+from ..ways.task import Task
 from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
 from .question import asked
-from .search import Way, find_way, shorten
 from .smooth import joint_curves, smooth
-from .task import Task
 from .trajectory import PlanStatistics, Trajectory
 from .walk import walk
 

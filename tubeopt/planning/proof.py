@@ -28,9 +28,9 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..stability.following import _waypoints
 from ..typing import Array
+from ..ways.clock import Clock
 from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
-from .clock import Clock
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .motion import RateLimits
 from .passage import TOLERANCE, Follower, Passage, follow

@@ -10,13 +10,13 @@ from ..inverse.question import prepared
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
+from ..ways.chart import Chart
+from ..ways.clock import Clock
+from ..ways.task import Task
 from .arguments import check_robot, checked_obstacles, kind_of
-from .chart import Chart
-from .clock import Clock
 from .motion import RateLimits
 from .options import PlanOptions
 from .smooth import path_cost
-from .task import Task
 
 
 def asked(

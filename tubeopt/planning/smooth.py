@@ -13,10 +13,10 @@ from ..bodies.corridors import MeshObstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..typing import Array, Mask
-from .clock import Clock
+from ..ways.clock import Clock
+from ..ways.task import Task
 from .motion import Motion
 from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
-from .task import Task
 from .walk import walk
 
 OBJECTIVES = ("length", "time", "effort", "margin")

@@ -17,14 +17,14 @@ from ..inverse import IkSession, InverseOptions, inverse_kinematics
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from .clock import Clock
+from ..ways.clock import Clock
+from ..ways.task import Task
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import Built, build
 from .question import asked
 from .reach import least_miss
-from .task import Task
 from .trajectory import PlanStatistics, Trajectory
 
 SPACING = 0.008

@@ -11,9 +11,9 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..typing import Array
-from .clock import Clock
+from ..ways.clock import Clock
+from ..ways.task import Task
 from .motion import SAMPLE_STEP
-from .task import Task
 
 LEFT = 1e-5
 """What must be left of margin (and, m, of clearance) where samples are as far apart as they may be: more than what

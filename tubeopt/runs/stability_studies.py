@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, mode
 
 from ..equilibrium.result import Equilibrium
 from ..files.units import shown
+from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
     Path,
@@ -26,7 +27,6 @@ from ..stability import (
 )
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .path_file import Waypoints, load_waypoints
 
 HOME = Field(None, description="one per tube; home where not given")
 

@@ -12,17 +12,16 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..cli.kinematics import in_a_word
 from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import atomic_write, write_text
 from ..files.units import DEG, in_unit
 from ..files.units import MM as MM_UNIT
-from ..runs.path_file import joint_columns
+from ..robots.path_file import joint_columns
 from ..runs.stability_studies import Equilibria, Motion, Way
 from ..stability import Snap
 from .report import report, to_text, two_columns
-from .words import MILLI, MM, degrees, millimetres, row, snap_record, state
+from .words import MILLI, MM, degrees, in_a_word, millimetres, row, snap_record, state
 
 
 @dataclass(frozen=True)

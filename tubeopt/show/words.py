@@ -13,6 +13,16 @@ from ..typing import Array
 
 MM = MILLI = 1e3
 
+CLOSE_TO_A_SNAP = 0.05
+"""Margin below which the table warns."""
+
+
+def in_a_word(margin: float) -> str:
+    """What a stability margin means."""
+    if margin <= 0:
+        return "unstable"
+    return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
+
 
 def row(values: ArrayLike, form: str) -> str:
     """Numbers with commas between them, none of them a negative 0."""

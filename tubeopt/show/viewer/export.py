@@ -16,8 +16,8 @@ from ...files.units import DEG, MM, RAD, in_unit
 from ...files.yaml_file import save_yaml
 from ...planning.file import BRANCH, TIME
 from ...robots.file import save_robot
+from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
-from ...runs.path_file import joint_columns
 from .host import quiet_server
 from .reel import paced
 from .scene import Scene, camera

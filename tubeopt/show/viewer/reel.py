@@ -12,8 +12,8 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.csv_file import read_csv
 from ...planning.file import TIME, load_trajectory
+from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
-from ...runs.path_file import load_waypoints as load_path
 from ...stability import Path, Snap, follow
 from ...typing import Array
 from .session import Session, check, moved_to, record

@@ -10,8 +10,8 @@ import numpy as np
 from ..errors import nearest
 from ..files.csv_file import read_csv, refuse
 from ..files.units import DEG, MM
-from ..robots.robot import Robot
 from ..typing import Array
+from .robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
