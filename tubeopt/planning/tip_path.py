@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from ..bodies.obstacles import Obstacle
+from ..control.clock import Clock
+from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
 from .options import DEFAULT_PLAN, PlanOptions
