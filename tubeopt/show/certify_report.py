@@ -201,8 +201,9 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
     ),
     Quantity(
         "limiting_section_mm",
-        "limited by",
+        "the section that limits the certificate",
         lambda a: a.verdict.certificate.section,
+        label="limited by",
         words=_limited,
     ),
     Quantity(
@@ -241,6 +242,7 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
 class CertificationReport(Report[Certification]):
     """What is said and saved about a verdict."""
 
+    command = "certify"
     quantities = CERTIFICATION
     file = "certificate.json"
 

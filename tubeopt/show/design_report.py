@@ -131,6 +131,7 @@ def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
 class DesignReport(Report[DesignAnswer]):
     """What is said and saved about a design."""
 
+    command = "design"
     quantities = DESIGN
     file = "design.json"
 

@@ -56,6 +56,7 @@ def _how(e: Equilibrium) -> str:
 class EquilibriumReport(Report[Equilibrium]):
     """What is said and saved about an equilibrium."""
 
+    command = "fk"
     quantities = EQUILIBRIUM
 
     def save(self, directory: Path) -> list[Path]:

@@ -54,6 +54,7 @@ def faults(a: Fabrication) -> list[str]:
 class FabricationReport(Report[Fabrication]):
     """What is said and saved about making a robot's tubes."""
 
+    command = "fabricate"
     quantities = FABRICATION
     file = "fabrication.json"
 

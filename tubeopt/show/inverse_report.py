@@ -20,7 +20,7 @@ from ..robots.path_file import joint_columns
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array
-from .quantities import Quantity, line, record, rows
+from .quantities import Quantity, line, rows, within
 from .report import Report, grid, report, two_columns
 from .words import counted, degrees, millimetres, row
 
@@ -95,6 +95,7 @@ POSTURES: tuple[Quantity[Postures], ...] = (
 class PosturesReport(Report[Postures]):
     """What is said and saved about the answers for one target."""
 
+    command = "ik"
     quantities = POSTURES
     file = "solutions.json"
 
@@ -140,17 +141,18 @@ def _joints(rotations: Array, translations: Array) -> list[object]:
     return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
 
 
-UNSOLVED: tuple[Quantity[Row], ...] = (
-    Quantity("target_mm", "target", lambda r: r.position),
-    Quantity("target_direction", "wanted direction of the tip", lambda r: r.direction),
-    Quantity("status", "FAILED", lambda r: "FAILED"),
+OF_THE_TARGET: tuple[Quantity[Row], ...] = (
+    Quantity("target_mm", "where the tip shall be", lambda r: r.position),
+    Quantity("target_direction", "where it shall point", lambda r: r.direction),
+    Quantity("status", "how the solve ended", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
 )
-"""What is known of a target without any solution."""
+"""What is known of a target without any solution too."""
 
-OF_A_TABLE = (
-    Quantity[Any]("target", "number of the target, from 1; between two where one was put in between"),
-    *SOLUTION,
-    Quantity[Any]("problem", "why there is no answer"),
+ROW: tuple[Quantity[Row], ...] = (
+    Quantity("target", "number of the target, from 1; between two where one was put in between", lambda r: r.number),
+    *OF_THE_TARGET,
+    *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
+    Quantity("problem", "why there is no answer"),
 )
 
 TARGETS: tuple[Quantity[TargetTable], ...] = (
@@ -163,13 +165,8 @@ TARGETS: tuple[Quantity[TargetTable], ...] = (
     line("a way without a snap", lambda a: None if a.followed else _of_reached(a, _ways)),
     line("put in between", lambda a: _between(a)),
     line("leaps", lambda a: _leaps(a)),
-    Quantity("solutions", "the answers, one per target", lambda a: [_row_record(r) for r in a.rows]),
+    Quantity("solutions", "the answers, one per target", lambda a: list(a.rows), of=ROW),
 )
-
-
-def _row_record(r: Row) -> dict[str, Any]:
-    known = record(r, UNSOLVED) if r.solution is None else record(r.solution, SOLUTION)
-    return {"target": r.number} | known | {"problem": r.problem}
 
 
 def _given(a: TargetTable) -> list[Row]:
@@ -217,6 +214,7 @@ def why(r: Row) -> str:
 class TargetTableReport(Report[TargetTable]):
     """What is said and saved about a table of targets. Targets are counted from 1."""
 
+    command = "ik --targets"
     quantities = TARGETS
 
     def table(self) -> Group:

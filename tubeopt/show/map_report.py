@@ -68,6 +68,7 @@ MAP: tuple[Quantity[RobotMap], ...] = (
 class RobotMapReport(Report[RobotMap]):
     """What is said and saved about a stability map."""
 
+    command = "stability-map"
     quantities = MAP
 
     def title(self) -> str:

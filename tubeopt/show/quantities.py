@@ -92,16 +92,22 @@ def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:
     return Quantity("", label, words=words)
 
 
-def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B]) -> tuple[Quantity[A], ...]:
-    """The quantities of a part of an answer as quantities of the whole."""
+def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B | None]) -> tuple[Quantity[A], ...]:
+    """The quantities of a part of an answer as quantities of the whole, each None where the part is."""
     return tuple(_lifted(quantity, part) for quantity in quantities)
 
 
-def _lifted(q: Quantity[B], part: Callable[[A], B]) -> Quantity[A]:
-    words: Any = q.words
-    said: Any = (lambda answer: words(part(answer))) if callable(words) else words
-    get = (lambda answer: q.found(part(answer))) if q.key else None
-    return Quantity(q.key, q.about, get, q.form, said, q.of, q.label, q.digits, q.optional)
+def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
+    def of_the_whole(of_the_part: Callable[[B], Any]) -> Callable[[A], Any]:
+        def find(answer: A) -> Any:
+            found = part(answer)
+            return None if found is None else of_the_part(found)
+
+        return find
+
+    get = of_the_whole(q.found) if q.key else None
+    words = of_the_whole(q.words) if callable(q.words) else q.words
+    return Quantity(q.key, q.about, get, q.form, words, q.of, q.label, q.digits, q.optional)
 
 
 def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:

@@ -34,6 +34,9 @@ class Report(Generic[A]):
 
     answer: A
 
+    command: ClassVar[str] = ""
+    """What is typed after `tubeopt` for such an answer."""
+
     quantities: ClassVar[tuple[Quantity[Any], ...]] = ()
     """What `--json` holds, and the rows of the table."""
 

@@ -89,6 +89,7 @@ def warnings(robot: Robot) -> list[str]:
 class RobotReport(Report[Robot]):
     """What is said and saved about a robot."""
 
+    command = "robot show"
     quantities = ROBOT
     file = "robot.json"
 

@@ -114,6 +114,7 @@ def way_sentence(w: Way) -> str:
 class EquilibriaReport(Report[Equilibria]):
     """What is said and saved about all equilibria at given joint values."""
 
+    command = "equilibria"
     quantities = EQUILIBRIA
     file = "equilibria.json"
 
@@ -148,6 +149,7 @@ class EquilibriaReport(Report[Equilibria]):
 class WayReport(Report[Way]):
     """What is said and saved about a straight way of joint values, with a snap or without."""
 
+    command = "snap"
     quantities = WAY
     file = "snap.json"
 
@@ -170,6 +172,7 @@ class WayReport(Report[Way]):
 class MotionReport(Report[Motion]):
     """What is said and saved about motion through waypoints. Waypoints are counted from 1."""
 
+    command = "follow"
     quantities = MOTION
 
     def title(self) -> str:

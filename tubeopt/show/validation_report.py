@@ -110,6 +110,7 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
 class ValidationReport(Report[Validation]):
     """What is said and saved about a comparison."""
 
+    command = "validate"
     quantities = COMPARISON
     file = "report.json"
 
@@ -188,6 +189,7 @@ FIT: tuple[Quantity[Fit], ...] = (
 class FitReport(Report[Fit]):
     """What is said and saved about a fit."""
 
+    command = "validate --fit"
     quantities = (*FIT_ERRORS, *FIT)
     file = "report.json"
 

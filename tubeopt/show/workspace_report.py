@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,8 @@ from ..files.units import TO_MM, per_si
 from ..typing import Array
 from ..workspaces import SnappingLoss, save_workspace
 from ..workspaces.findings import Findings
-from .quantities import Quantity, line
+from ..workspaces.volume import Volume
+from .quantities import Quantity, line, within
 from .report import Report, report
 
 LOSS: tuple[Quantity[SnappingLoss], ...] = (
@@ -46,10 +46,30 @@ def _dexterity(a: Findings) -> str:
     return f"{100 * seen.mean():.1f} % of all directions per voxel, at most {100 * seen.max():.1f} %"
 
 
-def _of(part: str, name: str) -> Any:
-    """A number of a part of the findings that may be missing."""
-    return lambda a: None if getattr(a, part) is None else getattr(getattr(a, part), name)
-
+VOLUMES: tuple[tuple[Quantity[Volume], ...], ...] = (
+    (
+        Quantity(
+            "meridian_volume_cm3",
+            "volume as a body of revolution",
+            lambda volume: volume.value,
+            label="",
+            words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
+            "{meridian_first_half_cm3:.4g} from the first half of the samples",
+        ),
+        Quantity("meridian_first_half_cm3", "the same from the first half of the samples", lambda volume: volume.half),
+    ),
+    (
+        Quantity(
+            "alpha_volume_cm3",
+            "volume of the alpha shape",
+            lambda volume: volume.value,
+            label="",
+            words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
+        ),
+        Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
+    ),
+)
+"""By other methods, which do not always have an answer: as a body of revolution, and as an alpha shape."""
 
 WORKSPACE: tuple[Quantity[Findings], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.workspace.robot.name),
@@ -96,23 +116,8 @@ WORKSPACE: tuple[Quantity[Findings], ...] = (
         label="",
         words="{volume_unseen_cm3:.3g} cm3 estimated as not seen yet",
     ),
-    Quantity(
-        "meridian_volume_cm3",
-        "volume as a body of revolution",
-        _of("meridian", "value"),
-        label="",
-        words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
-        "{meridian_first_half_cm3:.4g} from the first half of the samples",
-    ),
-    Quantity("meridian_first_half_cm3", "the same from the first half of the samples", _of("meridian", "half")),
-    Quantity(
-        "alpha_volume_cm3",
-        "volume of the alpha shape",
-        _of("alpha", "value"),
-        label="",
-        words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
-    ),
-    Quantity("alpha_radius_mm", "radius of the alpha shape", _of("alpha", "scale")),
+    *within(VOLUMES[0], lambda a: a.meridian),
+    *within(VOLUMES[1], lambda a: a.alpha),
     line("dexterity", _dexterity),
     Quantity(
         "mean_dexterity", "part of all directions in which a voxel is reached", lambda a: a.voxels.dexterity.mean()
@@ -137,6 +142,7 @@ def _lost(lost: SnappingLoss) -> str:
 class WorkspaceReport(Report[Findings]):
     """What is said and saved about a workspace."""
 
+    command = "workspace"
     quantities = WORKSPACE
 
     def title(self) -> str:
