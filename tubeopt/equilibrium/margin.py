@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+import scipy
 
 from ..physics.certificate import worst_function
 from ..transcription.buffered import mapped, section_function
@@ -143,18 +143,21 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     shifted = matrix.copy()
     # A shift that is the eigenvalue to the last digit would leave nothing to divide by.
     shifted.ravel()[:: size + 1] -= value * (1 + 1e-11)
-    factors = dgetrf(shifted)[:2]
+    factors = scipy.linalg.lapack.dgetrf(shifted)[:2]
     start = np.cos(np.arange(size, dtype=float))
     right, left = start, start
     for _ in range(2):
-        right, left = dgetrs(*factors, right)[0], dgetrs(*factors, left, trans=1)[0]
+        right, left = (
+            scipy.linalg.lapack.dgetrs(*factors, right)[0],
+            scipy.linalg.lapack.dgetrs(*factors, left, trans=1)[0],
+        )
         right, left = right / np.abs(right).max(), left / np.abs(left).max()
     if one_of_two:
         return np.asarray(right)
     # Of what is left beside this mode, inverse iteration makes at most 1 / (distance to the next eigenvalue).
     other = np.sin(np.arange(size, dtype=float))
     other -= right * ((left @ other) / (left @ right))
-    grown = dgetrs(*factors, other)[0]
+    grown = scipy.linalg.lapack.dgetrs(*factors, other)[0]
     grown -= right * ((left @ grown) / (left @ right))
     return None if np.abs(grown).max() * DOUBLE > np.abs(other).max() else np.asarray(right)
 
