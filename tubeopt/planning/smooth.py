@@ -256,7 +256,7 @@ def _falls(task: Task, z: Array, room: float) -> Array:
     """
     arms = task.chart.arms(z, 0.0)
     alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
-    spare = np.array([least - task.clearance for least in alone]).reshape(len(task.obstacles), -1).T
+    spare = np.array([least - task.clearance for least in alone]).reshape(len(task.obstacles), len(z)).T
     return np.asarray(spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None])))
 
 
