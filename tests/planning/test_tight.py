@@ -26,14 +26,14 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, Obstacle, Sphere
+from tubeopt.control.chart import Chart
+from tubeopt.control.clock import Clock
+from tubeopt.control.closed import pocket
 from tubeopt.control.joints import joint_space
 from tubeopt.control.posture import posture_of
+from tubeopt.control.task import Task
 from tubeopt.planning import plan
 from tubeopt.robots.robot import Robot
-from tubeopt.ways.chart import Chart
-from tubeopt.ways.clock import Clock
-from tubeopt.ways.closed import pocket
-from tubeopt.ways.task import Task
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
 HOME = ([0.0] * 3, [0.0] * 3)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.stats import qmc
+import scipy
 
 from ..errors import InputError, vector
 from ..robots.assembly import ROUND_OFF
@@ -141,7 +140,7 @@ class JointSpace:
         width = int(np.ceil(np.log2(max(count, 2))))
         chosen = np.zeros((0, m))
         for power in range(width, max(width, int(np.log2(SAMPLED))) + 1):
-            unit = qmc.Sobol(m, rng=0).random_base2(power)
+            unit = scipy.stats.qmc.Sobol(m, rng=0).random_base2(power)
             low = np.concatenate([np.maximum(self.lower[:n], -np.pi), self.lower[n:]])
             high = np.concatenate([np.minimum(self.upper[:n], np.pi), self.upper[n:]])
             narrow = low[:n] > high[:n]
@@ -163,7 +162,7 @@ class JointSpace:
         norm[: len(fixed)][fixed] = 0.0
         # Ranges without width are no ends to be far from.
         reach = np.append(np.zeros(len(self.lower)), -1.0)
-        found = linprog(
+        found = scipy.optimize.linprog(
             reach, A_ub=np.column_stack([-rows, norm]), b_ub=-bounds, bounds=[(None, None)] * len(self.lower) + [(0, 1)]
         )
         if found.status != 0:

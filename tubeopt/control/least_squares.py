@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
-from scipy.optimize import nnls
+import scipy
 
 from ..typing import Array, Mask
 
@@ -32,11 +31,11 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
         matrix: (r, m) of full column rank.   right: (r,).
         rows: (k, m).   bounds: (k,); -inf where there is none.
     """
-    q, r = qr(matrix, mode="economic", check_finite=False)
+    q, r = scipy.linalg.qr(matrix, mode="economic", check_finite=False)
     free = q.T @ right
     none = np.zeros(len(bounds), dtype=bool)
     kept = np.flatnonzero(np.isfinite(bounds))
-    cone = solve_triangular(r, rows[kept].T, trans="T", check_finite=False).T
+    cone = scipy.linalg.solve_triangular(r, rows[kept].T, trans="T", check_finite=False).T
     length = np.linalg.norm(cone, axis=1)
     gap = bounds[kept] - cone @ free
     if (length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))).any():
@@ -48,10 +47,10 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     cone = cone / length[:, None]
     scale = float(gap.max(initial=0.0))
     if scale <= 0:
-        return LeastSquares(solve_triangular(r, free, check_finite=False), none)
+        return LeastSquares(scipy.linalg.solve_triangular(r, free, check_finite=False), none)
     # Least |y| with cone y >= gap / scale: y is the residual of the dual over its last entry.
     dual = np.vstack([cone.T, gap / scale])
-    weights, _ = nnls(dual, np.append(np.zeros(len(free)), 1.0), maxiter=50 * len(gap))
+    weights, _ = scipy.optimize.nnls(dual, np.append(np.zeros(len(free)), 1.0), maxiter=50 * len(gap))
     residual = dual @ weights
     residual[-1] -= 1.0
     if -residual[-1] <= FEASIBLE:
@@ -59,4 +58,4 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     y = -scale * residual[:-1] / residual[-1]
     active = none.copy()
     active[kept[weights > 0]] = True
-    return LeastSquares(solve_triangular(r, free + y, check_finite=False), active)
+    return LeastSquares(scipy.linalg.solve_triangular(r, free + y, check_finite=False), active)

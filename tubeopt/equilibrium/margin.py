@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+import scipy
 
 from ..physics.certificate import worst_function
 from ..transcription.buffered import mapped, section_function
@@ -134,11 +134,11 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     size = len(matrix)
     # A shift that is the eigenvalue to the last digit would leave nothing to divide by.
     matrix.ravel()[:: size + 1] -= value * (1 + 1e-11)
-    factors, pivots, _ = dgetrf(matrix.T, overwrite_a=True)
+    factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     angle = np.arange(size, dtype=float)
     start = np.column_stack([np.cos(angle), np.sin(angle)])
-    grown = dgetrs(factors, pivots, start, trans=1)[0]
-    right = dgetrs(factors, pivots, grown[:, 0] / np.abs(grown[:, 0]).max(), trans=1)[0]
+    grown = scipy.linalg.lapack.dgetrs(factors, pivots, start, trans=1)[0]
+    right = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / np.abs(grown[:, 0]).max(), trans=1)[0]
     right /= np.abs(right).max()
     if one_of_two:
         return np.asarray(right)

@@ -10,11 +10,11 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..bodies.corridors import MeshObstacle
+from ..control.clock import Clock
+from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..typing import Array, Mask
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .motion import Motion
 from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
 from .walk import walk

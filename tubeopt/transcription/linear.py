@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgesv
 
 from ..errors import SolveError
 from ..typing import Array
@@ -233,7 +233,7 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
             np.matmul(chain.end_state[k], state[k], out=end[k + 1])
             if forced is not None:
                 end[k + 1, :, :size] += forced[k]
-    *_, twist, singular = dgesv(-state[-1, n:, size:], state[-1, n:, :size])
+    *_, twist, singular = scipy.linalg.lapack.dgesv(-state[-1, n:, size:], state[-1, n:, :size])
     if singular:
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     state, end = (table[..., :size] + table[..., size:] @ twist for table in (state, end))
