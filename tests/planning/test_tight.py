@@ -83,7 +83,11 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
     start, goal = (forward_kinematics(THESIS, q, shift) for q in (np.zeros(3), [1.2, 0.9, 0.4]))
     free, tight = (
         plan_trajectory(
-            THESIS, start, goal, obstacles=[body_at(goal, start, "half-space", left)], options=PlanOptions(clearance=1e-3)
+            THESIS,
+            start,
+            goal,
+            obstacles=[body_at(goal, start, "half-space", left)],
+            options=PlanOptions(clearance=1e-3),
         )
         for left in (0.03, spare)
     )

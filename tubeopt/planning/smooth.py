@@ -284,7 +284,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
-    limits = {"fields": ROOM, "clearance": least / space.length}
+    limits: dict[str, float | Array] = {"fields": ROOM, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
