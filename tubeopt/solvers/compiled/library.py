@@ -57,12 +57,15 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 """Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
-STRETCHED_ERROR, FAR_BELOW = 3e-8, 0.05
+STRETCHED_ERROR, FAR_BELOW = 3e-9, 0.05
 """Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
 below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
 
 MOST_TUBES = 6
 """Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+
+SOFTENING_ERROR = 1e-2
+"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look for that off it."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
@@ -119,6 +122,7 @@ def source(n: int, eccentric: bool) -> str:
         "ROUGH_ERROR": ROUGH_ERROR,
         "STRETCHED_ERROR": STRETCHED_ERROR,
         "FAR_BELOW": FAR_BELOW,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
