@@ -29,7 +29,7 @@ class Certificate:
         margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
             nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
-        gradient: of the margin with respect to `mechanics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
+        gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
             the eigenvalue is double, so that the margin has no derivative.
         pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
             for tubes off the centreline, of which three take it together.
@@ -140,7 +140,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """The order of breakpoints, as `mechanics.certificate.certificate_function` takes it. Of breakpoints that coincide
+    """The order of breakpoints, as `physics.certificate.certificate_function` takes it. Of breakpoints that coincide
     the first tube's is taken."""
     ends = []
     for stop in assembly.start + assembly.length:
@@ -152,7 +152,7 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
 
 
 def parameter_values(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Values of `mechanics.certificate.PARAMETERS` for a robot."""
+    """Values of `physics.certificate.PARAMETERS` for a robot."""
     values = {
         name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
     }
