@@ -153,8 +153,8 @@ class Follower:
 
 
 def _pair(joints: Array) -> tuple[Array, Array]:
-    rotations, translations = np.split(joints, 2)
-    return rotations, translations
+    n = len(joints) // 2
+    return joints[:n], joints[n:]
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
@@ -189,7 +189,8 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
-        for x in np.union1d(np.arange(1, count + 1) / count, meetings.get(k, [])):
+        parts = np.arange(1, count + 1) / count
+        for x in np.union1d(parts, meetings[k]) if k in meetings else parts:
             there = b if x == 1 else a + (b - a) * x
             at = float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
             try:
