@@ -14,6 +14,7 @@ from ..files.files import write_text
 from . import (  # noqa: F401  (each registers its reports)
     certify_report,
     design_report,
+    doctor,
     equilibrium_report,
     fabrication_report,
     heat_report,
@@ -35,9 +36,9 @@ PAGE = "docs/json.md"
 INTRODUCTION = """# What `--json` prints
 
 Every command prints one JSON object with `--json`, and saves the same where it is given `--out`. Keys end in the unit
-of their numbers. `a.b` is the key b of the object a, or of each object of the list a; a key is null where there is nothing
-to say. Numbers that are not finite are null. Every object also has `files`, the paths that were written. `tubeopt run`
-prints what the command of its study prints; a sweep has a column for every number of these objects.
+of their numbers. `a.b` is the key b of the object a, or of each object of the list a; a key is null where there is
+nothing to say. Numbers that are not finite are null. Every object also has `files`, the paths that were written.
+`tubeopt run` prints what the command of its study prints; a sweep has a column for every number of these objects.
 
 This page is written by `python -m tubeopt.show.reports` from the lists of quantities that the answers are printed from.
 """

@@ -65,7 +65,7 @@ MOST_TUBES = 6
 """Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
 
 SOFTENING_ERROR = 1e-2
-"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look for that off it."""
+"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look off it."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
