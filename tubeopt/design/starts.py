@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
@@ -13,7 +13,7 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .pose import Pose
 from .program import Program, built_in, corners
-from .requirements import Avoid, Corridor, Coverage, Reach, corridor_distance, obstacle_distance
+from .requirements import Avoid, Corridor, Coverage, Reach
 from .solved import solve_pose
 from .state import FreePose
 
@@ -31,7 +31,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
     layout = program.layout
     space = layout.space
-    unit = qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
+    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
@@ -129,8 +129,7 @@ def _outside(program: Program, poses: list[Pose]) -> Array:
     out = np.zeros(len(poses))
     for one in program.task.requirements:
         for k, pose in enumerate(poses):
-            if isinstance(one, Corridor):
-                out[k] += max(0.0, float(corridor_distance(one, pose.position)[0].max()) - one.radius)
-            elif isinstance(one, Avoid):
-                out[k] += max(0.0, one.clearance - float(obstacle_distance(one, pose.position)[0].min()))
+            if isinstance(one, Corridor | Avoid):
+                wanted = one.clearance if isinstance(one, Avoid) else 0.0
+                out[k] += max(0.0, wanted - float(one.signed_distance(pose.position).min()))
     return out

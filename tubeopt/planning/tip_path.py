@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from ..bodies.obstacles import Obstacle
 from ..control.clock import Clock
@@ -124,7 +124,7 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
         return points
     along = np.concatenate([[0.0], np.cumsum(step)])
     fine = np.interp(np.linspace(0, len(points) - 1, DENSE * (len(points) - 1) + 1), np.arange(len(points)), along)
-    dense: Array = CubicSpline(along, points)(fine)
+    dense: Array = scipy.interpolate.CubicSpline(along, points)(fine)
     return dense
 
 

@@ -129,7 +129,7 @@ def two_columns(title: str, rows: Sequence[tuple[str, str]]) -> Table:
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(name, Text(value))  # as it is: a name may have brackets, which rich takes for markup
     return table
 
 

@@ -14,6 +14,7 @@ from ..files.files import write_text
 from . import (  # noqa: F401  (each registers its reports)
     certify_report,
     design_report,
+    doctor,
     equilibrium_report,
     fabrication_report,
     heat_report,

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from ...errors import InputError, choice, positive, vector
 from ...files.fields import check_fields, unit
@@ -173,7 +173,7 @@ def _least_squares(kappa: Array, lost: Array, order: int) -> _Fit:
         return _Fit(values, None, math.nan)
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    reach = stdtrit(free, (1 + CONFIDENCE) / 2) * spread
+    reach = scipy.special.stdtrit(free, (1 + CONFIDENCE) / 2) * spread
     return _Fit(values, np.column_stack([values - reach, values + reach]), noise)
 
 
