@@ -46,6 +46,10 @@ OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
 """A number for every tube of the study's robot, inner to outer."""
 
 
+TURNED = Field(None, description="rotation of every tube, inner to outer; by default all 0")
+SHIFTED = Field(None, description="translation of every tube, inner to outer; by default home")
+
+
 def _whole(value: object) -> int:
     number = decimal(value)
     if number != number.to_integral_value():

@@ -41,13 +41,19 @@ class ValidationStudy(Study):
     robot: RobotPath
     measurements: MeasurementsPath
     registration: Literal["rigid", "base-axis", "none"] = Field(
-        "rigid", description="how the device's frame is brought to the plate's"
+        "rigid", description="how the device's frame is brought to the plate's: rigid, base-axis or none"
     )
-    base_position_mm: Triple | None = Field(None, description="for base-axis: plate centre in the device's frame")
-    base_axis: Triple | None = Field(None, description="for base-axis: the plate's z in the device's frame")
-    fit: list[str] = Field([], description="parameters to estimate: curvature, curvature_2, nu, rotation_1, ...")
-    folds: Whole = Field(5, description="of the cross-validation; 0 for none")
-    confidence: Positive = Field(Decimal("0.95"), lt=1, description="of the intervals")
+    base_position_mm: Triple | None = Field(
+        None, description="for base-axis: the plate's centre as the device sees it", examples=["X,Y,Z"]
+    )
+    base_axis: Triple | None = Field(
+        None, description="for base-axis: direction of the plate's z in its frame", examples=["X,Y,Z"]
+    )
+    fit: list[str] = Field(
+        [], description="estimate these: curvature, curvature_2, nu, rotation_1, ...", examples=["NAME,.."]
+    )
+    folds: Whole = Field(5, description="folds of the cross-validation of a fit; 0 for none")
+    confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:
