@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from ..files.checked import NotNegative, Positive
+from ..files.checked import NotNegative, Positive, in_file
 from ..files.fields import asking, values
-from ..files.units import PERCENT, shown, to_si
+from ..files.units import PERCENT, to_si
 from ..robots.tubes import Tube
 from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
@@ -73,17 +73,9 @@ def heating_of(
     return Heating(planned, tuple(tables), band, Uncertainty() if ensemble is None else ensemble.uncertainty, scale)
 
 
-def _load(value: object, info: ValidationInfo) -> Rig:
-    if isinstance(value, Rig):  # of a sweep, which has loaded or changed it
-        return value
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a rig file")
-    return load_rig(info.context["directory"] / value if info.context else value)
-
-
 RigPath = Annotated[
     Rig,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_rig, "a rig file", kind=Rig),
     Field(description="path of the rig file, relative to this file"),
 ]
 """A rig, given as the path of its file."""

@@ -7,37 +7,23 @@ from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive
-from ..files.units import MM, shown, to_si
+from ..files.checked import NotNegative, Positive, in_file
+from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Triple, obstacles_beside, point
+from .obstacle_file import Triple, load_obstacles, point
 from .target_file import Targets, load_joints, load_targets
 
-
-def _targets(value: object, info: ValidationInfo) -> Targets:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    return load_targets(info.context["directory"] / value if info.context else value)
-
-
-def _joints(value: object, info: ValidationInfo) -> tuple[Array, Array] | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a YAML file with rotations_deg, translations_mm")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_joints(info.context["directory"] / value if info.context else value, robot)
-
-
-Joints = Annotated[tuple[Array, Array], PlainValidator(_joints, json_schema_input_type=str)]
+Joints = Annotated[
+    tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of_robot=True)
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +71,7 @@ class InverseStudy(Study):
     direction: Triple | None = Field(
         None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )
-    targets: Annotated[Targets, PlainValidator(_targets, json_schema_input_type=str)] | None = Field(
+    targets: Annotated[Targets, in_file(load_targets, "a CSV file")] | None = Field(
         None,
         description="many targets: a CSV file with columns x_mm, y_mm, z_mm[, direction_x, ...]",
         examples=["TARGETS.csv"],
@@ -104,12 +90,10 @@ class InverseStudy(Study):
     direction_weight: Positive | None = Field(
         None, description="make the direction a cost of this weight", examples=["W"]
     )
-    obstacles: Annotated[tuple[Obstacle, ...], PlainValidator(obstacles_beside, json_schema_input_type=str)] | None = (
-        Field(
-            None,
-            description="bodies that the whole arm keeps away from: a YAML file",
-            examples=["OBSTACLES.yaml"],
-        )
+    obstacles: Annotated[tuple[Obstacle, ...], in_file(load_obstacles, "a YAML file of obstacles")] | None = Field(
+        None,
+        description="bodies that the whole arm keeps away from: a YAML file",
+        examples=["OBSTACLES.yaml"],
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     method: Literal["auto", "gauss_newton", "nlp"] = Field(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from ..files.checked import NotNegative
-from ..files.units import MM, shown, to_si
+from ..files.checked import NotNegative, in_file
+from ..files.units import MM, to_si
 from ..robots.tubes import Tube
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.materials import mold_material
@@ -29,23 +29,9 @@ class Ranking:
     heat: HeatSpec
 
 
-def _load(value: object, info: ValidationInfo) -> MoldSpec:
-    if isinstance(value, MoldSpec):  # of a sweep, which has loaded or changed it
-        return value
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a mold file")
-    return load_mold_spec(info.context["directory"] / value if info.context else value)
-
-
-def _springback(value: object, info: ValidationInfo) -> Springback:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a spring-back file")
-    return load_springback(info.context["directory"] / value if info.context else value)
-
-
 MoldPath = Annotated[
     MoldSpec,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_mold_spec, "a mold file", kind=MoldSpec),
     Field(description="path of the mold file, relative to this file"),
 ]
 """What is asked of a mold, given as the path of its file."""
@@ -63,7 +49,7 @@ class MoldStudy(Study):
     material: str | None = Field(
         None, description="of both plates: steel, mdf, glass_mica, calcium_silicate; by default the mold file's"
     )
-    springback: Annotated[Springback, PlainValidator(_springback, json_schema_input_type=str)] | None = Field(
+    springback: Annotated[Springback, in_file(load_springback, "a spring-back file")] | None = Field(
         None, description="spring-back from `tubeopt mold calibrate`: a YAML file", examples=["FILE.yaml"]
     )
     cold_length_mm: NotNegative | None = Field(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..equilibrium.result import Equilibrium
-from ..files.units import shown
+from ..files.checked import in_file
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
@@ -107,15 +107,6 @@ class SnapStudy(Study):
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
-def _waypoints(value: object, info: ValidationInfo) -> Waypoints | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_waypoints(info.context["directory"] / value if info.context else value, robot)
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What a robot does along waypoints."""
@@ -131,7 +122,7 @@ class FollowStudy(Study):
     robot: RobotPath
     path: Annotated[
         Waypoints,
-        PlainValidator(_waypoints, json_schema_input_type=str),
+        in_file(load_waypoints, "a CSV file", of_robot=True),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
 

@@ -5,27 +5,17 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated, Literal
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive
-from ..files.units import MM, shown, to_si
+from ..files.checked import Number, Positive, in_file
+from ..files.units import MM, to_si
 from ..validation import BasePose, Fit, Measurements, Validation, choose_parameters, fit, validate
 from .base import Progress, RobotPath, Study, Whole
 from .measurement_file import load_measurements
 
-
-def _load(value: object, info: ValidationInfo) -> Measurements | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_measurements(info.context["directory"] / value if info.context else value, robot)
-
-
 MeasurementsPath = Annotated[
     Measurements,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_measurements, "a CSV file", of_robot=True),
     Field(description="path of the CSV file of measured tips, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
