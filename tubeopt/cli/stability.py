@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import typer
-
 from ..runs.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
-from ..show.certify_report import EXIT_CODES
 from ..show.report import present
 from ..show.reports import report
 from .flags import ROBOT, ask, asks
@@ -47,7 +44,6 @@ def certify(study: CertifyStudy, robot: str, out: OutOption = None, as_json: Jso
     """
     answer = replace(ask(study, "looking for snaps", out), robot_file=robot)
     present(report(answer), out=out, as_json=as_json)
-    raise typer.Exit(EXIT_CODES[answer.verdict.finding])
 
 
 @asks(StabilityMapStudy)
