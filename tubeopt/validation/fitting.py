@@ -115,7 +115,7 @@ def fit(
     chosen = choose_parameters(robot, measurements, parameters)
     _check(measurements, len(chosen) + FREEDOMS.get(registration, 0), folds, confidence)
     count = len(measurements)
-    counter = _Counter(progress, count * (3 + 6 * (len(chosen) + 1) + 3 * folds * (len(chosen) + 1)))
+    counter = _Counter(progress, count * (9 + 4 * folds))
     before = validate(robot, measurements, registration=registration, base=base, progress=counter.step)
     model = TipModel(robot, measurements, chosen, registration, base, counter.step)
     start = np.array([parameter.start for parameter in chosen])
