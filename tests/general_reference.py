@@ -70,8 +70,8 @@ def behind_plate(tube: Sequence[Stretch], held: float) -> tuple[float, float]:
     for length, u, _, torsional in tube:
         stop = min(begin + length, 0.0)
         if stop > begin:
-            compliance += quad(lambda s: 1 / torsional(s), 0, stop - begin, epsabs=0, epsrel=1e-13, limit=200)[0]
-            wound += quad(lambda s: u(s)[2], 0, stop - begin, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
+            compliance += quad(lambda s, kt=torsional: 1 / kt(s), 0, stop - begin, epsabs=0, epsrel=1e-13, limit=200)[0]
+            wound += quad(lambda s, u=u: u(s)[2], 0, stop - begin, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
         begin += length
     return compliance, wound
 
