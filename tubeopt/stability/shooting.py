@@ -44,8 +44,9 @@ class Along:
 
     def of(self, pieces: Index, tubes: Index) -> Along:
         """Some tubes on some pieces."""
-        parts = (self.stiffness, self.moment, self.phase, self.compliance)
-        return Along(*(part[pieces][:, :, tubes] for part in parts), self.whole[np.ix_(pieces, tubes)])
+        own = np.ix_(pieces, np.arange(len(GRID)), tubes)
+        kb, m, phase, soft = (part[own] for part in (self.stiffness, self.moment, self.phase, self.compliance))
+        return Along(kb, m, phase, soft, self.whole[np.ix_(pieces, tubes)])
 
 
 @lru_cache(maxsize=16)
@@ -56,8 +57,9 @@ def along_of(problem: ReducedProblem) -> Along | None:
         return None
     at = sections_at(problem.assembly, mesh, GRID)
     shape = len(mesh.length), len(GRID), problem.assembly.n_tubes
-    parts = (at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness)
-    return Along(*(part.reshape(shape) for part in parts), np.diff(reach(mesh, here), axis=0))
+    table = (at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness)
+    kb, m, phase, soft = (part.reshape(shape) for part in table)
+    return Along(kb, m, phase, soft, np.diff(reach(mesh, here), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
