@@ -138,7 +138,7 @@ def dyadic_jump(s: float) -> float:
             lambda: replace(tube_of(Piece(0.1, varying)), curved_length=0.2),
             "curved_length is 0.2 m; of a tube of",
         ),
-        (lambda: tube_of(Piece(0.1, (0, 2000.0, 0))), "curvature is 2000 per m; its radius must exceed half the"),
+        (lambda: tube_of(Piece(0.1, (0, 2000.0, 0))), "piece 1 is curved by 2000 per m; its radius must exceed"),
         (lambda: EccentricRobot(tube_of(Piece(0.1, varying))), "tube 1 is made of pieces; an eccentric robot takes"),
     ],
 )
