@@ -45,6 +45,7 @@ class Lengthwise:
         breaks: (n, B + 1) arc lengths from the held end where panels meet, m; inf behind the last.
         coefficients: (n, B, 6, D) of the Chebyshev polynomials of QUANTITIES.
         bent: (n, B) whether there is any bending precurvature.
+        direction: (n, B) angle of that in the tube's own frame, rad, where it stays in one plane; else inf.
         detail: (n, B) polynomial degree that matters, per length of the panel, 1/m.
         twist: (n, B) largest |u*_z|, 1/m.
         cuts: per tube, where its pieces begin and end, from the held end, m.
@@ -54,6 +55,7 @@ class Lengthwise:
     breaks: Array
     coefficients: Array
     bent: Mask
+    direction: Array
     detail: Array
     twist: Array
     cuts: tuple[tuple[float, ...], ...]
@@ -92,7 +94,7 @@ class Lengthwise:
         panel = self.panel(place[None])[0]
         low = self.breaks[tube, panel]
         high = np.clip(place, low, self.breaks[tube, panel + 1])
-        nodes, weights = _gauss()
+        nodes, weights = gauss_rule()
         s = low + (high - low) * nodes[:, None]
         rate = 1 / self.values(s, np.broadcast_to((low + high) / 2, s.shape))[1]
         return np.asarray(self.compliance[tube, panel] + (high - low) * (weights @ rate))
@@ -112,7 +114,8 @@ class Lengthwise:
 
 
 @lru_cache(maxsize=1)
-def _gauss() -> tuple[Array, Array]:
+def gauss_rule() -> tuple[Array, Array]:
+    """Nodes and weights (QUADRATURE,) on 0 to 1."""
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     return (x + 1) / 2, w / 2
 
@@ -125,6 +128,7 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     width = max(2, *(len(c) for own, _ in panels for _, _, table in own for c in table))
     breaks, table = np.full((n, most + 1), np.inf), np.zeros((n, most, len(QUANTITIES), width))
     bent, detail, twist = np.zeros((n, most), dtype=bool), np.zeros((n, most)), np.zeros((n, most))
+    direction = np.zeros((n, most))
     compliance = np.zeros((n, most + 1))
     for i, (own, _) in enumerate(panels):
         breaks[i, 0] = 0.0
@@ -133,13 +137,26 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
             for q, coefficients in enumerate(channels):
                 table[i, k, q, : len(coefficients)] = coefficients
             bent[i, k] = any(np.any(c) for c in channels[2:4])
+            direction[i, k] = _direction(channels[2], channels[3])
             detail[i, k] = max(_degree(c) for c in channels[:5]) / (high - low)
             twist[i, k] = float(np.abs(channels[4]).sum())
-            nodes, weights = _gauss()
+            nodes, weights = gauss_rule()
             rate = chebyshev.chebval(2 * nodes - 1, channels[1])
             compliance[i, k + 1] = compliance[i, k] + (high - low) * float(weights @ (1 / rate))
     cuts = tuple(tuple(cut) for _, cut in panels)
-    return Lengthwise(breaks, table, bent, detail, twist, cuts, compliance)
+    return Lengthwise(breaks, table, bent, direction, detail, twist, cuts, compliance)
+
+
+def _direction(x: Array, y: Array) -> float:
+    """The direction of (x, y) whose coefficients are in proportion, -pi/2 to pi/2; inf where they are not."""
+    if not np.any(y):
+        return 0.0
+    size = max(len(x), len(y))
+    a, b = (np.pad(c, (0, size - len(c))) for c in (x, y))
+    k = int(np.argmax(np.hypot(a, b)))
+    angle = float(np.arctan2(b[k], a[k]))
+    across = np.cos(angle) * b - np.sin(angle) * a
+    return angle if np.abs(across).max() <= 1e-15 * float(np.hypot(a, b)[k]) else float("inf")
 
 
 def _degree(coefficients: Array) -> int:
