@@ -5,7 +5,8 @@ typedef struct {
     double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
     double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
 #if GENERAL
-    double slope[MOST_PIECES][MOST_DEGREE * N]; /* phi' at the points; `twist` is then the torque, `moment` M itself */
+    double slope[MOST_PIECES][MOST_DEGREE * N]; /* (1 / kt - c) t at the points, c the mean of 1 / kt on the piece */
+    double compliance[MOST_PIECES][N];          /* c; `twist` is then the torque t, `moment` M itself */
 #endif
 } Profile;
 
@@ -34,18 +35,20 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
         double h = l->length[p];
         if (l->collocated[p]) x -= degree;
         for (int i = 0; i < N; i++) {
-            double gain = 0, sum = 0, inner[MOST_DEGREE];
+            double gain = 0, sum = 0, mean = 0, inner[MOST_DEGREE];
             for (int k = 0; k < degree; k++) {
                 inner[k] = arm->moment[p][k * N + i] = l->collocated[p] ? state->moment[x + k][i] : 0;
                 gain += t->weights[k] * inner[k];
+                mean += t->weights[k] * q->rate[p][k][i];
             }
+            arm->compliance[p][i] = mean;
             at[i] -= h * gain;
             arm->twist[p][i] = at[i];
             for (int k = 0; k < degree; k++) {
                 double torque = at[i];
                 for (int j = 0; j < degree; j++) torque += h * t->matrix[k * degree + j] * inner[j];
-                arm->slope[p][k * N + i] = torque * q->rate[p][k][i];
-                sum += t->weights[k] * arm->slope[p][k * N + i];
+                arm->slope[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
+                sum += t->weights[k] * torque * q->rate[p][k][i];
             }
             turn[p][i] = h * sum;
         }
@@ -58,19 +61,27 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
         }
 }
 
-/* phi at the points of `fine`, from the arm on the tableau of `coarse`; `once` (fine K, coarse K) is the Lagrange basis
-   integrated once. */
-static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *once,
+/* phi of a tube at fraction x of a piece; `once`, `twice`: the Lagrange basis (degree) there, integrated. */
+static double turned(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
+                     const double *twice) {
+    double h = q->layout->length[p], bent = 0, uneven = 0;
+    for (int k = 0; k < q->tableau->degree; k++) {
+        bent += twice[k] * arm->moment[p][k * N + i];
+        uneven += once[k] * arm->slope[p][k * N + i];
+    }
+    return arm->rotation[p][i] + h * (arm->compliance[p][i] * (x * arm->twist[p][i] + h * bent) + uneven);
+}
+
+/* phi at the points of `fine`, from the arm on the tableau of `coarse`; `bases` (2, fine K, coarse K) is the Lagrange
+   basis integrated once and twice. */
+static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *bases,
                         double theta[][N]) {
     int degree = coarse->tableau->degree, k = fine->tableau->degree;
     for (int x = 0; x < fine->points; x++) {
         int p = fine->piece[x];
-        const double *basis = once + (x % k) * degree;
-        for (int i = 0; i < N; i++) {
-            double sum = 0;
-            for (int j = 0; j < degree; j++) sum += basis[j] * arm->slope[p][j * N + i];
-            theta[x][i] = arm->rotation[p][i] + fine->layout->length[p] * sum;
-        }
+        const double *once = bases + (x % k) * degree, *twice = once + k * degree;
+        for (int i = 0; i < N; i++)
+            theta[x][i] = turned(coarse, arm, p, i, fine->tableau->nodes[x % k], once, twice);
     }
 }
 #else
@@ -175,6 +186,12 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     evaluate(coarse, alpha, rough);
     memset(z, 0, sizeof z);
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
+#if GENERAL
+    /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
+    double all[MOST_UNKNOWNS], part = 0.02 * sqrt(dot(z, z, fine->size) / fine->size);
+    anywhere(all, fine->size);
+    for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
+#endif
     if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;

@@ -34,6 +34,7 @@ from ...transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWI
 from ...transcription.piece import COARSE_STEPS, ENDS, EXTRA_POINTS, STEPS, piece_function
 from ...transcription.reduced import INWARDS
 from ...transcription.tableau import tableau
+from ...typing import Array
 from .. import newton
 from .packaged import build_kernels, generations, packaged_kernel
 
@@ -220,19 +221,23 @@ def _general_constants() -> str:
     """Numbers of which the kernel for tubes made of pieces is made, as C."""
     fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
     nodes, weights = gauss_rule()
+
+    def bases(x: Array) -> Array:
+        return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
+
     tables = {
         "SAMPLES": SAMPLES,
         "QUADRATURE_NODES": nodes,
         "QUADRATURE_WEIGHTS": weights,
         "FINE_POINTS": FINE,
-        "FINE_BASIS": fine.lagrange(FINE, integrals=1),
+        "FINE_BASIS": bases(FINE),
         "COARSE_POINTS": COARSE,
-        "COARSE_BASIS": fine.lagrange(COARSE, integrals=1),
-        "ENDS_BASIS": fine.lagrange(ENDS, integrals=1),
+        "COARSE_BASIS": bases(COARSE),
+        "ENDS_BASIS": bases(ENDS),
         "CHECK_NODES": check.nodes,
         "CHECK_WEIGHTS": check.weights,
         "CHECK_MATRIX": check.matrix,
-        "CHECK_BASIS": fine.lagrange(check.nodes, integrals=1),
+        "CHECK_BASIS": bases(check.nodes),
     }
     numbers = {
         "QUADRATURE": len(nodes),
@@ -281,10 +286,11 @@ class _Method(ctypes.Structure):
 
 def _method(general: bool) -> Any:
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    # From moments to rotations are two integrals; with tubes made of pieces one, from the slope of the rotations.
-    integrals = 1 if general else 2
-    twice = np.ascontiguousarray(coarse.lagrange(fine.nodes, integrals=integrals))
-    back = np.ascontiguousarray(fine.lagrange(coarse.nodes, integrals=integrals))
+    twice, back = coarse.lagrange(fine.nodes, integrals=2), fine.lagrange(coarse.nodes, integrals=2)
+    if general:
+        twice = np.stack([coarse.lagrange(fine.nodes, integrals=1), twice])
+        back = np.stack([fine.lagrange(coarse.nodes, integrals=1), back])
+    twice, back = np.ascontiguousarray(twice), np.ascontiguousarray(back)
     arrays = [np.ascontiguousarray(a) for t in (coarse, fine) for a in (t.nodes, t.weights, t.matrix)]
     method = _Method(
         _Tableau(COARSE_DEGREE, *(a.ctypes.data for a in arrays[:3])),

@@ -2,14 +2,8 @@
 
 #define CHECK_DEGREE (MOST_DEGREE + EXTRA_POINTS)
 
-/* phi at fraction x of a piece, from the slopes at its points and `basis`, the Lagrange basis there integrated once. */
-static double turned_at(const Unknowns *q, const Profile *arm, int p, int i, const double *basis) {
-    double sum = 0;
-    for (int k = 0; k < MOST_DEGREE; k++) sum += basis[k] * arm->slope[p][k * N + i];
-    return arm->rotation[p][i] + q->layout->length[p] * sum;
-}
-
-/* The cross-section of all tubes at fraction x of piece p: directions of their pulls, kb, m, and more. */
+/* The cross-section of all tubes at fraction x of piece p: directions of their pulls, kb, m, and more; `basis` (2, K) is
+   the Lagrange basis there integrated once and twice. */
 static void look(const Unknowns *q, const Profile *arm, int p, double x, const double *basis, double *phi,
                  double *direction, double *kb, double *m, Section *all) {
     const Layout *l = q->layout;
@@ -18,7 +12,7 @@ static void look(const Unknowns *q, const Profile *arm, int p, double x, const d
         double held = l->transmission[i];
         all[i] = section_of(q->tubes->pieces, i, l->start[p] + x * l->length[p] + held,
                             l->start[p] + inwards * l->length[p] + held, l->present[p][i]);
-        phi[i] = turned_at(q, arm, p, i, basis);
+        phi[i] = turned(q, arm, p, i, x, basis, basis + MOST_DEGREE);
         direction[i] = phi[i] + all[i].phase;
         kb[i] = all[i].stiffness;
         m[i] = all[i].moment;
@@ -34,7 +28,7 @@ static void carry_pose(const Unknowns *q, const Profile *arm, int p, int steps, 
         for (int g = 0; g < 3; g++) {
             const double *in[3] = {direction, kb, m};
             double *out[1] = {u + 2 * g};
-            look(q, arm, p, points[3 * k + g], basis + (3 * k + g) * MOST_DEGREE, phi, direction, kb, m, all);
+            look(q, arm, p, points[3 * k + g], basis + (3 * k + g) * 2 * MOST_DEGREE, phi, direction, kb, m, all);
             section_curvature(in, out, 0, 0, 0);
         }
         const double *in[2] = {u, &length};
@@ -62,7 +56,7 @@ static double check_piece(const Unknowns *q, const Profile *arm, int p, double *
     for (int k = 0; k < CHECK_DEGREE; k++) {
         Section all[N];
         const double *in[3] = {direction, kb, m};
-        look(q, arm, p, CHECK_NODES[k], CHECK_BASIS + k * MOST_DEGREE, phi[k], direction, kb, m, all);
+        look(q, arm, p, CHECK_NODES[k], CHECK_BASIS + k * 2 * MOST_DEGREE, phi[k], direction, kb, m, all);
         if (l->collocated[p]) {
             double *out[1] = {moment[k]};
             section_moment(in, out, 0, 0, 0);
@@ -102,7 +96,7 @@ static double add_general(const Unknowns *q, const Profile *arm, int p, double *
         Section all[N];
         int at = p * STEPS + k;
         double total = 0, stiff = 0, x = (double)k / STEPS;
-        look(q, arm, p, x, ENDS_BASIS + k * MOST_DEGREE, phi, direction, kb, m, all);
+        look(q, arm, p, x, ENDS_BASIS + k * 2 * MOST_DEGREE, phi, direction, kb, m, all);
         for (int i = 0; i < N; i++) {
             total += fabs(m[i]);
             stiff += kb[i];
@@ -117,7 +111,7 @@ static double add_general(const Unknowns *q, const Profile *arm, int p, double *
             double torque = arm->twist[p][i], place = out->arc_length[at] + l->transmission[i];
             double inwards = x + INWARDS * (0.5 - x);
             for (int j = 0; j < MOST_DEGREE; j++)
-                torque += l->length[p] * ENDS_BASIS[k * MOST_DEGREE + j] * arm->moment[p][j * N + i];
+                torque += l->length[p] * ENDS_BASIS[k * 2 * MOST_DEGREE + j] * arm->moment[p][j * N + i];
             out->rotation[at][i] = phi[i] + all[i].wound;
             out->torsion[at][i] = torque / all[i].torsional;
             if (l->present[p][i])
