@@ -10,9 +10,9 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag,
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..files.checked import Entry, Number, Positive, check
+from ..files.fields import Part
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
-from ..robots.file import Part
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
