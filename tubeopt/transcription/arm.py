@@ -22,8 +22,8 @@ class Profile:
     theta = rotation + x h twist + h^2 int int M / kt + h int (g - 1) w.
 
     With tubes made of pieces, where kt varies: rotation is the elastic phi, `twist` the torque t = kt phi' and `moment`
-    M itself. With c the mean of 1 / kt on a piece, phi = rotation + c (x h twist + h^2 int int M) + h int (1 / kt - c) t,
-    of which the last is collocated.
+    M itself. With c the mean of 1 / kt on a piece, phi = rotation + c (x h twist + h^2 int int M) + h int (1 / kt - c)
+    t, of which the last is collocated.
 
     Attributes:
         rotation, twist: (P, n) theta and w where each piece begins.

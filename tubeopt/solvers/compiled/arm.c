@@ -188,7 +188,7 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
 #if GENERAL
     /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
-    double all[MOST_UNKNOWNS], part = 0.02 * sqrt(dot(z, z, fine->size) / fine->size);
+    double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(z, z, fine->size) / fine->size);
     anywhere(all, fine->size);
     for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
 #endif

@@ -105,17 +105,15 @@ def _general_tubes(robot: Robot, table: Lengthwise) -> tuple[Array, Any]:
     return out, pieces
 
 
-def _tubes(robot: Robot) -> tuple[Array, Any]:
-    """The C struct Tubes of a robot, and what it points to."""
+def _tubes(robot: Robot) -> Array:
+    """The C struct Tubes of a robot without pieces."""
     home = robot.assembly(robot.home_translations)
-    if home.lengthwise is not None:
-        return _general_tubes(robot, home.lengthwise)
     straight = [tube.straight_length for tube in robot.tubes]
     whole = [tube.length for tube in robot.tubes]
     table = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight, whole]
     out = np.concatenate([*table, home.offset, home.offset_angle, [0.0]])
     out[-1:].view(np.int64)[0] = home.eccentric
-    return out, None
+    return out
 
 
 @lru_cache(maxsize=64)
@@ -133,8 +131,12 @@ def _prepared(robot: Robot) -> tuple[Library, Any, int] | None:
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    tubes = _tubes(robot)
-    return kernel, tubes, _at(tubes[0])
+    table, kept = robot.assembly(robot.home_translations).lengthwise, None
+    if table is None:
+        tubes = _tubes(robot)
+    else:
+        tubes, kept = _general_tubes(robot, table)
+    return kernel, (tubes, kept), _at(tubes)
 
 
 def _at(array: NDArray[Any]) -> int:
