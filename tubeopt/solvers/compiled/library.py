@@ -30,7 +30,7 @@ from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...transcription.piece import COARSE_STEPS, STEPS, piece_function
 from ...transcription.tableau import tableau
-from .. import newton
+from ..settings import NEWTON
 from .packaged import build_kernels, generations, packaged_kernel
 
 HERE = Path(__file__).parent
@@ -107,14 +107,14 @@ def source(n: int, eccentric: bool) -> str:
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": MOST_PIECES,
         "MOST_UNKNOWNS": MOST_UNKNOWNS,
-        "MOST_ITERATIONS": newton.MOST_ITERATIONS,
+        "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
-        "ROUND_OFF": newton.ROUND_OFF,
-        "LAST_STEP": newton.LAST_STEP,
+        "ROUND_OFF": NEWTON.round_off,
+        "LAST_STEP": NEWTON.last_step,
         "MOST_WARM_ITERATIONS": MOST_WARM_ITERATIONS,
-        "LONGEST_STEP": newton.LONGEST_STEP,
+        "LONGEST_STEP": NEWTON.longest_step,
         "COARSE_STEP": COARSE_STEP,
         "CHORD_STEP": CHORD_STEP,
         "LANCZOS": LANCZOS,
