@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
-from .ipopt import Ipopt, ProblemStatus
+from ..solvers.settings import Ipopt
 from .problem_solution import ProblemSolution
+from .problem_status import ProblemStatus
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock

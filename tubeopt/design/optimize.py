@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import Enum
 
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
@@ -37,6 +38,25 @@ class Dimension:
     before: float
     after: float
     bound: str
+
+
+class DesignStatus(Enum):
+    """What became of a design; every value reads as a sentence."""
+
+    KEPT = "the design keeps all that was demanded"
+    BROKEN = "a design was found, but looked at again it does not keep all that was demanded"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class DesignStatistics:
+    """What a design took: starts, rounds in which worst cases were added, seconds."""
+
+    starts: int
+    rounds: int
+    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +92,21 @@ class DesignSolution:
     added: Added
     verification: Verification
     seconds: float
+
+    @property
+    def value(self) -> ConcentricRobot:
+        """The robot."""
+        return self.robot
+
+    @property
+    def status(self) -> DesignStatus:
+        """Whether it keeps what was demanded when it is looked at again."""
+        return DesignStatus.KEPT if self.verification.kept else DesignStatus.BROKEN
+
+    @property
+    def statistics(self) -> DesignStatistics:
+        """What it took."""
+        return DesignStatistics(self.ranking.starts, self.rounds, self.seconds)
 
     @property
     def attempt(self) -> Attempt:

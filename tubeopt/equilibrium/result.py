@@ -107,6 +107,11 @@ class Equilibrium:
     verification: Verification | None = None
 
     @property
+    def value(self) -> Array:
+        """(3,) m, where the tip is: what forward kinematics is asked for."""
+        return self.tip_position
+
+    @property
     def stable(self) -> bool:
         """Whether the robot stays in this equilibrium: margin > 0."""
         return self.margin > 0

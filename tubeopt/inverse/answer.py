@@ -102,6 +102,11 @@ class InverseSolution:
         return self.equilibrium.margin
 
     @property
+    def value(self) -> tuple[Array, Array]:
+        """The joint values: rotations (n,), rad, and translations (n,), m."""
+        return self.rotations, self.translations
+
+    @property
     def reached(self) -> bool:
         """Whether the tip is on target."""
         return self.status is InverseStatus.REACHED

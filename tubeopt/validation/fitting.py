@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import scipy
@@ -47,6 +48,24 @@ class Estimate:
     held: bool
 
 
+class FitStatus(Enum):
+    """What became of a fit; every value reads as a sentence."""
+
+    ESTIMATED = "all parameters were estimated"
+    HELD = "some parameters are not determined by the measurements and were held at their start"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class FitStatistics:
+    """What a fit took: shapes that were solved; and of how many numbers it was made."""
+
+    evaluations: int
+    numbers: int
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A robot calibrated to measurements.
@@ -75,6 +94,21 @@ class Fit:
     held_out_errors: Array | None
     remarks: tuple[str, ...]
     evaluations: int
+
+    @property
+    def value(self) -> Robot:
+        """The robot with the estimated parameters."""
+        return self.robot
+
+    @property
+    def status(self) -> FitStatus:
+        """Whether every parameter was estimated; `remarks` say which were not."""
+        return FitStatus.HELD if any(each.held for each in self.estimates) else FitStatus.ESTIMATED
+
+    @property
+    def statistics(self) -> FitStatistics:
+        """What it took."""
+        return FitStatistics(self.evaluations, self.after.predicted.size)
 
     @property
     def held_out(self) -> ErrorSummary | None:

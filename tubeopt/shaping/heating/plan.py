@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from typing import Self
 
 import numpy as np
@@ -29,6 +30,24 @@ draught, with radiation. Order of magnitude, assumed."""
 
 QUENCHED_DEGC = 100.0
 """Below this nothing happens to nitinol in seconds."""
+
+
+class HeatingStatus(Enum):
+    """What became of a plan; every value reads as a sentence."""
+
+    HELD = "window, limits and ramp are kept"
+    MISSED = "the best schedule that was found does not keep all that was demanded"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class HeatingStatistics:
+    """What a plan took: iterations of the optimal control problem in its last round, and slots of the schedule."""
+
+    iterations: int
+    slots: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +118,21 @@ class HeatingPlan:
     quench_time: float
     growth: float
     iterations: int
+
+    @property
+    def value(self) -> Counts:
+        """(T,) duties."""
+        return self.duty
+
+    @property
+    def status(self) -> HeatingStatus:
+        """Whether everything is kept; `verdict` says what is not."""
+        return HeatingStatus.HELD if self.feasible else HeatingStatus.MISSED
+
+    @property
+    def statistics(self) -> HeatingStatistics:
+        """What it took."""
+        return HeatingStatistics(self.iterations, len(self.time))
 
     @property
     def verdict(self) -> str:
