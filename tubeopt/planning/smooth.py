@@ -39,7 +39,7 @@ REFINEMENTS = 3
 """Times that knots are added where the motion between them is not allowed."""
 
 LARGEST = 150_000
-"""Operations of one equilibrium beyond which derivatives take too long to be built: robots of about six tubes."""
+"""Operations of one equilibrium beyond which its derivatives take too long: robots of about six tubes."""
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
@@ -56,7 +56,7 @@ ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
 
-BUILDING, PER_BODY, PER_CELL = 6e-5, 1e-2, 1.5e-4
+BUILDING, PER_BODY, PER_CELL = 2e-5, 5e-3, 1.5e-4
 """Seconds that it takes at most on most machines to build the program, which nothing can cut short: per operation of an
 equilibrium, per obstacle, and per cell of the grid about a mesh."""
 
