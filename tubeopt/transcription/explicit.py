@@ -6,8 +6,8 @@ equilibrium, stable or not, is one point (tip rotations, translations), and ever
 several equilibria have the same joint values, these points tell them apart; a continuous path of points is a branch.
 
 The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0:
-breakpoints are sorted by comparisons, so that one function serves every translation. One step is a function of its own,
-called for all of them: what it does is written out once, however many tubes and steps there are. The margin enters as in
+breakpoints are sorted by comparisons, so that one function serves every translation. One step is a function of its
+own, called for all of them: it is written out once, however many tubes and steps there are. The margin enters as in
 `inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
 their own equations.
 """
@@ -198,7 +198,7 @@ def _runge_kutta(
 
 
 def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:
-    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and curvatures of steps towards it."""
+    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and curvatures of steps to the plate."""
     frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
     out = [(position, frame[:, 2], s)]
     for h, bend in reversed(bends):
