@@ -198,7 +198,7 @@ def _runge_kutta(
 
 
 def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:
-    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and curvatures of steps to the plate."""
+    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and bends of steps to the plate."""
     frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
     out = [(position, frame[:, 2], s)]
     for h, bend in reversed(bends):
