@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -9,6 +10,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+class Sentence(Enum):
+    """How a solve ended: members whose values are sentences, and who read as such."""
+
+    def __str__(self) -> str:
+        return str(self.value)
 
 
 @runtime_checkable

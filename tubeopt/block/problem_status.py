@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from ..typing import Sentence
 
 
-class ProblemStatus(Enum):
+class ProblemStatus(Sentence):
     """How the solve of a program ended; every value reads as a sentence."""
 
     SOLVED = "an optimum was found"
@@ -14,9 +14,6 @@ class ProblemStatus(Enum):
     UNBOUNDED = "the iterates grow without bound"
     NOT_A_NUMBER = "an expression of the program has no finite value or derivative where the solver came"
     STOPPED = "the solver came to a halt before an optimum"
-
-    def __str__(self) -> str:
-        return self.value
 
     @classmethod
     def of(cls, verdict: str) -> ProblemStatus:

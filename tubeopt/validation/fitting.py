@@ -11,14 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 from .comparison import Progress, Validation, validate
 from .errors import ErrorSummary
 from .identifiability import doubts, undetermined
@@ -48,14 +47,11 @@ class Estimate:
     held: bool
 
 
-class FitStatus(Enum):
+class FitStatus(Sentence):
     """What became of a fit; every value reads as a sentence."""
 
     ESTIMATED = "all parameters were estimated"
     HELD = "some parameters are not determined by the measurements and were held at their start"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)

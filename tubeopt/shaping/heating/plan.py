@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 from typing import Self
 
 import numpy as np
@@ -14,7 +13,7 @@ from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ...typing import Array
+from ...typing import Array, Sentence
 from .cures import Cure
 from .outcome import hold_slots, outcome_of, remarks
 from .rates import stored
@@ -32,14 +31,11 @@ QUENCHED_DEGC = 100.0
 """Below this nothing happens to nitinol in seconds."""
 
 
-class HeatingStatus(Enum):
+class HeatingStatus(Sentence):
     """What became of a plan; every value reads as a sentence."""
 
     HELD = "window, limits and ramp are kept"
     MISSED = "the best schedule that was found does not keep all that was demanded"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)
