@@ -21,13 +21,15 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from decimal import Decimal
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ..errors import InputError, choice, finite, instance, positive
 from .checked import Entry
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, plainest, to_si, unit_of
+
+E = TypeVar("E", bound=Entry)
 
 # --- what an annotation may say: besides these, text says what the field is ------------------------------------------
 
@@ -180,6 +182,16 @@ def entry_of(
     return model
 
 
+def asking(what: Any) -> Callable[[type[E]], type[E]]:
+    """Give an entry, besides its own keys, those of a dataclass; `values` of the entry makes its fields of them."""
+
+    def with_keys(base: type[E]) -> type[E]:
+        model: type[E] = entry_of(what, base=base)
+        return model
+
+    return with_keys
+
+
 def values(what: type[Any], entry: Any) -> dict[str, Any]:
     """The fields of a dataclass in SI, from the keys of an entry; those whose key is empty by default are left out."""
     read = {}
@@ -328,8 +340,9 @@ def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
 def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
     inner, read, write = _kind(kinds[0], marks, suffix)
     most = None if kinds[-1] is ... else len(kinds)
+    least = most or (1 if kinds[0] is float else 0)
     return (
-        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=most or 1, max_length=most)],
+        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most)],
         lambda listed: tuple(read(each) for each in listed),
         lambda listed: [write(each) for each in listed],
     )
