@@ -176,8 +176,13 @@ class _OfPieces:
             "question takes tubes of one constant curvature only"
         )
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self._refuse()
+
     __array__ = __getitem__ = __mul__ = __rmul__ = __add__ = __radd__ = __sub__ = __rsub__ = _refuse
-    __truediv__ = __rtruediv__ = __neg__ = __abs__ = __len__ = __iter__ = __pow__ = tolist = copy = _refuse
+    __truediv__ = __rtruediv__ = __neg__ = __abs__ = __len__ = __iter__ = __pow__ = _refuse
 
 
 def _numbers(tubes: Sequence[Tube], name: str) -> Array:

@@ -88,6 +88,17 @@ class Lengthwise:
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
 
+    def rates(self, place: Array, inside: Array) -> Array:
+        """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
+        panel, tube = self.panel(inside), np.arange(self.n_tubes)
+        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
+        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
+        table = self.coefficients[tube, panel]
+        degree = table.shape[-1] - 1
+        slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
+        basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
+        return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
+
     def compliant(self, place: Array) -> Array:
         """(n,) int ds / GJ of each tube from its held end to an arc length (n,), 1/(N m)."""
         tube = np.arange(self.n_tubes)
