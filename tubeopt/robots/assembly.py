@@ -79,6 +79,13 @@ class Assembly:
         return _breakpoints(self.transition, self.end, self.lengthwise, -self.transmission)
 
     @property
+    def breakpoint_tubes(self) -> list[int]:
+        """Of which tube each of the breakpoints is."""
+        each = list(range(self.n_tubes))
+        cuts = () if self.lengthwise is None else self.lengthwise.cuts
+        return [*each, *each, *(i for i, own in enumerate(cuts) for _ in own)]
+
+    @property
     def n_sections(self) -> int:
         """Number of sections m."""
         return len(self.length)

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.files import write_text
+from ..robots.robot import is_general
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
@@ -209,6 +210,8 @@ class CertificationReport:
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
+            if is_general(self.answer.robot):
+                return Text("Of tubes made of pieces the certificate has no gradient.")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
         table = Table(title="change of the certificate", title_justify="left", box=None, padding=(0, 2, 0, 0))
         table.add_column("per unit of", style="bold", no_wrap=True)
