@@ -58,6 +58,7 @@ def forward_kinematics(
     *,
     method: str = "newton",
     guess: Equilibrium | None = None,
+    load: Load | None = None,
     tolerance: float = 1e-8,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,

@@ -191,7 +191,7 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     moment, stiffness, bending, *stretch = balance(theta, problem.stiffness, problem.moment, *place)
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
-    hessian = _hessian(problem, stiffness)
+    hessian = torsional_hessian(problem, stiffness)
     energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
     extra = None
     if problem.stretch is not None:
@@ -201,11 +201,11 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
 
 
-def _hessian(problem: ReducedProblem, stiffness: Array) -> Array:
+def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
-    hessian = problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor
+    hessian = problem.factor.T @ second.reshape(problem.size, problem.size) @ problem.factor
     hessian.ravel()[:: problem.size + 1] += 1.0
     return np.asarray(hessian)
 

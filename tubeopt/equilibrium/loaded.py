@@ -1,0 +1,220 @@
+"""Forward kinematics under load: the unloaded equilibrium, followed as the load grows."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ..errors import InputError, SolveError
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, loaded_residual
+from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evaluate, tip_position, tip_slopes, unknowns
+from ..transcription.loaded_arm import loaded_arm
+from ..typing import Array
+from .load_continuation import LoadedPoint, LoadFamily, Member, carry, follow_family
+from .load_problem import check_load, loaded_problem
+from .result import Equilibrium, Statistics, Status
+from .solving import Discretisation, discretisation_of, sample_rotation
+
+FINEST = 4
+"""Most times that the pieces of the mesh are halved."""
+
+EXTRA_POINTS = 2
+"""Collocation points by which the check of the mesh is finer than the solution."""
+
+
+def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
+    """The equilibrium at full load on the branch of an unloaded one.
+
+    Raises:
+        SolveError: the branch ends, or turns unstable, before the load is reached; or the unloaded equilibrium is a fold.
+    """
+    shift = tuple(unloaded.translations.tolist())
+    problem = loaded_problem(robot, shift, load, discretisation)
+    start = unloaded_point(problem, unloaded)
+    point = start
+    for point in follow_family(LoadFamily(problem, start.member.rotations, shift), start, 1.0):
+        pass
+    if point.t < 1.0:
+        raise SolveError(
+            f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
+            to_loaded(robot, point, load.scaled(point.t), discretisation),
+        )
+    return point
+
+
+def ending(point: LoadedPoint) -> str:
+    """What happens to a branch just after its last stable point, in words."""
+    if not point.member.problem.load.has_energy:
+        return "there is no equilibrium close by"
+    return "it bifurcates" if bifurcates(point) else "it ends in a fold"
+
+
+SYMMETRIC = 1e-5
+"""A growing load whose part along the softest direction is smaller than this meets a bifurcation there."""
+
+
+def bifurcates(point: LoadedPoint) -> bool:
+    """Whether the load does not push along the softest direction of a point close to the end of its branch."""
+    soft = np.linalg.eigh(point.state.hessian)[1][:, 0]
+    pull = point.state.pull
+    return bool(abs(soft @ pull) <= SYMMETRIC * np.linalg.norm(pull))
+
+
+def unloaded_point(problem: LoadedProblem, unloaded: Equilibrium) -> LoadedPoint:
+    """An unloaded equilibrium as the beginning of a family in the factor of the load."""
+    rotations = unloaded.rotations
+    theta = sample_rotation(unloaded, problem.torsion.arc_length)
+    result = loaded_newton(problem, rotations, unknowns(problem, rotations, theta), 0.0)
+    if not result.converged:
+        raise SolveError("the unloaded equilibrium is a fold (margin 0): no load can be put on it")
+    return solved(Member(problem, rotations, tuple(unloaded.translations.tolist()), 0.0), result)
+
+
+def solved(member: Member, result: LoadedResult, t: float | None = None) -> LoadedPoint:
+    """A result as the point of a family, at t, by default the factor."""
+    margin = loaded_margin(member.problem, result.state)
+    return LoadedPoint(member.factor if t is None else t, member, result.state, margin, result.iterations)
+
+
+def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
+    """A loaded equilibrium as the beginning of a family; raises SolveError where it is a fold."""
+    shift = tuple(equilibrium.translations.tolist())
+    if equilibrium.load is None:
+        check_load(equilibrium.robot, Load(), shift)
+        return unloaded_point(loaded_problem(equilibrium.robot, shift, Load()), equilibrium)
+    problem = loaded_problem(equilibrium.robot, shift, equilibrium.load, discretisation_of(equilibrium))
+    rotations = equilibrium.rotations
+    x = unknowns(problem, rotations, equilibrium.point_rotation, equilibrium.point_curvature)
+    result = loaded_newton(problem, rotations, x)
+    if not result.converged:
+        raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
+    return solved(Member(problem, rotations, shift), result)
+
+
+def to_tolerance(
+    robot: Robot, point: LoadedPoint, load: Load, discretisation: Discretisation, tolerance: float, how: tuple[str, float]
+) -> Equilibrium:
+    """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun.
+
+    Raises:
+        SolveError: no mesh is fine enough.
+    """
+    d = discretisation
+    for level in range(d.refinement, max(FINEST, d.refinement) + 1):
+        equilibrium = to_loaded(robot, point, load, d, how)
+        length = float(equilibrium.arc_length[-1])
+        error = max(equilibrium.mesh_error, equilibrium.tip_error / length)
+        if error <= tolerance:
+            return equilibrium
+        d = Discretisation(d.family, d.degree, level + 1)
+        shift = point.member.translations
+        there = Member(loaded_problem(robot, shift, load, d), point.member.rotations, shift)
+        result = loaded_newton(there.problem, there.rotations, carry(point, there))
+        if not result.converged:
+            raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
+        point = solved(there, result)
+    raise SolveError(
+        f"{Status.MESH_TOO_COARSE}: the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad", equilibrium
+    )
+
+
+def to_loaded(
+    robot: Robot,
+    point: LoadedPoint,
+    load: Load,
+    discretisation: Discretisation,
+    how: tuple[str, float] = ("the load before", 0.0),
+) -> Equilibrium:
+    """Shape, energy and error estimates of a solved problem under `load`; `how` is the start and when (s) begun."""
+    member, state = point.member, point.state
+    problem, rotations = member.problem, member.rotations
+    assembly, mesh = problem.torsion.assembly, problem.mesh
+    arm = loaded_arm(problem, rotations, state)
+    ends = np.maximum(assembly.end, 0.0)
+    theta_error, tip_error = mesh_errors(robot, point, discretisation)
+    margin = point.margin
+    start, began = how
+    return Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=np.array(member.translations),
+        tip_position=arm.position[-1],
+        tip_rotation=arm.frame[-1],
+        arc_length=arm.arc_length,
+        position=arm.position,
+        frame=arm.frame,
+        curvature=arm.curvature,
+        rotation=arm.rotation,
+        torsion=arm.torsion,
+        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
+        section_start=assembly.start,
+        point=problem.torsion.arc_length,
+        point_rotation=state.theta,
+        point_curvature=state.curvature,
+        tube_end=ends,
+        margin=margin,
+        index=0 if margin > 0 or np.isnan(margin) else int((np.linalg.eigvalsh(state.hessian) < 0).sum()),
+        energy=state.energy,
+        residual=loaded_residual(problem, state),
+        mesh_error=theta_error,
+        tip_error=tip_error,
+        status=Status.NO_MARGIN if np.isnan(margin) else Status.STABLE if margin > 0 else Status.UNSTABLE,
+        statistics=Statistics(
+            method="newton",
+            iterations=point.iterations,
+            elements=len(mesh.length),
+            degree=mesh.tableau.degree,
+            start=start,
+            seconds=time.perf_counter() - began if began else 0.0,
+            family=mesh.tableau.family,
+            refinement=discretisation.refinement,
+        ),
+        load=load,
+        work=state.work if problem.load.has_energy else float("nan"),
+    )
+
+
+def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[float, float]:
+    """Estimated errors of theta, rad, and of the tip, m: what a Newton step on a finer rule would change."""
+    member = point.member
+    finer = Discretisation(d.family, d.degree + EXTRA_POINTS, d.refinement)
+    problem = loaded_problem(robot, member.translations, member.problem.load, finer)
+    there = Member(problem, member.rotations, member.translations, member.factor)
+    state = evaluate(problem, member.rotations, carry(point, there), member.factor)
+    step = np.linalg.solve(state.hessian, -state.gradient)
+    split = problem.torsion.size
+    theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
+    moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
+    moved -= tip_position(member.problem, point.state)
+    return float(theta), float(np.linalg.norm(moved))
+
+
+def loaded_kinematics(
+    robot: Robot,
+    unloaded: Equilibrium,
+    load: Load,
+    *,
+    tolerance: float,
+    discretisation: Discretisation,
+    began: float,
+) -> Equilibrium:
+    """The equilibrium under `load` on the branch that grows from an unloaded one."""
+    point = ramp(robot, unloaded, load, discretisation)
+    return to_tolerance(robot, point, load, discretisation, tolerance, ("the load before, from none", began))
+
+
+def compliance_of(equilibrium: Equilibrium) -> Array:
+    """(6, 6) change of the tip by a small dead wrench there; see `Equilibrium.compliance`."""
+    point = loaded_point(equilibrium)
+    return compliance(point.member.problem, point.state)
+
+
+def base_wrench_of(equilibrium: Equilibrium) -> Array:
+    """(6,) what the load puts on the plate; see `Equilibrium.base_wrench`."""
+    if equilibrium.load is None:
+        return np.zeros(6)
+    point = loaded_point(equilibrium)
+    return base_wrench(point.member.problem, point.state)
