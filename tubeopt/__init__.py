@@ -28,6 +28,7 @@ from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
+from .robots.load import Load
 from .robots.materials import NITINOL, Material
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
@@ -42,6 +43,7 @@ from .stability import (
     Certificate,
     EnergyMap,
     Finding,
+    LoadLimit,
     Path,
     Snap,
     StabilityMap,
@@ -51,6 +53,7 @@ from .stability import (
     certify,
     energy_map,
     find_equilibria,
+    find_load_limit,
     find_snap,
     follow,
     judge,
@@ -88,6 +91,8 @@ __all__ = [
     "Ipopt",
     "Jacobian",
     "JointLimits",
+    "Load",
+    "LoadLimit",
     "Material",
     "Mold",
     "MoldSpec",
@@ -119,6 +124,7 @@ __all__ = [
     "certify",
     "energy_map",
     "find_equilibria",
+    "find_load_limit",
     "find_snap",
     "follow",
     "follow_the_leader",

@@ -9,10 +9,12 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dgesv, dpotrf
 
+from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
 from ..transcription.loaded import LoadedProblem, LoadedState, unknowns
 from ..typing import Array
-from .continuation import LARGEST_RATIO, SHORTEST_STEP, largest_twist
+from .continuation import LARGEST_RATIO, JointPath, largest_twist
+from .load_problem import loaded_problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,32 @@ class LoadFamily:
     def member(self, t: float) -> Member:
         """The problem at factor t."""
         return Member(self.problem, self.rotations, self.translations, t)
+
+
+@dataclass(frozen=True, eq=False)
+class JointFamily:
+    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one.
+
+    Attributes:
+        path: of the joints.
+        load: at the end.
+        before: at the start; None is no load.
+    """
+
+    path: JointPath
+    load: Load
+    before: Load | None
+
+    def member(self, t: float) -> Member:
+        """The problem at t."""
+        rotations, translations = self.path.at(t)
+        shift, load, factor = tuple(translations.tolist()), self.load, 1.0
+        if self.before is None:
+            factor = t
+        elif t < 1 and self.before != load:
+            load = between(self.before, load, t)
+        problem = loaded_problem(self.path.robot, shift, load, self.path.discretisation)
+        return Member(problem, rotations, shift, factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +152,10 @@ def _moved(there: Member, near: LoadedPoint, state: LoadedState) -> float:
     return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
 
+SHORTEST_LOAD_STEP = 1e-8
+"""Fraction of the way below which a step that fails means that the branch has ended."""
+
+
 def follow_family(
     family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
 ) -> Iterator[LoadedPoint]:
@@ -135,7 +167,7 @@ def follow_family(
         there = solve_member(family, t, here, before, stable=stable)
         if there is None:
             step /= 3
-            if step < SHORTEST_STEP * max(1.0, abs(goal)):
+            if step < SHORTEST_LOAD_STEP * max(1.0, abs(goal)):
                 return
             continue
         yield there

@@ -6,15 +6,16 @@ import time
 
 import numpy as np
 
-from ..errors import InputError, SolveError
+from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, loaded_residual
+from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, loaded_residual, turn_of
 from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evaluate, tip_position, tip_slopes, unknowns
 from ..transcription.loaded_arm import loaded_arm
 from ..typing import Array
-from .load_continuation import LoadedPoint, LoadFamily, Member, carry, follow_family
-from .load_problem import check_load, loaded_problem
+from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
+from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, follow_family
+from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from .result import Equilibrium, Statistics, Status
 from .solving import Discretisation, discretisation_of, sample_rotation
 
@@ -23,6 +24,9 @@ FINEST = 4
 
 EXTRA_POINTS = 2
 """Collocation points by which the check of the mesh is finer than the solution."""
+
+LEAST_STIFFNESS = 1e-6
+"""Margin below which errors no longer grow in the estimate."""
 
 
 def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
@@ -184,7 +188,9 @@ def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[fl
     problem = loaded_problem(robot, member.translations, member.problem.load, finer)
     there = Member(problem, member.rotations, member.translations, member.factor)
     state = evaluate(problem, member.rotations, carry(point, there), member.factor)
-    step = np.linalg.solve(state.hessian, -state.gradient)
+    # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
+    shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
+    step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
     split = problem.torsion.size
     theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
     moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
@@ -193,17 +199,69 @@ def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[fl
 
 
 def loaded_kinematics(
-    robot: Robot,
-    unloaded: Equilibrium,
-    load: Load,
-    *,
-    tolerance: float,
-    discretisation: Discretisation,
-    began: float,
+    robot: Robot, start: Equilibrium, joints: tuple[Array, tuple[float, ...]], load: Load, tolerance: float, began: float
 ) -> Equilibrium:
-    """The equilibrium under `load` on the branch that grows from an unloaded one."""
-    point = ramp(robot, unloaded, load, discretisation)
-    return to_tolerance(robot, point, load, discretisation, tolerance, ("the load before, from none", began))
+    """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load.
+
+    Raises:
+        SolveError: the branch ends, or turns unstable, on the way; or no mesh is fine enough.
+    """
+    rotations, shift = joints
+    d = LOADED_DISCRETISATION
+    point = None if start.load is None else _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
+    word = "guess"
+    if point is None:
+        own = np.concatenate([start.rotations, start.translations])
+        there = np.concatenate([rotations, shift])
+        if np.array_equal(own, there) and start.load is None:
+            point, word = ramp(robot, start, load, d), "the load before, from none"
+        else:
+            point = _along(JointFamily(JointPath(robot, own, there, d), load, start.load), start)
+    return to_tolerance(robot, point, load, d, tolerance, (word, began))
+
+
+def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
+    """The end of a way in joint values and load."""
+    first = family.member(0.0)
+    if start.load is None:
+        near = unloaded_point(first.problem, start)
+    else:
+        near = loaded_point(start)
+    near = LoadedPoint(0.0, near.member, near.state, near.margin, near.iterations)
+    here = near
+    stable = not near.margin <= 0
+    for here in follow_family(family, near, 1.0, longest=family.path.largest_step(), stable=stable):
+        pass
+    if here.t < 1.0:
+        raise SolveError(
+            f"{Status.BRANCH_ENDED}: it ends {100 * here.t:.2f} % of the way from the guess to the goal", start
+        )
+    return here
+
+
+def _close(guess: Equilibrium, problem: LoadedProblem, rotations: Array, shift: tuple[float, ...]) -> LoadedPoint | None:
+    """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
+    assert guess.load is not None
+    turn, moved = rotations - guess.rotations, np.array(shift) - guess.translations
+    length = problem.torsion.assembly.total_length
+    small = np.abs(turn).max() <= LARGEST_TURN and np.abs(moved).max() <= LARGEST_SHIFT * length
+    if not small or len(guess.point) != len(problem.softness) or np.isnan(guess.margin) == problem.load.has_energy:
+        return None
+    before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
+    if len(before.softness) != len(problem.softness):
+        return None
+    bent = unknowns(before, guess.rotations, guess.point_rotation, guess.point_curvature)[before.torsion.size :]
+    x = unknowns(problem, rotations, guess.point_rotation + turn)
+    x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
+    result = loaded_newton(problem, rotations, x, iterations=8)
+    if not result.converged or result.contraction > LARGEST_RATIO:
+        return None
+    limit = largest_twist(1.0 if np.isnan(guess.margin) else guess.margin)
+    if turn_of(problem, result.state, result.state.x - x) > limit:
+        return None
+    there = solved(Member(problem, rotations, shift), result, 1.0)
+    # A stable branch is followed while it is stable.
+    return None if guess.margin > 0 and there.margin <= 0 else there
 
 
 def compliance_of(equilibrium: Equilibrium) -> Array:

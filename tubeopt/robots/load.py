@@ -141,6 +141,44 @@ class Scaled:
         return np.asarray(self.factor * np.asarray(self.function(arc_length), dtype=float))
 
 
+@dataclass(frozen=True)
+class Sum:
+    """Of the distributed parts of two loads."""
+
+    one: Load
+    other: Load
+
+    def __call__(self, arc_length: float) -> Array:
+        at = np.array(arc_length)
+        return self.one.per_length(at) + self.other.per_length(at)
+
+
+def between(start: Load, end: Load, t: float) -> Load:
+    """(1 - t) times one load and t times another; raises InputError where their frames differ."""
+    if start.frame != end.frame and not (start.has_energy and not any(start.force)):
+        raise InputError(
+            f"the load of the guess is given in the frame {start.frame!r}, the wanted one in {end.frame!r}; "
+            "they must be the same"
+        )
+    one, other = start.scaled(1 - t), end.scaled(t)
+
+    def added(a: Vector | None, b: Vector | None) -> Vector:
+        return _vector("sum", np.add(a or (0, 0, 0), b or (0, 0, 0)))
+
+    along: Any = None
+    if one.distributed is not None or other.distributed is not None:
+        along = Sum(one, other)
+    gravity = None if one.gravity is None and other.gravity is None else added(one.gravity, other.gravity)
+    return Load(
+        added(one.force, other.force),
+        added(one.moment, other.moment),
+        frame=end.frame,
+        distributed=along,
+        points=(*one.points, *other.points),
+        gravity=gravity,
+    )
+
+
 def _vector(name: str, value: Any) -> Vector:
     x, y, z = vector(name, value, 3, "x, y, z").tolist()
     return x, y, z
