@@ -69,6 +69,7 @@ class Shot:
     torque_base: Array
     moment_base: Array
     unknown: Array
+    end: Array
 
 
 class Shooting:
@@ -160,4 +161,53 @@ class Shooting:
         miss, y = self.march(unknown)
         n = self.n
         R = y[2 * n + 3 : 2 * n + 12].reshape(3, 3)
-        return Shot(float(np.abs(miss).max()), y[2 * n : 2 * n + 3], R, self.alpha, unknown[:n], unknown[n:], unknown)
+        return Shot(float(np.abs(miss).max()), y[2 * n : 2 * n + 3], R, self.alpha, unknown[:n], unknown[n:], unknown, y)
+
+    def _back(self, y: Array) -> tuple[list[Array], list[float]]:
+        """States from the tip to the plate, 40 per section, and their arc lengths."""
+        n, out, places = self.n, [], []
+        for a, b in reversed(list(zip(self.cuts[:-1], self.cuts[1:], strict=True))):
+            middle = (a + b) / 2
+            present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
+            s = np.linspace(b, a, 41)
+            flow = solve_ivp(
+                self._rates, (b, a), y, "DOP853", s, rtol=1e-11, atol=1e-13, args=(present, curved)
+            )
+            out += list(flow.y.T)
+            places += s.tolist()
+            y = flow.y[:, -1].copy()
+            for place, f in self.load.points:
+                if abs(place - a) < 1e-12:
+                    y[2 * n + 14 :] += f
+        return out, places
+
+    def determinants(self, shot: Shot) -> Array:
+        """Of the Jacobi fields that leave the free tip, (S,) from the tip to the plate and with the transmissions: the
+        equilibrium is stable if and only if all are positive (no conjugate point)."""
+        n, step = self.n, 1e-6
+        fields = []
+        for k in range(n + 3):
+            sides = []
+            for sign in (1, -1):
+                y = shot.end.copy()
+                if k < n:
+                    y[k] += sign * step
+                else:
+                    psi = np.zeros(3)
+                    psi[k - n] = sign * step
+                    turn = np.eye(3) + np.array([[0, -psi[2], psi[1]], [psi[2], 0, -psi[0]], [-psi[1], psi[0], 0]])
+                    y[2 * n + 3 : 2 * n + 12] = (turn @ shot.frame).ravel()
+                states, _ = self._back(y)
+                sides.append(np.array(states))
+            base = (sides[0] + sides[1]) / 2
+            change = (sides[0] - sides[1]) / (2 * step)
+            R = base[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3)
+            W = change[:, 2 * n + 3 : 2 * n + 12].reshape(-1, 3, 3) @ R.swapaxes(1, 2)
+            turned = np.stack([W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], 1) / 2
+            fields.append(np.concatenate([change[:, :n], turned, change[:, n : 2 * n]], axis=1))
+        table = np.array(fields).transpose(1, 2, 0)
+        last = table[-1, : n + 3].copy()
+        for i, tube in enumerate(self.tubes):
+            if self.beta[i] < 0:
+                last[i] -= -self.beta[i] / tube.torsional(0.0) * table[-1, n + 3 + i]
+        return np.append(np.linalg.det(table[:, : n + 3]), np.linalg.det(last))
