@@ -63,6 +63,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
+from .validation.force import ForceEstimate, estimate_force
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__ = "0.1.0"
@@ -81,6 +82,7 @@ __all__ = [
     "EquilibriumBatch",
     "EquilibriumBlock",
     "Finding",
+    "ForceEstimate",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
@@ -123,6 +125,7 @@ __all__ = [
     "WorstMargin",
     "certify",
     "energy_map",
+    "estimate_force",
     "find_equilibria",
     "find_load_limit",
     "find_snap",

@@ -141,7 +141,7 @@ def to_loaded(
     theta_error, tip_error = mesh_errors(robot, point, discretisation)
     margin = point.margin
     start, began = how
-    return Equilibrium(
+    equilibrium = Equilibrium(
         robot=robot,
         rotations=rotations,
         translations=np.array(member.translations),
@@ -179,6 +179,11 @@ def to_loaded(
         load=load,
         work=state.work if problem.load.has_energy else float("nan"),
     )
+    # What follows from the solved state at once need not be solved for again.
+    vars(equilibrium)["base_wrench"] = base_wrench(problem, state)
+    if not abs(margin) < LEAST_STIFFNESS:
+        vars(equilibrium)["compliance"] = compliance(problem, state)
+    return equilibrium
 
 
 def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[float, float]:
