@@ -161,7 +161,9 @@ class Shooting:
         miss, y = self.march(unknown)
         n = self.n
         R = y[2 * n + 3 : 2 * n + 12].reshape(3, 3)
-        return Shot(float(np.abs(miss).max()), y[2 * n : 2 * n + 3], R, self.alpha, unknown[:n], unknown[n:], unknown, y)
+        return Shot(
+            float(np.abs(miss).max()), y[2 * n : 2 * n + 3], R, self.alpha, unknown[:n], unknown[n:], unknown, y
+        )
 
     def _back(self, y: Array) -> tuple[list[Array], list[float]]:
         """States from the tip to the plate, 40 per section, and their arc lengths."""
@@ -170,9 +172,7 @@ class Shooting:
             middle = (a + b) / 2
             present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
             s = np.linspace(b, a, 41)
-            flow = solve_ivp(
-                self._rates, (b, a), y, "DOP853", s, rtol=1e-11, atol=1e-13, args=(present, curved)
-            )
+            flow = solve_ivp(self._rates, (b, a), y, "DOP853", s, rtol=1e-11, atol=1e-13, args=(present, curved))
             out += list(flow.y.T)
             places += s.tolist()
             y = flow.y[:, -1].copy()

@@ -190,8 +190,7 @@ def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot
         step = np.zeros(6)
         step[k] = 1e-4 if k < 3 else 1e-6
         sides = [
-            forward_kinematics(thesis, ROTATIONS, shift, load=Load(force + s * step[:3], s * step[3:]))
-            for s in (1, -1)
+            forward_kinematics(thesis, ROTATIONS, shift, load=Load(force + s * step[:3], s * step[3:])) for s in (1, -1)
         ]
         moved = (sides[0].tip_position - sides[1].tip_position) / (2 * step[k])
         turn = (tube_frame(sides[0]) - tube_frame(sides[1])) @ tube_frame(here).T / (2 * step[k])
@@ -231,8 +230,7 @@ def test_weight_is_that_of_the_tubes_in_front_of_the_plate(thesis: ConcentricRob
     e = forward_kinematics(thesis, ROTATIONS, load=Load(gravity=(0, 0, -9.81)))
     density = 6450.0
     weight = sum(
-        density * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.curved_length * 9.81
-        for t in thesis.tubes
+        density * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.curved_length * 9.81 for t in thesis.tubes
     )
     assert np.allclose(e.base_wrench[:3], (0, 0, -weight), rtol=1e-13)
 

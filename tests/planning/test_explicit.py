@@ -7,9 +7,9 @@ import pytest
 
 from tests.examples import CRL, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics
+from tubeopt.control.chart import Chart
 from tubeopt.control.joints import joint_space
 from tubeopt.robots.robot import Robot
-from tubeopt.ways.chart import Chart
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")

@@ -28,13 +28,13 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere, nearest_distance
+from tubeopt.control import search
+from tubeopt.control.chart import Chart
 from tubeopt.control.joints import joint_space
 from tubeopt.planning import plan
 from tubeopt.planning.motion import hurried
 from tubeopt.planning.reach import least_miss
 from tubeopt.robots.robot import Robot
-from tubeopt.ways import search
-from tubeopt.ways.chart import Chart
 
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])

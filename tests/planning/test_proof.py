@@ -12,6 +12,7 @@ from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import find_snap, forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
+from tubeopt.control.clock import Clock
 from tubeopt.control.posture import arm_radius
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import branch
@@ -20,7 +21,6 @@ from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
-from tubeopt.ways.clock import Clock
 
 SEGMENTED = SegmentedEccentricRobot(
     (Tube(0.8e-3, 0.6e-3, 0.09, 0.05, 12.0), Tube(1.2e-3, 0.9e-3, 0.02, 0.05, 8.0)), name="segmented"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -49,6 +49,7 @@ def test_no_other_motion_is_closer() -> None:
 
 
 @given(ANGLE, st.tuples(PLACE, PLACE, st.floats(-0.9, 1.0)), st.tuples(PLACE, PLACE, PLACE))
+@example(0.0, (5e-324, 5e-324, -0.5), (0.0, 0.0, 0.0))
 def test_the_yaw_about_a_known_base_is_recovered_exactly(
     yaw: float, axis: tuple[float, ...], place: tuple[float, ...]
 ) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError, nearest
@@ -26,7 +26,7 @@ def multistart(problem: Problem, over: Sequence[str], count: int, seed: int, sol
     lower, upper = _box(problem, names)
     if count < 1:
         raise InputError(f"count is {count}; it must be at least 1")
-    points = qmc.Sobol(len(lower), seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
+    points = scipy.stats.qmc.Sobol(len(lower), seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
     best: tuple[ProblemSolution, list[object]] | None = None
     missed: ProblemSolution | None = None
     objectives, astray, failed = [], 0, 0

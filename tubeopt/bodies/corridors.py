@@ -8,8 +8,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import RegularGridInterpolator
 
 from ..errors import InputError, positive
 from ..typing import Array
@@ -155,7 +155,7 @@ class MeshObstacle:
         beyond = np.linalg.norm(points - inside, axis=1)
         cell = float(np.linalg.norm([axis[1] - axis[0] for axis in axes]))
         # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
-        near = RegularGridInterpolator(axes, table)(inside) - cell
+        near = scipy.interpolate.RegularGridInterpolator(axes, table)(inside) - cell
         return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
 
     @cached_property

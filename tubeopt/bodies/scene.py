@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..typing import Array
 
@@ -55,7 +55,9 @@ class Crowd:
         layers = []
         for each in np.unique(size):
             mine = size == each
-            layers.append(Layer(cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max())))
+            layers.append(
+                Layer(scipy.spatial.cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max()))
+            )
         return Crowd(type(bodies[0]), np.array([body.numbers() for body in bodies]), tuple(layers))
 
     def nearest(self, points: Array, least: Array) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..typing import Array
 
@@ -64,7 +64,7 @@ class Triangles:
     def _tree(self) -> tuple[Any, float]:
         """Centres of the triangles, and the largest distance of a corner from its centre."""
         centre = self._cut.mean(1)
-        return cKDTree(centre), float(np.linalg.norm(self._cut - centre[:, None], axis=2).max())
+        return scipy.spatial.cKDTree(centre), float(np.linalg.norm(self._cut - centre[:, None], axis=2).max())
 
     def signed_distance(self, points: Array) -> Array:
         """(N,) distance of points (N, 3), m; negative inside."""

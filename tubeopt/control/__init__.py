@@ -1,1 +1,1 @@
-"""What the actuators allow, and the robot between two configurations."""
+"""The robot in motion: what the actuators allow, postures, and ways between equilibria without a snap."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.stats import qmc
+import scipy
 
 from ..errors import InputError, vector
 from ..robots.assembly import ROUND_OFF
@@ -46,7 +46,7 @@ class JointSpace:
     offset: Array
     scale: Array
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length of the longest tube, m: what distances are measured by."""
         return max(tube.length for tube in self.robot.tubes)
@@ -73,9 +73,13 @@ class JointSpace:
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
-        unit = np.eye(len(q))
-        rows = np.vstack([unit, -unit, self.rows])
-        return rows, np.concatenate([self.lower - q, q - self.upper, self.least - self.rows @ q])
+        return self._sides, np.concatenate([self.lower - q, q - self.upper, self.least - self.rows @ q])
+
+    @cached_property
+    def _sides(self) -> Array:
+        """(2m + k, m) rows of the ranges, then of the order."""
+        unit = np.eye(len(self.scale))
+        return np.vstack([unit, -unit, self.rows])
 
     def only_backward(self, q: Array) -> Mask:
         """(m,) translations that can shrink from q but not grow, for their range or for the order of the tubes."""
@@ -141,7 +145,7 @@ class JointSpace:
         width = int(np.ceil(np.log2(max(count, 2))))
         chosen = np.zeros((0, m))
         for power in range(width, max(width, int(np.log2(SAMPLED))) + 1):
-            unit = qmc.Sobol(m, rng=0).random_base2(power)
+            unit = scipy.stats.qmc.Sobol(m, rng=0).random_base2(power)
             low = np.concatenate([np.maximum(self.lower[:n], -np.pi), self.lower[n:]])
             high = np.concatenate([np.minimum(self.upper[:n], np.pi), self.upper[n:]])
             narrow = low[:n] > high[:n]
@@ -163,7 +167,7 @@ class JointSpace:
         norm[: len(fixed)][fixed] = 0.0
         # Ranges without width are no ends to be far from.
         reach = np.append(np.zeros(len(self.lower)), -1.0)
-        found = linprog(
+        found = scipy.optimize.linprog(
             reach, A_ub=np.column_stack([-rows, norm]), b_ub=-bounds, bounds=[(None, None)] * len(self.lower) + [(0, 1)]
         )
         if found.status != 0:

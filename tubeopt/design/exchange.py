@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..block.own import OwnRequirement
 from ..block.quantities import recorded
@@ -169,7 +169,7 @@ def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]
     farthest out of reach first."""
     if not box.samples:
         return []
-    unit = qmc.Sobol(3, rng=0).random_base2(int(np.ceil(np.log2(box.samples))))[: box.samples]
+    unit = scipy.stats.qmc.Sobol(3, rng=0).random_base2(int(np.ceil(np.log2(box.samples))))[: box.samples]
     points = np.array(box.lower) + unit * (np.array(box.upper) - np.array(box.lower))
     missed = []
     for k, point in enumerate(points.tolist()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from ..typing import Array
 from .cells import cell_at, cell_rows
@@ -75,7 +75,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     slope = total_objective(program, state)[1] * program.scale
     if not matrix.size:
         return None  # nothing is near
-    price, gap = nnls(matrix, slope)
+    price, gap = scipy.optimize.nnls(matrix, slope)
     if gap > OPTIMAL * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))

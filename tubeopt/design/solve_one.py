@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from ..errors import SolveError
 from ..solvers.smooth import Optimum, Values, minimise
@@ -132,7 +132,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
     if not np.isfinite(residual(inside)).all() or not residual(inside).any():
         return full(inside)
-    result = least_squares(
+    result = scipy.optimize.least_squares(
         residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,
         xtol=1e-10, gtol=1e-10,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
@@ -31,7 +31,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
     layout = program.layout
     space = layout.space
-    unit = qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
+    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]

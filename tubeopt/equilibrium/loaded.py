@@ -99,7 +99,12 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
 
 
 def to_tolerance(
-    robot: Robot, point: LoadedPoint, load: Load, discretisation: Discretisation, tolerance: float, how: tuple[str, float]
+    robot: Robot,
+    point: LoadedPoint,
+    load: Load,
+    discretisation: Discretisation,
+    tolerance: float,
+    how: tuple[str, float],
 ) -> Equilibrium:
     """The equilibrium on the first mesh whose estimated error is small enough; `how` is the start and when begun.
 
@@ -204,7 +209,12 @@ def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[fl
 
 
 def loaded_kinematics(
-    robot: Robot, start: Equilibrium, joints: tuple[Array, tuple[float, ...]], load: Load, tolerance: float, began: float
+    robot: Robot,
+    start: Equilibrium,
+    joints: tuple[Array, tuple[float, ...]],
+    load: Load,
+    tolerance: float,
+    began: float,
 ) -> Equilibrium:
     """The equilibrium at `joints` under `load` on the branch of `start`, which has other joint values or another load.
 
@@ -244,7 +254,9 @@ def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
     return here
 
 
-def _close(guess: Equilibrium, problem: LoadedProblem, rotations: Array, shift: tuple[float, ...]) -> LoadedPoint | None:
+def _close(
+    guess: Equilibrium, problem: LoadedProblem, rotations: Array, shift: tuple[float, ...]
+) -> LoadedPoint | None:
     """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
     assert guess.load is not None
     turn, moved = rotations - guess.rotations, np.array(shift) - guess.translations

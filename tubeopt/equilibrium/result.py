@@ -25,7 +25,9 @@ class Status(Enum):
 
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
-    NO_MARGIN = "an equilibrium was found; moments and forces that turn with the tip have no energy, so it has no margin"
+    NO_MARGIN = (
+        "an equilibrium was found; moments and forces that turn with the tip have no energy, so it has no margin"
+    )
     NOT_CONVERGED = "no equilibrium was found"
     BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
     BRANCH_ENDED_UNDER_LOAD = "the branch that grows from no load is lost before the whole load is on"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy
 
 from ..robots.assembly import Assembly
 from ..typing import Array
@@ -68,7 +68,7 @@ def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:
 
 def _integrated(assembly: Assembly, section: int, stop: float, state: Array) -> Array:
     """The state at an arc length on a section, from that at its beginning."""
-    run = solve_ivp(
+    run = scipy.integrate.solve_ivp(
         lambda s, y: _right_hand_side(assembly, section, y),
         (assembly.start[section], stop),
         state,

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from ..control.least_squares import constrained_least_squares
 from ..control.posture import MOST_CONTACTS, Posture
@@ -243,7 +243,7 @@ def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
     force = np.zeros(len(here.rows))
     held = np.flatnonzero(active[: len(force)])
     if len(held):
-        force[held] = nnls((here.rows[held] * scale).T, gradient)[0]
+        force[held] = scipy.optimize.nnls((here.rows[held] * scale).T, gradient)[0]
     return force
 
 

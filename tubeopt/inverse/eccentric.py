@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -108,7 +108,7 @@ def _arc(radius: float, height: float, longest: float, kappa: float) -> tuple[fl
         raise InputError(
             f"position lies {radius:.6g} m off the axis; an arm advanced to there bends to at most {most:.6g} m"
         )
-    bend = brentq(
+    bend = scipy.optimize.brentq(
         lambda k: (1 - np.cos(k * longest)) / k - radius, 1e-9 / longest, min(kappa, np.pi / longest) * (1 + 1e-12)
     )
     return float(bend), float(height - np.sin(bend * longest) / bend)

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -239,7 +239,9 @@ class _Arm:
             guess, bounds = np.array([direction, max(separation, 1e-3)]), ([-np.inf, 0.0], [np.inf, STRAIGHT])
         else:
             guess, bounds = start / self.most, ([-np.inf] * 2, [np.inf] * 2)
-        answer = least_squares(residual, guess, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200)
+        answer = scipy.optimize.least_squares(
+            residual, guess, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200
+        )
         direction, separation = angles(answer.x)
         rotations, equilibrium = self.pose(direction, separation)
         error = float(np.linalg.norm(gap(equilibrium)))

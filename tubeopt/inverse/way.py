@@ -9,8 +9,8 @@ import numpy as np
 
 from ..control.joints import JointSpace
 from ..control.posture import Posture, same_place
+from ..control.reachable import snap_free_way
 from ..typing import Array
-from ..ways.reachable import snap_free_way
 from .answer import InverseSolution, JointWay
 
 SEARCH_SECONDS = 10.0

@@ -90,14 +90,6 @@ def rotation_matrix(quaternion: Any) -> Any:
 
 
 @lru_cache(maxsize=1)
-def step_function() -> ca.Function:
-    """(u (6,), h) -> R (3, 3), p (3,) after a step of length h; u at the three GAUSS_POINTS, x before y."""
-    u, h = ca.SX.sym("u", 6), ca.SX.sym("h")
-    pose = magnus_step(ca.DM.eye(3), ca.DM.zeros(3), ca.reshape(u, 2, 3), h)
-    return ca.Function("step", [u, h], [ca.densify(part) for part in pose], {"cse": True})
-
-
-@lru_cache(maxsize=1)
 def quaternion_rates() -> NDArray[np.float64]:
     """(2, 4, 4) matrices Omega_j with Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..control.clock import Clock
 from ..control.joints import JointSpace, configuration
 from ..control.posture import posture_of
+from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
@@ -19,8 +21,6 @@ from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .reach import least_miss
 from .walk import clearance_of
 

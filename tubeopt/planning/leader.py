@@ -14,13 +14,13 @@ import numpy as np
 
 from ..bodies.obstacles import Obstacle
 from ..control.least_squares import constrained_least_squares
+from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from ..ways.task import Task
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from ..control.joints import JointSpace
 from ..errors import InputError
@@ -91,7 +91,7 @@ class Motion:
         """(T, m) joint values at times (T,)."""
         if self.duration == 0:
             return np.repeat(self.joints[:1], np.size(time), axis=0)
-        values: Array = CubicHermiteSpline(self.time, self.joints, self.rates)(np.asarray(time))
+        values: Array = scipy.interpolate.CubicHermiteSpline(self.time, self.joints, self.rates)(np.asarray(time))
         return values
 
     def sampled(self, scale: Array) -> tuple[Array, Array]:
@@ -152,7 +152,7 @@ def hurried(way: Array, rate: Array, acceleration: Array) -> Motion:
     return Motion(time, curve(s), slope(s) * speed[:, None])
 
 
-def rounded(table: Array) -> tuple[BSpline, BSpline, BSpline]:
+def rounded(table: Array) -> tuple[scipy.interpolate.BSpline, scipy.interpolate.BSpline, scipy.interpolate.BSpline]:
     """A smooth curve over [0, 1] close to evenly spaced points (k, m), with its first two derivatives.
 
     The cubic B-spline whose control points lie on the polyline: it begins and ends at its ends, and stays within the
@@ -163,7 +163,7 @@ def rounded(table: Array) -> tuple[BSpline, BSpline, BSpline]:
     places = np.array([knots[k + 1 : k + 4].mean() for k in range(count)])
     x = np.linspace(0, 1, len(table))
     control = np.column_stack([np.interp(places, x, column) for column in table.T])
-    curve = BSpline(knots, control, 3)
+    curve = scipy.interpolate.BSpline(knots, control, 3)
     return curve, curve.derivative(), curve.derivative(2)
 
 

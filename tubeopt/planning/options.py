@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.own import OwnObjective
+from ..control.search import SEARCHES
 from ..errors import InputError, choice, positive
-from ..ways.search import SEARCHES
 from .smooth import OBJECTIVES
 
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
+from ..control.clock import Clock
+from ..control.search import Way, find_way, shorten
+from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from ..ways.clock import Clock
-from ..ways.search import Way, find_way, shorten
-from ..ways.task import Task
 from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
 from .options import DEFAULT_PLAN, PlanOptions

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
+from ..control.clock import Clock
 from ..control.joints import JointSpace
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -28,7 +29,6 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..stability.following import _waypoints
 from ..typing import Array
-from ..ways.clock import Clock
 from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..bodies.obstacles import Obstacle
+from ..control.chart import Chart
+from ..control.clock import Clock
+from ..control.task import Task
 from ..errors import InputError, finite
 from ..inverse.question import prepared
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from ..ways.chart import Chart
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .arguments import check_robot, checked_obstacles, kind_of
 from .motion import RateLimits
 from .options import PlanOptions

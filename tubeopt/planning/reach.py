@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..control.chart import Chart
+from ..control.clock import Clock
 from ..control.least_squares import constrained_least_squares
 from ..inverse.hunt import known_starts
 from ..inverse.table import nearest_starts, spread_starts
 from ..typing import Array
-from ..ways.chart import Chart
-from ..ways.clock import Clock
 
 STARTS = 8
 """Configurations from which the place is tried: of those in the table, the nearest half, and half that differ."""

@@ -7,18 +7,18 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from ..bodies.obstacles import Obstacle
+from ..control.clock import Clock
+from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
 from .options import DEFAULT_PLAN, PlanOptions
@@ -124,7 +124,7 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
         return points
     along = np.concatenate([[0.0], np.cumsum(step)])
     fine = np.interp(np.linspace(0, len(points) - 1, DENSE * (len(points) - 1) + 1), np.arange(len(points)), along)
-    dense: Array = CubicSpline(along, points)(fine)
+    dense: Array = scipy.interpolate.CubicSpline(along, points)(fine)
     return dense
 
 

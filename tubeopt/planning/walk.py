@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..control.clock import Clock
 from ..control.posture import posture_of
+from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..typing import Array
-from ..ways.clock import Clock
-from ..ways.task import Task
 from .motion import SAMPLE_STEP
 
 LEFT = 1e-5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,7 +103,7 @@ def assemble(
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
     curvature = np.array([tube.curvature for tube in tubes])
-    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
+    cuts = merge([0.0, *(s for s in (*transition.tolist(), *end.tolist()) if s > 0)])
     present, curved = where(transition, end, curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
     zero = np.zeros(n)
     return Assembly(
@@ -128,10 +128,10 @@ def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> 
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
-def merge(points: Array) -> Array:
+def merge(points: Iterable[float]) -> Array:
     """Sorted points without those closer than ROUND_OFF to the last one that was kept."""
     kept: list[float] = []
-    for point in np.sort(points).tolist():
+    for point in sorted(points):
         if not kept or point - kept[-1] > ROUND_OFF:
             kept.append(point)
     return np.array(kept)

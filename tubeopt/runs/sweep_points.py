@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..errors import InputError, choice
 
@@ -111,6 +111,6 @@ def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
     if method == "random":
         return np.random.default_rng(seed).random((count, dimension))
     if method == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(dimension, rng=seed).random(count))
+        return np.asarray(scipy.stats.qmc.LatinHypercube(dimension, rng=seed).random(count))
     # A power of two, as Sobol points come; of more than are wanted the first.
-    return np.asarray(qmc.Sobol(dimension, rng=seed).random_base2(max(0, (count - 1).bit_length())))[:count]
+    return np.asarray(scipy.stats.qmc.Sobol(dimension, rng=seed).random_base2(max(0, (count - 1).bit_length())))[:count]

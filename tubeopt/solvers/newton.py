@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dposv
+import scipy
 
 from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from ..typing import Array
@@ -101,7 +101,7 @@ def _downhill(state: Evaluation) -> Array:
     while shift < 1e6:
         matrix = state.hessian.copy()
         matrix.ravel()[:: len(matrix) + 1] += shift
-        _, step, failed = dposv(matrix, -state.gradient)
+        _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
         if not failed:
             return np.asarray(step)
         shift = 4 * shift if shift else 0.1
@@ -112,5 +112,5 @@ def _solve(state: Evaluation) -> tuple[Array, bool]:
     """Newton step, and whether the Jacobian is singular; LAPACK itself, whose NumPy wrapper costs more than it."""
     if not len(state.z):
         return state.z, False
-    _, _, step, failed = dgesv(state.hessian, -state.gradient)
+    _, _, step, failed = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
     return step, failed != 0

@@ -50,9 +50,7 @@ class Certificate:
         return self.margin > ROUNDING
 
 
-def snap_free_certificate(
-    robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0
-) -> float:
+def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
@@ -79,7 +77,9 @@ def snap_free_certificate(
     assembly = robot.assembly(shift)
     if positive("max_force", max_force, zero=True):
         if assembly.eccentric:
-            raise InputError(f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof")
+            raise InputError(
+                f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
+            )
         return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
     return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
 

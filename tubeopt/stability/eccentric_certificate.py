@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..physics.certificate import PARAMETERS
 from ..robots.assembly import ROUND_OFF, Assembly, merge, where
@@ -133,7 +133,7 @@ def proved_margin(segment: Segment) -> float:
     highest = np.pi / 2 / segment.length
     if excess(highest) <= 0:
         return 1 - 1 / highest**2
-    return 1 - 1 / float(brentq(excess, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)) ** 2
+    return 1 - 1 / float(scipy.optimize.brentq(excess, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)) ** 2
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,9 @@ def softest_untwisted(segment: Segment) -> Untwisted:
         return np.maximum(np.linalg.eigvalsh(form)[..., -1], np.where(clamped >= 1, 1e9, clamped))
 
     highest = np.pi / 2 / (segment.length * np.sqrt(values.max())) * (1 + 1e-12)
-    soft = brentq(lambda s: float(excess(s).max()) - 1, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)
+    soft = scipy.optimize.brentq(
+        lambda s: float(excess(s).max()) - 1, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13
+    )
     o, c = np.unravel_index(int(np.argmax(excess(soft * (1 - 1e-9)))), (len(lever), count))
     return Untwisted(segment, 1 - 1 / float(soft) ** 2, float(DIRECTIONS[c]), float(DIRECTIONS[o]))
 

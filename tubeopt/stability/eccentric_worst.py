@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import qmc
+import scipy
 
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
@@ -38,12 +37,12 @@ def least_margin(robot: Robot, shift: tuple[float, ...]) -> tuple[Equilibrium, i
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     best, tips, searches = np.inf, np.zeros(robot.n_tubes), 0
     for base, tubes in _places(problem):
-        unit = qmc.Sobol(len(tubes), rng=0).random_base2(SAMPLES_LOG2)
+        unit = scipy.stats.qmc.Sobol(len(tubes), rng=0).random_base2(SAMPLES_LOG2)
         samples = np.repeat(base[None], len(unit), axis=0)
         samples[:, tubes] = 2 * np.pi * unit
         values = [_margin(problem, theta) for theta in shoot(problem, samples)[1]]
         for start in (base, samples[int(np.argmin(values))]):
-            found = minimize(
+            found = scipy.optimize.minimize(
                 lambda own, base=base, tubes=tubes: _margin(problem, shoot(problem, _with(base, tubes, own))[1][0]),
                 start[tubes],
                 method="Nelder-Mead",

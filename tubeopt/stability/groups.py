@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from ..robots.assembly import Assembly
 from ..transcription.reduced import Index, ReducedProblem
@@ -48,7 +48,7 @@ def groups_of(problem: ReducedProblem) -> list[Group]:
     assembly = problem.assembly
     curved = assembly.curved
     together = (curved[:, :, None] & curved[:, None, :]).any(0)
-    label = connected_components(together, directed=False)[1]
+    label = scipy.sparse.csgraph.connected_components(together, directed=False)[1]
     groups = [np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)]
     least = 1 if assembly.eccentric else 2
     sections = [np.flatnonzero(curved[:, tubes].any(1)) for tubes in groups]

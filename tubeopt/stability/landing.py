@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dposv, dpotrf
+import scipy
 
 from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult, newton
@@ -82,10 +82,10 @@ def _step(problem: ReducedProblem, state: Evaluation, shift: Array) -> tuple[Arr
     """Step of the shifted Newton matrix, and whether that is not positive."""
     matrix = state.hessian + shift
     if problem.assembly.eccentric:
-        failed = dpotrf((matrix + matrix.T) / 2)[1]
-        step = dgesv(matrix, -state.gradient)[2]
+        failed = scipy.linalg.lapack.dpotrf((matrix + matrix.T) / 2)[1]
+        step = scipy.linalg.lapack.dgesv(matrix, -state.gradient)[2]
     else:
-        _, step, failed = dposv(matrix, -state.gradient)
+        _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
     return np.asarray(step), failed != 0
 
 

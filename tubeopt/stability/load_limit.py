@@ -79,7 +79,9 @@ def find_load_limit(
     check_load(robot, load, shift)
     positive("up_to", up_to)
     if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no energy, so a limit of stability is not told")
+        raise InputError(
+            "load has a moment or turns with the tip; it has no energy, so a limit of stability is not told"
+        )
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     if first.load is not None or not first.stable:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
@@ -90,7 +92,11 @@ def find_load_limit(
         goal = min(up_to, STAGE * reached if reached else 1.0)
         grown = load.scaled(goal)
         problem = loaded_problem(robot, shift, grown)
-        point = unloaded_point(problem, first) if point is None else _restart(point, Member(problem, alpha, shift, reached / goal))
+        point = (
+            unloaded_point(problem, first)
+            if point is None
+            else _restart(point, Member(problem, alpha, shift, reached / goal))
+        )
         family = LoadFamily(problem, alpha, shift)
         for point in follow_family(family, point, 1.0):
             pass

@@ -146,4 +146,3 @@ def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) ->
 def _at(equilibrium: Equilibrium, joint: Array) -> bool:
     own = np.concatenate([equilibrium.rotations, equilibrium.translations])
     return bool(np.allclose(own, joint, rtol=0, atol=1e-12))
-

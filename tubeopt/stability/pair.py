@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..errors import SolveError
 from ..transcription.reduced import Index, ReducedProblem, evaluate, to_unknowns
@@ -110,7 +110,9 @@ def pair_fold(problem: ReducedProblem, coupled: Index, start: Array) -> PairFold
         before = here
     else:
         return None
-    top = float(brentq(lambda phi: curve.solve(phi, before).turn_slope, before.phi, here.phi, xtol=1e-13))
+    top = float(
+        scipy.optimize.brentq(lambda phi: curve.solve(phi, before).turn_slope, before.phi, here.phi, xtol=1e-13)
+    )
     fold = curve.solve(top, before)
     beyond = _beyond(curve, fold) if fold.turn < 2 * np.pi else None
     return PairFold(fold.turn, fold.z, fold.z_slope, beyond)
@@ -125,7 +127,9 @@ def _beyond(curve: _Curve, fold: _Point) -> Array:
         if here.turn > fold.turn:
             break
         before = here
-    phi = float(brentq(lambda phi: curve.solve(phi, before).turn - fold.turn, before.phi, here.phi, xtol=1e-13))
+    phi = float(
+        scipy.optimize.brentq(lambda phi: curve.solve(phi, before).turn - fold.turn, before.phi, here.phi, xtol=1e-13)
+    )
     return curve.solve(phi, before).z
 
 

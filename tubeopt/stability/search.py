@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
@@ -162,7 +162,7 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
     for signs in itertools.product((0, 1, -1), repeat=len(group)):
         if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
             yield _absolute(search, start, 2 * TURN * np.array(signs))
-    for unit in 2 * qmc.Sobol(len(group), rng=0).random_base2(RANDOM_WAYS_LOG2) - 1:
+    for unit in 2 * scipy.stats.qmc.Sobol(len(group), rng=0).random_base2(RANDOM_WAYS_LOG2) - 1:
         if np.abs(unit).max() > 1e-3:
             yield _absolute(search, start, np.radians(np.round(720 * unit / np.abs(unit).max(), 1)))
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..transcription.reduced import Index, ReducedProblem
 from ..typing import Array, Mask
@@ -84,7 +84,7 @@ def folds(sheet: Sheet, allowed: Callable[[Array], Mask], most: int) -> Array:
     free = (sheet.determinant > 0) & allowed(sheet.joints)
     if not free[sheet.centre]:
         return np.empty((0, sheet.joints.shape[-1]))
-    labels = ndimage.label(free)[0]
+    labels = scipy.ndimage.label(free)[0]
     found = _ends(sheet, labels == labels[sheet.centre])
     found = found[allowed(found)]
     size = np.abs(found).max(1, initial=0.0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import resample
 
 from ..typing import Array
 from .shooting import Bundle, Shot, shoot
@@ -105,7 +105,7 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
     values = table.turned - transmission * table.twist
     sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
-        values = resample(values, n, axis=axis)
+        values = scipy.signal.resample(values, n, axis=axis)
     angles = np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in sizes], indexing="ij"), axis=-1)
     gap = _tips(angles, k) + values - wanted
     # Relative to the last tube, then that itself where it counts: continuous along the grid, in turns.

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..typing import Array
 from .shooting import STEPS, Bundle, Shot
@@ -77,7 +77,7 @@ def _starts(bundle: Bundle, transmission: Array, wanted: Array) -> Iterator[Arra
             yield starts(table, transmission[:k], wanted, size)
         return
     for power in range(int(np.log2(RANDOM_STARTS)) - 2, int(np.log2(RANDOM_STARTS)) + 3):
-        tips = np.pad(qmc.Sobol(k - 1, rng=power).random_base2(power) * TURN, ((0, 0), (0, 1)))
+        tips = np.pad(scipy.stats.qmc.Sobol(k - 1, rng=power).random_base2(power) * TURN, ((0, 0), (0, 1)))
         yield tips + (wanted - joints(replace(bundle, transmission=transmission), tips, ROUGH_STEPS).rotations)[:, -1:]
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import Bounds, direct, minimize
-from scipy.stats import qmc
 
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
@@ -71,13 +70,13 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     tips = np.zeros(robot.n_tubes)
     searches, unstable = 0, []
     if len(free) > 1:
-        unit = qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
+        unit = scipy.stats.qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
         samples = np.zeros((len(unit), robot.n_tubes))
         samples[:, free[:-1]] = unit * 2 * np.pi
         values = np.array([_margin(problem, theta) for theta in profiles(problem, samples)])
         best = np.inf
         for k in np.argsort(values)[:LOCAL_SEARCHES]:
-            result = minimize(
+            result = scipy.optimize.minimize(
                 lambda relative: _margin_at(problem, free, relative),
                 samples[k, free[:-1]],
                 method="Nelder-Mead",
@@ -162,16 +161,18 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
     if not carriages:
         return WorstCertificate(certify(robot, low), low, high, 1)
     first = [group[0] for group in carriages]
-    bounds = Bounds(low[first], high[first])
-    found = direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
+    bounds = scipy.optimize.Bounds(low[first], high[first])
+    found = scipy.optimize.direct(value, bounds, maxfun=EVALUATIONS, locally_biased=True)
     best, least = found.x, float(found.fun)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
     span = high[first] - low[first]
     for start in [best, *(low[first] + span * corner for corner in corners)]:
-        local = minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
+        local = scipy.optimize.minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
         if local.fun < least:
             best, least = local.x, float(local.fun)
-    kink = minimize(value, best, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9})
+    kink = scipy.optimize.minimize(
+        value, best, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9}
+    )
     best = kink.x if kink.fun < least else best
     return WorstCertificate(certify(robot, _fill(low, carriages, best)), low, high, count)
 

@@ -180,9 +180,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
     work = second_derivative(along, swept, forms)
     softened = stiff.copy()
-    softened.ravel().reshape(count, n * n)[:, :: n + 1] -= (
-        factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
-    )
+    softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
     pull = -(felt.ravel() @ turned)
     pull[:split] -= push.torque * problem.tip_row
     gradient = x + factor * pull

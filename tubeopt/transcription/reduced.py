@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dsyevr, dtrtrs
 
 from ..robots.assembly import Assembly, without_offsets
 from ..typing import Array
@@ -157,11 +157,10 @@ def _green(mesh: Mesh, elements: Index) -> Array:
     start, length = mesh.start[elements], mesh.length[elements]
     s = _points(mesh, elements)
     green = np.minimum(s[:, None], s)
-    local = tableau.matrix @ (tableau.matrix / tableau.weights).T
     k = tableau.degree
     for e in range(len(elements)):
         block = slice(e * k, (e + 1) * k)
-        green[block, block] = start[e] + length[e] * local
+        green[block, block] = start[e] + length[e] * tableau.compliance
     return green
 
 
@@ -237,7 +236,7 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
     p, t = problem.point, problem.tube
     if not problem.size:
         return np.zeros(0)
-    return np.asarray(dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
+    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
@@ -252,7 +251,7 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
         return 1.0
     if problem.assembly.eccentric:
         return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
-    values = dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
+    values = scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
     return min(1.0, float(values[0]))
 
 

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import t as student
+import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
@@ -130,7 +129,7 @@ def fit(
     degrees = residuals.size - len(free) - FREEDOMS[registration]
     noise = float(np.sqrt(residuals @ residuals / degrees))
     errors, correlation = _spread(jacobian, noise, free, len(chosen))
-    half = student.ppf((1 + confidence) / 2, degrees) * errors
+    half = scipy.stats.t.ppf((1 + confidence) / 2, degrees) * errors
     calibrated, offsets = apply(robot, chosen, values)
     after = validate(calibrated, measurements.turned(offsets), registration=registration, base=base)
     return Fit(
@@ -186,7 +185,7 @@ def _minimise(model: TipModel, start: Array) -> tuple[Array, Array, Array]:
     """Solution, residuals and Jacobian of a least-squares problem; raises SolveError where it does not converge."""
     parameters = model.varied
     bounds = [p.low for p in parameters], [p.high for p in parameters]
-    result = least_squares(
+    result = scipy.optimize.least_squares(
         model.residuals,
         np.clip(start, *bounds),
         jac=model.jacobian,

@@ -148,7 +148,9 @@ def estimate_force(
     )
 
 
-def _measured(length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float) -> _Measured:
+def _measured(
+    length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float
+) -> _Measured:
     places, positions = [], []
     for k, entry in enumerate(points or ()):
         try:

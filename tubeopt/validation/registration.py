@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, choice, vector
 from ..typing import Array
@@ -58,7 +58,7 @@ class Registration:
     @property
     def yaw(self) -> float:
         """Turn about the plate's axis (rad, in (-pi, pi]), the twist that is left when the tilt is undone."""
-        x = Rotation.from_matrix(self.rotation).as_quat()
+        x = scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_quat()
         return math.remainder(2 * math.atan2(x[2], x[3]), 2 * math.pi)
 
     @property
@@ -107,9 +107,9 @@ def register(
 def _about_axis(measured: Array, predicted: Array, base: BasePose) -> Registration:
     """Base to the origin, its axis to z by the smallest turn, then the best yaw."""
     x, y, z = base.axis
-    across = math.hypot(x, y)
-    turn = np.array([y, -x, 0.0]) / across if across else np.array([1.0, 0.0, 0.0])
-    upright = Rotation.from_rotvec(turn * math.atan2(across, z)).as_matrix()
+    about = math.atan2(-x, y)  # of the turn's axis in the plane: an angle has a length of 1 however small x and y are
+    turn = math.atan2(math.hypot(x, y), z) * np.array([math.cos(about), math.sin(about), 0.0])
+    upright = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
     q = (measured - np.array(base.position)) @ upright.T
     along = float((q[:, :2] * predicted[:, :2]).sum())
     turned = float((q[:, 0] * predicted[:, 1] - q[:, 1] * predicted[:, 0]).sum())
@@ -118,5 +118,5 @@ def _about_axis(measured: Array, predicted: Array, base: BasePose) -> Registrati
             "registration is 'base-axis' and every tip lies on the axis, about which the frame could turn; measure "
             "bent configurations, or use none"
         )
-    rotation = Rotation.from_euler("z", math.atan2(turned, along)).as_matrix() @ upright
+    rotation = scipy.spatial.transform.Rotation.from_euler("z", math.atan2(turned, along)).as_matrix() @ upright
     return Registration("base-axis", rotation, -rotation @ np.array(base.position))

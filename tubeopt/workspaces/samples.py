@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.stats import qmc
+import scipy
 
 from ..control.joints import JointSpace, joint_space
 from ..errors import InputError, choice
@@ -91,7 +90,7 @@ class JointSamples:
             yield from _grid(box, self.count)
             return
         random = np.random.default_rng(self.seed)
-        sobol = qmc.Sobol(m, rng=random) if self.method == "sobol" and m else None
+        sobol = scipy.stats.qmc.Sobol(m, rng=random) if self.method == "sobol" and m else None
         while True:
             yield np.asarray(random.random((BLOCK, m)) if sobol is None else sobol.random(BLOCK))
 
@@ -145,7 +144,7 @@ def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:
             k = int(np.argmax(row))
             ends.append((bounds[k][0], bounds[k][1]))
             continue
-        least, most = (linprog(sign * row, bounds=bounds, **rows) for sign in (1.0, -1.0))
+        least, most = (scipy.optimize.linprog(sign * row, bounds=bounds, **rows) for sign in (1.0, -1.0))
         ends.append((float(least.fun), -float(most.fun)))
     low, high = np.array(ends).T
     return low, np.maximum(low, high)

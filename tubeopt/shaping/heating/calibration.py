@@ -14,8 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import t as student
+import scipy
 
 from ...errors import InputError, choice, finite
 from ...physics.heat import LEAD, Resolution
@@ -202,7 +201,7 @@ def calibrate(
         remarks.append(f"{free[weak]} is not determined by the log; it is held at what the file says")
         free.pop(weak)
     freedom = max(problem.count - len(free), 1)
-    reach = float(student.ppf(0.5 + confidence / 2, freedom))
+    reach = float(scipy.stats.t.ppf(0.5 + confidence / 2, freedom))
     values = dict(zip(free, zip(x, errors, strict=True), strict=True))
     estimates = tuple(_estimate(name, values.get(name), reach) for name in names)
     fitted = problem.rig(free, x)
@@ -272,7 +271,7 @@ class _Problem:
                 cache[key] = r, J
             return cache[key]
 
-        found = least_squares(
+        found = scipy.optimize.least_squares(
             lambda at: both(at)[0], x, jac=lambda at: both(at)[1], bounds=(-2.5, 2.5), xtol=1e-5, ftol=1e-6, max_nfev=25
         )
         return np.asarray(found.x)

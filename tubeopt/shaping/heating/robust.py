@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ...errors import InputError, positive
 from ...physics.heat import Resolution
@@ -92,7 +92,7 @@ class Uncertainty:
 
     def members(self, rig: Rig, samples: int, seed: int = 0) -> list[Rig]:
         """Rigs of a Latin hypercube, after the rig itself."""
-        draws = 2 * qmc.LatinHypercube(d=3, rng=seed).random(samples) - 1
+        draws = 2 * scipy.stats.qmc.LatinHypercube(d=3, rng=seed).random(samples) - 1
         widths = np.array([self.loss, self.contact_resistance, self.resistivity])
         rigs = [rig]
         for loss, contact, resistivity in 1 + draws * widths:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from ...errors import InputError
 from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, volume_shapes, zones
@@ -62,7 +62,7 @@ def _graded(cells: int, slope: float) -> Array:
     at = np.linspace(0.0, 1.0, cells + 1)
     if slope > 0.999:
         return at
-    stretch = float(brentq(lambda a: a / math.sinh(a) - slope, 1e-3, 50.0))
+    stretch = float(scipy.optimize.brentq(lambda a: a / math.sinh(a) - slope, 1e-3, 50.0))
     return np.asarray(np.sinh(stretch * at) / math.sinh(stretch))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from ...errors import InputError, choice, positive
 from ...physics.heat import Resolution
@@ -98,7 +98,7 @@ def calibrate_from_trials(
     window = (spec or HeatingSpec()).window_degC
     ends = np.array([_end_temperatures(tube, rig, trial) for trial in trials])  # (K, G)
     chance = np.array([_chance(trial.result, row, window) for trial, row in zip(trials, ends, strict=True)])
-    log = np.log(np.maximum(chance, 1e-12)).sum(0) + norm.logpdf(np.log(FACTORS), scale=PRIOR)
+    log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=PRIOR)
     density = np.exp(log - log.max())
     density /= density.sum()
     cumulative = np.cumsum(density) - 0.5 * density
@@ -123,5 +123,5 @@ def _end_temperatures(tube: Tube, rig: Rig, trial: Trial) -> Array:
 
 def _chance(result: str, temperature: Array, window: tuple[float, float]) -> Array:
     """Probability of a result at temperatures, degC."""
-    set_, over = (norm.cdf((temperature - edge) / SPREAD) for edge in window)
+    set_, over = (scipy.stats.norm.cdf((temperature - edge) / SPREAD) for edge in window)
     return np.asarray({"under": 1 - set_, "good": set_ - over, "over": over, "set": set_}[result])

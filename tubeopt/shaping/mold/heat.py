@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import kve
+import scipy
 
 from ...errors import InputError, positive
 from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
@@ -147,7 +147,7 @@ def _flow_transform(diameter: float, material: MoldMaterial, heat: HeatSpec) -> 
     def transform(s: Array) -> Array:
         z = diameter / 2 * np.sqrt(s / material.diffusivity)
         # kve scales K_1 and K_0 alike, so that neither underflows in the quotient.
-        mold = 2 * math.pi * material.conductivity * z * kve(1, z) / kve(0, z)
+        mold = 2 * math.pi * material.conductivity * z * scipy.special.kve(1, z) / scipy.special.kve(0, z)
         return np.asarray(heat.rise / s / (contact + 1 / mold))
 
     return transform

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from ...errors import InputError, choice, finite, positive, vector
 from ...typing import Array
@@ -173,7 +173,7 @@ def _least_squares(kappa: Array, lost: Array, order: int) -> _Fit:
         return _Fit(values, None, math.nan)
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    reach = stdtrit(free, (1 + CONFIDENCE) / 2) * spread
+    reach = scipy.special.stdtrit(free, (1 + CONFIDENCE) / 2) * spread
     return _Fit(values, np.column_stack([values - reach, values + reach]), noise)
 
 

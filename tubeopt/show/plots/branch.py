@@ -8,8 +8,8 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from ...errors import InputError
 from ...typing import Array
@@ -87,7 +87,7 @@ def smooth(branch: Branch) -> Branch:
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(columns, axis=0), axis=1))])
     along, keep = np.unique(along, return_index=True)
     fine = np.union1d(along, np.linspace(0.0, along[-1], FINE_POINTS))
-    values = CubicSpline(along, columns[keep])(fine)
+    values = scipy.interpolate.CubicSpline(along, columns[keep])(fine)
     n = branch.rotations.shape[1]
     return replace(
         branch,

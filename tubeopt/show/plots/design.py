@@ -7,7 +7,7 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from ...bodies.obstacles import Capsule, Sphere
 from ...design import Avoid, Corridor, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
@@ -76,7 +76,9 @@ def plot_poses(solution: DesignSolution, path: str | PathLike[str] | None = None
 def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
     s, ends = equilibrium.arc_length, equilibrium.tube_end
     fine = np.linspace(0.0, s[-1], 200)
-    points = CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])(fine)[:, [i, j]] * MM
+    points = (
+        scipy.interpolate.CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])(fine)[:, [i, j]] * MM
+    )
     start = 0.0
     for tube in reversed(range(len(ends))):
         part = (fine >= start - 1e-9) & (fine <= ends[tube] + s[-1] / 200)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, interp1d
 
 from ...typing import Array
 
@@ -63,8 +63,8 @@ class Centreline:
         s, keep = np.unique(equilibrium.arc_length, return_index=True)
         self.length = float(s[-1])
         frame = equilibrium.frame[keep]
-        self._position = CubicHermiteSpline(s, equilibrium.position[keep], frame[:, :, 2])
-        self._across = interp1d(s, frame[:, :, 0], axis=0)
+        self._position = scipy.interpolate.CubicHermiteSpline(s, equilibrium.position[keep], frame[:, :, 2])
+        self._across = scipy.interpolate.interp1d(s, frame[:, :, 0], axis=0)
 
     def position(self, s: ArrayLike) -> Array:
         """(k, 3) points at arc lengths `s` (k,), m."""

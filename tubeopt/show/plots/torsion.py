@@ -7,7 +7,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from ...typing import Array
 from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
@@ -94,7 +94,7 @@ def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Arra
     if len(s) < 2:
         return s, rotation, torsion
     fine = np.union1d(s, np.linspace(0.0, s[-1], 301))
-    curve = CubicHermiteSpline(s, rotation, torsion)
+    curve = scipy.interpolate.CubicHermiteSpline(s, rotation, torsion)
     return fine, curve(fine), curve(fine, 1)
 
 

@@ -7,7 +7,7 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from ...typing import Array
 from .style import FAINT, INK, finish, new_figure, styled, tube_colour
@@ -224,7 +224,9 @@ def _closed(direction: Array, points: Array) -> Array:
     """(361, 2) points of the smooth closed line through `points` (D, 2) at directions (D,), rad."""
     start = direction[0]
     knots, values = np.append(direction, start + 2 * np.pi), np.vstack([points, points[:1]])
-    return np.asarray(CubicSpline(knots, values, bc_type="periodic")(start + np.linspace(0, 2 * np.pi, 361)))
+    return np.asarray(
+        scipy.interpolate.CubicSpline(knots, values, bc_type="periodic")(start + np.linspace(0, 2 * np.pi, 361))
+    )
 
 
 @styled

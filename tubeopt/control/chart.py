@@ -14,11 +14,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..control.joints import JointSpace
 from ..equilibrium.result import Equilibrium
 from ..transcription.buffered import Buffered
 from ..transcription.explicit import explicit_arm, explicit_parameters
 from ..typing import Array, Mask
+from .joints import JointSpace
 
 BATCH = 8
 """Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""

@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..control.joints import JointSpace
-from ..control.posture import Posture, posture_of, same_place
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..stability.following import follow
 from ..typing import Array
 from .chart import Chart
 from .clock import Clock
+from .joints import JointSpace
+from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task
 

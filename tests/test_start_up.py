@@ -1,0 +1,31 @@
+"""What a user waits for who only wants one thing: `import tubeopt` loads nothing that is not asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import tubeopt
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Names of the modules that a fresh interpreter has loaded after a statement."""
+    script = f"import sys\n{statement}\nprint(*sorted(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+def test_the_package_alone_loads_no_library() -> None:
+    assert not loaded_by("import tubeopt") & {"numpy", "scipy", "casadi", "matplotlib", "pydantic", "typer"}
+
+
+def test_forward_kinematics_needs_neither_statistics_nor_pictures() -> None:
+    modules = loaded_by("from tubeopt import forward_kinematics, load_robot")
+    assert not modules & {"scipy.stats", "scipy.linalg", "scipy.optimize", "matplotlib", "typer", "viser", "trimesh"}
+
+
+@pytest.mark.parametrize("name", sorted(tubeopt.__all__))
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(tubeopt, name) is not None

@@ -1,0 +1,183 @@
+# The names of `tubeopt`, and where each comes from: loaded when it is first used.
+
+from . import (
+    block,
+    bodies,
+    control,
+    design,
+    equilibrium,
+    errors,
+    files,
+    inverse,
+    parallel,
+    physics,
+    planning,
+    robots,
+    runs,
+    shaping,
+    show,
+    solvers,
+    stability,
+    transcription,
+    typing,
+    validation,
+    workspaces,
+)
+from .block.equilibrium_block import EquilibriumBlock, OrderWarning
+from .block.ipopt import Ipopt, ProblemStatus
+from .block.problem import Problem
+from .block.problem_solution import ProblemSolution, load_problem_solution
+from .design import DesignSolution, DesignTask, optimize_design
+from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
+from .equilibrium.file import load_equilibrium
+from .equilibrium.jacobian import Jacobian
+from .equilibrium.kinematics import forward_kinematics
+from .equilibrium.result import Equilibrium, Statistics, Status, Verification
+from .equilibrium.solving import Discretisation
+from .errors import InputError, SolveError
+from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
+from .planning import (
+    PlanOptions,
+    Proof,
+    RateLimits,
+    TipGoal,
+    Trajectory,
+    follow_the_leader,
+    follow_tip_path,
+    plan_trajectory,
+    verify_trajectory,
+)
+from .robots.concentric import ConcentricRobot
+from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from .robots.file import load_robot, save_robot
+from .robots.limits import JointLimits
+from .robots.load import Load
+from .robots.materials import NITINOL, Material
+from .robots.tubes import Tube
+from .runs.rig_file import load_rig, save_rig
+from .runs.sweeping import Sweep, sweep
+from .shaping import Mold, MoldSpec, plan_mold, predict_tube
+from .shaping.heating.plan import HeatingPlan
+from .shaping.heating.planning import plan_heating
+from .shaping.heating.rig import Rig
+from .shaping.heating.spec import HeatingSpec
+from .stability import (
+    Branch,
+    Certificate,
+    EnergyMap,
+    Finding,
+    LoadLimit,
+    Path,
+    Snap,
+    StabilityMap,
+    Verdict,
+    WorstCertificate,
+    WorstMargin,
+    certify,
+    energy_map,
+    find_equilibria,
+    find_load_limit,
+    find_snap,
+    follow,
+    judge,
+    snap_free_certificate,
+    stability_map,
+    trace_branch,
+    worst_certificate,
+    worst_margin,
+)
+from .validation.force import ForceEstimate, estimate_force
+from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
+
+__version__: str
+
+__all__ = [
+    "NITINOL",
+    "Branch",
+    "Certificate",
+    "ConcentricRobot",
+    "DesignSolution",
+    "DesignTask",
+    "Discretisation",
+    "EccentricRobot",
+    "EnergyMap",
+    "Equilibrium",
+    "EquilibriumBatch",
+    "EquilibriumBlock",
+    "Finding",
+    "ForceEstimate",
+    "HeatingPlan",
+    "HeatingSpec",
+    "IkSession",
+    "InputError",
+    "InverseOptions",
+    "InverseSolution",
+    "InverseStatus",
+    "Ipopt",
+    "Jacobian",
+    "JointLimits",
+    "Load",
+    "LoadLimit",
+    "Material",
+    "Mold",
+    "MoldSpec",
+    "OrderWarning",
+    "Path",
+    "PlanOptions",
+    "Problem",
+    "ProblemSolution",
+    "ProblemStatus",
+    "Proof",
+    "RateLimits",
+    "Rig",
+    "SegmentedEccentricRobot",
+    "Snap",
+    "SnappingLoss",
+    "SolveError",
+    "StabilityMap",
+    "Statistics",
+    "Status",
+    "Sweep",
+    "TipGoal",
+    "Trajectory",
+    "Tube",
+    "Verdict",
+    "Verification",
+    "Workspace",
+    "WorstCertificate",
+    "WorstMargin",
+    "certify",
+    "energy_map",
+    "estimate_force",
+    "find_equilibria",
+    "find_load_limit",
+    "find_snap",
+    "follow",
+    "follow_the_leader",
+    "follow_tip_path",
+    "forward_kinematics",
+    "forward_kinematics_batch",
+    "inverse_kinematics",
+    "judge",
+    "load_equilibrium",
+    "load_problem_solution",
+    "load_rig",
+    "load_robot",
+    "load_workspace",
+    "optimize_design",
+    "plan_heating",
+    "plan_mold",
+    "plan_trajectory",
+    "predict_tube",
+    "save_rig",
+    "save_robot",
+    "snap_free_certificate",
+    "snapping_loss",
+    "stability_map",
+    "sweep",
+    "trace_branch",
+    "verify_trajectory",
+    "workspace",
+    "worst_certificate",
+    "worst_margin",
+]
