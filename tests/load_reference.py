@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -123,7 +124,7 @@ class Shooting:
             if lo < 0:
                 marks = [lo, *([self.transition[i]] if lo < self.transition[i] < 0 else []), hi]
                 nodes, weights = np.polynomial.legendre.leggauss(40)
-                for a, b in zip(marks[:-1], marks[1:], strict=True):
+                for a, b in pairwise(marks):
                     for x, w in zip((a + b) / 2 + (b - a) / 2 * nodes, (b - a) / 2 * weights, strict=True):
                         wound = tube.precurvature(x - self.transition[i])[2] if x > self.transition[i] else 0.0
                         theta[i] += w * (wound + t0[i] / tube.torsional(x - lo))
@@ -133,7 +134,7 @@ class Shooting:
         for i in range(n):
             if self.end[i] <= 0:
                 miss[i] = y[n + i]
-        for a, b in zip(self.cuts[:-1], self.cuts[1:], strict=True):
+        for a, b in pairwise(self.cuts):
             for s, f in self.load.points:
                 if abs(s - a) < 1e-12:
                     y[2 * n + 14 :] -= f
@@ -168,7 +169,7 @@ class Shooting:
     def _back(self, y: Array) -> tuple[list[Array], list[float]]:
         """States from the tip to the plate, 40 per section, and their arc lengths."""
         n, out, places = self.n, [], []
-        for a, b in reversed(list(zip(self.cuts[:-1], self.cuts[1:], strict=True))):
+        for a, b in reversed(list(pairwise(self.cuts))):
             middle = (a + b) / 2
             present, curved = middle < self.end, (middle > self.transition) & (middle < self.end)
             s = np.linspace(b, a, 41)

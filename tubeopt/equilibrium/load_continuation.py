@@ -173,3 +173,13 @@ def follow_family(
         yield there
         here, before = there, here
         step = min(2 * step, longest)
+
+
+def reach(
+    family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
+) -> LoadedPoint:
+    """The last point of `follow_family`, which is `start` where the branch ends at once."""
+    last = start
+    for point in follow_family(family, start, goal, longest=longest, stable=stable):
+        last = point
+    return last

@@ -18,7 +18,6 @@ from ..transcription.reduced import ReducedProblem, reduce
 from ..typing import Array
 from .solving import Discretisation
 
-
 LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 

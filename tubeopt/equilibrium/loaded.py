@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evalu
 from ..transcription.loaded_arm import loaded_arm
 from ..typing import Array
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, follow_family
+from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from .result import Equilibrium, Statistics, Status
 from .solving import Discretisation, discretisation_of, sample_rotation
@@ -33,14 +34,12 @@ def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discre
     """The equilibrium at full load on the branch of an unloaded one.
 
     Raises:
-        SolveError: the branch ends, or turns unstable, before the load is reached; or the unloaded equilibrium is a fold.
+        SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
     """
     shift = tuple(unloaded.translations.tolist())
     problem = loaded_problem(robot, shift, load, discretisation)
     start = unloaded_point(problem, unloaded)
-    point = start
-    for point in follow_family(LoadFamily(problem, start.member.rotations, shift), start, 1.0):
-        pass
+    point = reach(LoadFamily(problem, start.member.rotations, shift), start, 1.0)
     if point.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED_UNDER_LOAD}: {ending(point)} at {100 * point.t:.4g} % of the load",
@@ -238,15 +237,9 @@ def loaded_kinematics(
 def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
     """The end of a way in joint values and load."""
     first = family.member(0.0)
-    if start.load is None:
-        near = unloaded_point(first.problem, start)
-    else:
-        near = loaded_point(start)
-    near = LoadedPoint(0.0, near.member, near.state, near.margin, near.iterations)
-    here = near
-    stable = not near.margin <= 0
-    for here in follow_family(family, near, 1.0, longest=family.path.largest_step(), stable=stable):
-        pass
+    near = unloaded_point(first.problem, start) if start.load is None else loaded_point(start)
+    near = replace(near, t=0.0)
+    here = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
     if here.t < 1.0:
         raise SolveError(
             f"{Status.BRANCH_ENDED}: it ends {100 * here.t:.2f} % of the way from the guess to the goal", start

@@ -91,7 +91,7 @@ def rotation_matrix(quaternion: Any) -> Any:
 
 @lru_cache(maxsize=1)
 def quaternion_rates() -> NDArray[np.float64]:
-    """(2, 4, 4) matrices Omega_j with Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
+    """(2, 4, 4) matrices Omega_j: Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
     turned = quaternion_product(q, ca.vertcat(0, u, 0))
     parts = [ca.evalf(ca.jacobian(ca.jacobian(turned, u)[:, j], q)).full() for j in range(2)]

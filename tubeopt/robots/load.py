@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,7 +95,7 @@ class Load:
         elif along is not None and _stretches(along):
             along = tuple(replace(part, force=times(part.force)) for part in along)
         elif along is not None:
-            along = times(along)  # type: ignore[arg-type]
+            along = _vector("distributed", factor * np.array(along, dtype=float))
         return replace(
             self,
             force=times(self.force),
@@ -184,7 +184,7 @@ def _vector(name: str, value: Any) -> Vector:
     return x, y, z
 
 
-def _stretches(value: Any) -> bool:
+def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
     return isinstance(value, tuple) and bool(value) and isinstance(value[0], Stretch)
 
 

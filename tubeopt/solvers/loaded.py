@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dposv, dsyevr
+from scipy.linalg.lapack import dgesv, dsyevr
 
 from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
 from ..typing import Array

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, follow_family
+from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from ..equilibrium.loaded import solved, to_loaded, unloaded_point
 from ..equilibrium.result import Equilibrium
@@ -98,8 +98,7 @@ def find_load_limit(
             else _restart(point, Member(problem, alpha, shift, reached / goal))
         )
         family = LoadFamily(problem, alpha, shift)
-        for point in follow_family(family, point, 1.0):
-            pass
+        point = reach(family, point, 1.0)
         if point.t < 1.0:
             return _limit(robot, family, point, grown, goal)
         reached = goal
@@ -118,7 +117,7 @@ def _limit(robot: Robot, family: LoadFamily, last: LoadedPoint, load: Load, scal
     loss = lose(family, last, 1.0)
     if loss is None:
         raise SolveError(
-            f"the branch is lost at {last.t * scale:.6g} times the load, where neither a fold nor a bifurcation is found",
+            f"the branch is lost at {last.t * scale:.6g} times the load, but no fold or bifurcation is found there",
             to_loaded(robot, last, load.scaled(last.t), LOADED_DISCRETISATION),
         )
     before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)

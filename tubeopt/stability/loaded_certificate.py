@@ -62,12 +62,13 @@ def loaded_worst_case(assembly: Assembly, unloaded: float, force: float) -> floa
     """
     if not force or not assembly.total_length:
         return unloaded
-    apart = unloaded - largest_eigenvalue(_cells(assembly, force, pairs=False))
-    together = 1 - largest_eigenvalue(_cells(assembly, force, pairs=True))
+    apart = unloaded - largest_eigenvalue(cells_of(assembly, force, pairs=False))
+    together = 1 - largest_eigenvalue(cells_of(assembly, force, pairs=True))
     return min(unloaded, max(apart, together))
 
 
-def _cells(assembly: Assembly, force: float, *, pairs: bool) -> Cells:
+def cells_of(assembly: Assembly, force: float, *, pairs: bool) -> Cells:
+    """Coefficients no smaller than those of an arm; without `pairs` of the part of N by the force alone."""
     total = assembly.total_length
     counts = np.maximum(1, np.ceil(CELLS * assembly.length / total)).astype(int)
     section = np.repeat(np.arange(assembly.n_sections), counts)
@@ -116,7 +117,7 @@ def positive(cells: Cells, eigenvalue: float) -> bool:
     spring = eigenvalue * cells.torsional / np.maximum(cells.transmission, 1e-12)
     matrix[np.arange(n), np.arange(n)] += spring
     kept = np.delete(np.arange(len(matrix)), n)
-    return dpotrf(matrix[np.ix_(kept, kept)], lower=1)[1] == 0
+    return bool(dpotrf(matrix[np.ix_(kept, kept)], lower=1)[1] == 0)
 
 
 def _stiffness(cells: Cells, eigenvalue: float) -> tuple[Array, Array, Array]:

@@ -1,8 +1,8 @@
 """All equilibria of a robot under a load: a search whose result is counted.
 
-Rotations and bending are points of a vector space on which the potential energy of dead loads is coercive: elastic energy
-grows with the square of the distance, the work int n.t of a load is at most int |n|. So the gradient has degree 1, and the
-sum of (-1)^index over all equilibria is 1, as it is without load.
+Rotations and bending are points of a vector space on which the potential energy of dead loads is coercive: elastic
+energy grows with the square of the distance, the work int n.t of a load is at most int |n|. So the gradient has degree
+1, and the sum of (-1)^index over all equilibria is 1, as it is without load.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def loaded_equilibria(
 ) -> list[Equilibrium]:
     """All equilibria under a dead load, lowest potential energy first; `plain` are those without it.
 
-    Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice as
-    many in every round, and energy falls from every unstable equilibrium that was found, until a round finds nothing
+    Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice
+    as many in every round, and energy falls from every unstable equilibrium that was found, until a round finds nothing
     new, the degree is 1 and one of them is stable.
 
     Raises:

@@ -29,7 +29,7 @@ STRIDE = 0.1
 MOST_STEPS = 2000
 
 NEUTRAL = 1e-9
-"""A margin within this of 0 may be that of a minimum which is free to turn, as a buckled round column about its axis."""
+"""A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
 
 WIDEST = 1e-3
 """Largest part of the way between the last stable point that was found and the one where stability is lost."""
@@ -37,7 +37,7 @@ WIDEST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """Where a stable branch is lost: at t, the equilibrium there, "fold" or "bifurcation", and the softest direction."""
+    """Where a stable branch is lost: t, the equilibrium there, "fold" or "bifurcation", and the softest direction."""
 
     t: float
     point: LoadedPoint
@@ -56,7 +56,7 @@ def lose(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
 
 def fold(family: Family, near: LoadedPoint) -> Loss | None:
     """Newton on grad = 0 and sigma = 0, the bordered determinant  [H p; p' 0] [v; sigma] = [0; 1]  that vanishes where H
-    is singular (Griewank and Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000).
+    is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000).
 
     Slopes of sigma are differences along v, which shape the steps, not the result; None where it does not converge.
     """
@@ -181,8 +181,8 @@ def _gradient(member: Member, x: Array) -> Array:
 
 
 def slide(member: Member, x: Array) -> LoadedResult:
-    """The gradient flow of the potential energy from x to the minimum where it ends: linearly implicit Euler steps of at
-    most STRIDE, which grow into those of Newton where the flow comes to rest."""
+    """The gradient flow of the potential energy from x to the minimum where it ends: linearly implicit Euler steps of
+    at most STRIDE, which grow into those of Newton where the flow comes to rest."""
     problem, rotations, factor = member.problem, member.rotations, member.factor
     state, time = evaluate(problem, rotations, x, factor), 1.0
     scale = state.energy + abs(state.work)

@@ -44,8 +44,9 @@ def walk_loaded(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint
     """
     here, longest = start, family.path.largest_step()
     while here.t < 1.0:
-        for here in follow_family(family, here, 1.0, longest=longest):
-            yield here
+        for point in follow_family(family, here, 1.0, longest=longest):
+            yield point
+            here = point
         if here.t >= 1.0:
             return
         step = _lost(family, here)

@@ -50,7 +50,7 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
     weighted = mesh.tableau.matrix[:, :, None, None] * rate.reshape(pieces, 1, k, 4, 4)
     system = -half[:, None, None] * weighted.transpose(0, 1, 3, 2, 4).reshape(pieces, 4 * k, 4 * k)
     system[:, np.arange(4 * k), np.arange(4 * k)] += 1.0
-    inverse = np.linalg.inv(system)
+    inverse = np.asarray(np.linalg.inv(system), dtype=float)
     spread = inverse.reshape(pieces, 4 * k, k, 4).sum(2)
     # Row of the end: h b_b (Q_b o u_b) / 2.
     gather = (half[:, None, None, None] * mesh.tableau.weights[:, None, None]) * rate.reshape(pieces, k, 4, 4)

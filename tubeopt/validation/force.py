@@ -143,7 +143,7 @@ def estimate_force(
     if float(np.linalg.norm(trial.jacobian @ _step(trial.jacobian, trial.residual, 0.0))) <= 1e-3:
         return _estimate(trial, measured, iteration)
     raise SolveError(
-        f"the force did not settle in {MOST_STEPS} steps: the best found leaves {_distance(trial, measured) * 1e3:.3g} mm",
+        f"the force did not settle in {MOST_STEPS} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
         trial.equilibrium,
     )
 
@@ -158,9 +158,7 @@ def _measured(
         except (TypeError, ValueError):
             raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
         if not 0 < at <= length * (1 + 1e-12):
-            raise InputError(
-                f"points[{k}] is at the arc length {at:g} m; it must be above 0 and at most that of the tip, {length:g} m"
-            )
+            raise InputError(f"points[{k}] is at the arc length {at:g} m; it must be above 0 and at most {length:g} m")
         places.append(float(at))
         positions.append(vector(f"position of points[{k}]", position, 3, "x, y, z"))
     if tip is not None:
