@@ -17,10 +17,24 @@ from ..files.checked import check
 from ..files.files import atomic_write
 from ..files.units import parse_number
 from ..runs.study_file import ForwardKinematicsStudy
+from ..show.load_words import load_record, load_rows
 from ..show.report import present, report, two_columns
-from ..show.words import in_a_word
+from ..show.words import margin_in_words, told
 from ..typing import Array
-from .options import JsonOption, OutOption, PlotOption, RobotArgument, RotationsOption, TranslationsOption, numbers
+from .options import (
+    GravityOption,
+    JsonOption,
+    LoadOption,
+    OutOption,
+    PlotOption,
+    RobotArgument,
+    RotationsOption,
+    TipForceOption,
+    TipMomentOption,
+    TranslationsOption,
+    load_of,
+    numbers,
+)
 
 FLAGS = {
     "robot": "",
@@ -40,6 +54,10 @@ def fk(
     tolerance_rad: Annotated[
         str, typer.Option("--tolerance-rad", "--tolerance", metavar="RAD", help="Largest error of the tubes' angles.")
     ] = "1e-8",
+    tip_force_mN: TipForceOption = None,
+    tip_moment_mN_m: TipMomentOption = None,
+    gravity_m_per_s2: GravityOption = None,
+    load: LoadOption = None,
     verify: Annotated[bool, typer.Option("--verify", help="Compare with an adaptive re-integration.")] = False,
     plot: PlotOption = False,
     out: OutOption = None,
@@ -51,6 +69,7 @@ def fk(
         "robot": robot,
         "rotations_deg": numbers(rotations_deg),
         "translations_mm": numbers(translations_mm),
+        "load": load_of(load, tip_force_mN, tip_moment_mN_m, gravity_m_per_s2),
         "method": method,
         "tolerance_rad": parse_number(tolerance_rad),
         "verify": verify,
@@ -77,8 +96,9 @@ class EquilibriumReport:
             "tip_position_mm": (e.tip_position * 1e3).tolist(),
             "tip_direction": e.tip_rotation[:, 2].tolist(),
             "tip_rotations_deg": np.degrees(e.tip_rotations).tolist(),
-            "margin": e.margin,
+            "margin": told(e.margin),
             "energy_mJ": e.energy * 1e3,
+            "load": load_record(e),
             "residual_rad": e.residual,
             "mesh_error_rad": e.mesh_error,
             "tip_error_mm": e.tip_error * 1e3,
@@ -95,8 +115,9 @@ class EquilibriumReport:
             ("tip position", f"{_row(e.tip_position * 1e3, '.4f')} mm"),
             ("pointing along", _row(e.tip_rotation[:, 2], ".4f")),
             ("rotations at the tips", f"{_row(np.degrees(e.tip_rotations), '.4f')} deg"),
-            ("margin", f"{e.margin:.3f}, {in_a_word(e.margin)}"),
+            ("margin", margin_in_words(e.margin)),
             ("elastic energy", f"{e.energy * 1e3:.4f} mJ"),
+            *load_rows(e),
             ("residual", f"{e.residual:.1e} rad"),
             ("estimated error", f"{e.mesh_error:.1e} rad along the tubes, {e.tip_error * 1e3:.1e} mm at the tip"),
         ]

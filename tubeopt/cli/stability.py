@@ -16,7 +16,18 @@ from ..show.map_report import RobotMapReport
 from ..show.progress import working
 from ..show.report import can_be_saved, present
 from ..show.snap_report import EquilibriaReport, MotionReport, WayReport
-from .options import JsonOption, OutOption, RobotArgument, RotationsOption, TranslationsOption, numbers
+from .options import (
+    GravityOption,
+    JsonOption,
+    LoadOption,
+    OutOption,
+    RobotArgument,
+    RotationsOption,
+    TipForceOption,
+    TranslationsOption,
+    load_of,
+    numbers,
+)
 
 
 def _ask(model: type[Study], flags: dict[str, Any], doing: str, out: Path | None) -> Any:
@@ -32,6 +43,9 @@ def equilibria(
     robot: RobotArgument,
     rotations_deg: RotationsOption = None,
     translations_mm: TranslationsOption = None,
+    tip_force_mN: TipForceOption = None,
+    gravity_m_per_s2: GravityOption = None,
+    load: LoadOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -41,6 +55,7 @@ def equilibria(
         "robot": robot,
         "rotations_deg": numbers(rotations_deg),
         "translations_mm": numbers(translations_mm),
+        "load": load_of(load, tip_force_mN, None, gravity_m_per_s2),
     }
     answer = _ask(EquilibriaStudy, flags, "searching equilibria", out)
     present(EquilibriaReport(answer), out=out, as_json=as_json)
@@ -58,6 +73,9 @@ def snap(
     to_mm: Annotated[
         str | None, typer.Option(metavar="A,B,..", help="Translations to move to; by default those of the start.")
     ] = None,
+    tip_force_mN: TipForceOption = None,
+    gravity_m_per_s2: GravityOption = None,
+    load: LoadOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -69,6 +87,7 @@ def snap(
         "to_deg": numbers(to_deg),
         "from_mm": numbers(from_mm),
         "to_mm": numbers(to_mm),
+        "load": load_of(load, tip_force_mN, None, gravity_m_per_s2),
     }
     present(WayReport(_ask(SnapStudy, flags, "looking for the snap", out)), out=out, as_json=as_json)
 
@@ -84,11 +103,15 @@ def follow(
             show_default=False,
         ),
     ],
+    tip_force_mN: TipForceOption = None,
+    gravity_m_per_s2: GravityOption = None,
+    load: LoadOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Slow motion through waypoints, with its history: where the robot snaps and where it lands."""
-    flags = {"kind": "follow", "robot": robot, "path": path}
+    pushed = load_of(load, tip_force_mN, None, gravity_m_per_s2)
+    flags = {"kind": "follow", "robot": robot, "path": path, "load": pushed}
     present(MotionReport(_ask(FollowStudy, flags, "following the path", out)), out=out, as_json=as_json)
 
 

@@ -27,8 +27,10 @@ from ..stability import (
 )
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .load_file import LoadEntry, build_load
 
 HOME = Field(None, description="one per tube; home where not given")
+LOAD = Field(None, description="forces on the robot that keep their direction; none where not given")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,7 @@ class EquilibriaStudy(Study):
     robot: RobotPath
     rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
     translations_mm: OnePerTube | None = HOME
+    load: LoadEntry | None = LOAD
 
     def run(self, progress: Progress | None = None) -> Equilibria:
         """The equilibria; raises SolveError where one is missing."""
@@ -55,7 +58,7 @@ class EquilibriaStudy(Study):
             progress(0, 0)
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
-        found = find_equilibria(self.robot, rotations, translations)
+        found = find_equilibria(self.robot, rotations, translations, load=build_load(self.load))
         return Equilibria(self.robot, rotations, translations, tuple(found))
 
 
@@ -82,6 +85,7 @@ class SnapStudy(Study):
     to_deg: OnePerTube | None = Field(None, description="rotations, one per tube; those of the start where not given")
     from_mm: OnePerTube | None = Field(None, description="translations, one per tube; home where not given")
     to_mm: OnePerTube | None = Field(None, description="translations, one per tube; those of the start where not given")
+    load: LoadEntry | None = LOAD
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         alpha = radians(self.from_deg, np.zeros(self.robot.n_tubes))
@@ -100,10 +104,11 @@ class SnapStudy(Study):
         if progress is not None:
             progress(0, 0)
         start, end = self._ends()
-        snap = find_snap(self.robot, start, end)
+        load = build_load(self.load)
+        snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
-        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]])
+        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
@@ -134,6 +139,7 @@ class FollowStudy(Study):
         PlainValidator(_waypoints, json_schema_input_type=str),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
+    load: LoadEntry | None = LOAD
 
     def run(self, progress: Progress | None = None) -> Motion:
         """The motion; raises SolveError where there is no stable equilibrium to start from or to land on."""
@@ -143,7 +149,8 @@ class FollowStudy(Study):
             if progress is not None:
                 progress(waypoint, last)
 
-        return Motion(self.robot, follow(self.robot, self.path.rotations, self.path.translations, progress=step))
+        load, way = build_load(self.load), (self.path.rotations, self.path.translations)
+        return Motion(self.robot, follow(self.robot, *way, load=load, progress=step))
 
 
 @dataclass(frozen=True, eq=False)

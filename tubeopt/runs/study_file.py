@@ -21,6 +21,7 @@ from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
+from .load_file import LoadEntry, build_load
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
@@ -35,6 +36,7 @@ class ForwardKinematicsStudy(Study):
     robot: RobotPath
     rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
     translations_mm: OnePerTube | None = Field(None, description="one per tube; home where not given")
+    load: LoadEntry | None = Field(None, description="forces on the robot; none where not given")
     method: Literal["newton", "ipopt", "energy"] = "newton"
     tolerance_rad: Positive = Decimal("1e-8")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
@@ -45,6 +47,7 @@ class ForwardKinematicsStudy(Study):
             self.robot,
             radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
             metres(self.translations_mm, self.robot.home_translations),
+            load=build_load(self.load),
             method=self.method,
             tolerance=float(self.tolerance_rad),
             verify=self.verify,

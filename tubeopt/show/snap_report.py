@@ -56,7 +56,7 @@ class EquilibriaReport:
                 row(e.tip_position * MM, ".2f"),
                 row(np.degrees(e.tip_rotations), ".2f"),
                 f"{e.margin:.4f}",
-                f"{e.energy * MILLI:.4f}",
+                f"{e.potential * MILLI:.4f}",
                 str(e.index),
                 in_a_word(e.margin),
             )

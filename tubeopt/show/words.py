@@ -19,9 +19,21 @@ CLOSE_TO_A_SNAP = 0.05
 
 def in_a_word(margin: float) -> str:
     """What a stability margin means."""
+    if np.isnan(margin):
+        return "not told: moments and following forces have no energy"
     if margin <= 0:
         return "unstable"
     return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
+
+
+def told(margin: float) -> float | None:
+    """A margin as JSON has it, which knows no NaN: None where there is none."""
+    return None if np.isnan(margin) else margin
+
+
+def margin_in_words(margin: float) -> str:
+    """A stability margin with what it means."""
+    return in_a_word(margin) if np.isnan(margin) else f"{margin:.3f}, {in_a_word(margin)}"
 
 
 def row(values: ArrayLike, form: str) -> str:
@@ -48,9 +60,10 @@ def state(equilibrium: Equilibrium) -> dict[str, Any]:
     """An equilibrium in short, as JSON."""
     return {
         "stable": equilibrium.stable,
-        "margin": equilibrium.margin,
+        "margin": told(equilibrium.margin),
         "index": equilibrium.index,
         "energy_mJ": equilibrium.energy * MILLI,
+        **({} if equilibrium.load is None else {"potential_mJ": equilibrium.potential * MILLI}),
         "tip_position_mm": (equilibrium.tip_position * MM).tolist(),
         "tip_direction": equilibrium.tip_rotation[:, 2].tolist(),
         "tip_rotations_deg": np.degrees(equilibrium.tip_rotations).tolist(),
