@@ -55,7 +55,7 @@ def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:
     both = answer(run(*turned, "--load", str(file), "--tip-force-mN", "0,0,0"))
     assert "10, 0, 0 mN at 50 mm" in both["load"]["load"]
     assert "at the tip" not in both["load"]["load"]
-    text = run(*turned[:-1], "--load", str(file)).out
+    text = " ".join(run(*turned[:-1], "--load", str(file)).out.split())
     assert "on the plate" in text
     assert "a load along the arm" in text
 

@@ -55,7 +55,7 @@ def lose(family: Family, last: LoadedPoint, goal: float) -> Loss | None:
 
 
 def fold(family: Family, near: LoadedPoint) -> Loss | None:
-    """Newton on grad = 0 and sigma = 0, the bordered determinant  [H p; p' 0] [v; sigma] = [0; 1]  that vanishes where H
+    """Newton on grad = 0 and sigma = 0, the bordered determinant [H p; p' 0] [v; sigma] = [0; 1] that vanishes where H
     is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000).
 
     Slopes of sigma are differences along v, which shape the steps, not the result; None where it does not converge.
