@@ -22,7 +22,10 @@ MOST_STEPS = 60
 LONGEST_MOVE = 0.1
 """Largest move of a measured point in one step, as a fraction of the arm: beyond, the linear fit tells nothing."""
 
-SETTLED = 1e-6
+FIRST_DAMPING = 1e-8
+"""Of the square of the best told direction: others may be seen a thousand times less."""
+
+SETTLED = 1e-4
 """Step, in standard errors of the force, below which the fit has settled."""
 
 UNSEEN = 1e-8
@@ -122,7 +125,7 @@ def estimate_force(
     start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
     measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
-    damping, length = 1e-3, float(start.arc_length[-1])
+    damping, length = FIRST_DAMPING, float(start.arc_length[-1])
     for iteration in range(1, MOST_STEPS + 1):
         step = _step(trial.jacobian, trial.residual, damping)
         moved = np.abs(trial.jacobian @ step).max() * noise
