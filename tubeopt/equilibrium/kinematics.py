@@ -183,7 +183,8 @@ def _compiled(
         turn = rotations - guess.rotations
         if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
             return None
-        start = Start(guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation, turn)
+        arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
+        start = Start(*arm, turn, guess.translations)
     answer = solve_compiled(robot, rotations, translations, start)
     if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
         return None

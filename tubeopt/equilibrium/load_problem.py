@@ -46,9 +46,8 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
 
 def mass_per_length(tube: Tube) -> float | None:
     """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
-    given = getattr(tube, "mass_per_length", None)
-    if given is not None:
-        return float(given)
+    if tube.mass_per_length is not None:
+        return tube.mass_per_length
     thermal = tube.material.thermal
     if thermal is None:
         return None

@@ -90,11 +90,16 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
         return unloaded_point(loaded_problem(equilibrium.robot, shift, Load()), equilibrium)
     problem = loaded_problem(equilibrium.robot, shift, equilibrium.load, discretisation_of(equilibrium))
     rotations = equilibrium.rotations
-    x = unknowns(problem, rotations, equilibrium.point_rotation, equilibrium.point_curvature)
+    x = unknowns(problem, rotations, _elastic(problem, equilibrium), equilibrium.point_curvature)
     result = loaded_newton(problem, rotations, x)
     if not result.converged:
         raise SolveError("the loaded equilibrium is a fold (margin 0): Newton does not stay there")
     return solved(Member(problem, rotations, shift), result)
+
+
+def _elastic(problem: LoadedProblem, equilibrium: Equilibrium) -> Array:
+    """(N, n) rotations at the points without the natural turn of tubes made of pieces."""
+    return equilibrium.point_rotation - problem.torsion.assembly.wound(problem.torsion.arc_length)
 
 
 def to_tolerance(
@@ -160,7 +165,7 @@ def to_loaded(
         tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
         section_start=assembly.start,
         point=problem.torsion.arc_length,
-        point_rotation=state.theta,
+        point_rotation=state.theta + assembly.wound(problem.torsion.arc_length),
         point_curvature=state.curvature,
         tube_end=ends,
         margin=margin,
@@ -260,8 +265,9 @@ def _close(
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):
         return None
-    bent = unknowns(before, guess.rotations, guess.point_rotation, guess.point_curvature)[before.torsion.size :]
-    x = unknowns(problem, rotations, guess.point_rotation + turn)
+    theta = _elastic(before, guess)
+    bent = unknowns(before, guess.rotations, theta, guess.point_curvature)[before.torsion.size :]
+    x = unknowns(problem, rotations, theta + turn)
     x[problem.torsion.size :] = bent * np.repeat(before.softness / problem.softness, 2)
     result = loaded_newton(problem, rotations, x, iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:

@@ -119,3 +119,11 @@ def rotation_matrix_function() -> ca.Function:
     """Q (4,) -> R (3, 3)."""
     q = ca.SX.sym("q", 4)
     return ca.Function("rotation_matrix", [q], [ca.densify(rotation_matrix(q))])
+
+
+@lru_cache(maxsize=1)
+def step_function() -> ca.Function:
+    """(u (6,), h) -> R (3, 3), p (3,) after a step of length h; u at the three GAUSS_POINTS, x before y."""
+    u, h = ca.SX.sym("u", 6), ca.SX.sym("h")
+    pose = magnus_step(ca.DM.eye(3), ca.DM.zeros(3), ca.reshape(u, 2, 3), h)
+    return ca.Function("step", [u, h], [ca.densify(part) for part in pose], {"cse": True})

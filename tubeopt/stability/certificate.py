@@ -80,6 +80,8 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
             raise InputError(
                 f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
             )
+        if assembly.general:
+            raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
         return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
     return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
 

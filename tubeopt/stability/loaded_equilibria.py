@@ -18,7 +18,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
 from ..errors import InputError, SolveError
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..solvers.loaded import loaded_newton, turn_of
 from ..transcription.loaded import unknowns
 from ..typing import Array
@@ -80,6 +80,8 @@ def loaded_equilibria(
 
 
 def _convex(robot: Robot, translations: tuple[float, ...], load: Load) -> bool:
+    if is_general(robot):
+        return False
     unloaded = worst_case(reduced_problem(robot, translations, DEFAULT_DISCRETISATION))[0]
     assembly = robot.assembly(np.array(translations))
     return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > CONVEX

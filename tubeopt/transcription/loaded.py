@@ -30,7 +30,7 @@ from ..typing import Array
 from .buffered import section_function
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, directions, reach, to_unknowns, torsional_hessian
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +114,9 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
     spread = np.zeros((count * n, torsion.size))
     spread[torsion.flat] = torsion.factor
     tip = int(np.argmax(assembly.end))
-    kt, mine = assembly.torsional_stiffness[tip], torsion.tube == tip
-    lever = assembly.transmission[tip] + torsion.arc_length[torsion.point]
-    row = dtrtrs(torsion.factor, np.where(mine, lever / kt, 0.0), lower=1)[0] if torsion.size else np.zeros(0)
+    lever, whole = twist_compliance(torsion, tip)
+    seen = np.where(torsion.tube == tip, lever[torsion.point], 0.0)
+    row = dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
     force, base = _forces(mesh, load, assembly.present @ density)
     return LoadedProblem(
         torsion=torsion,
@@ -127,8 +127,20 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
         softness=1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1)),
         tip_tube=tip,
         tip_row=row,
-        tip_lever=float((assembly.transmission[tip] + assembly.total_length) / kt),
+        tip_lever=whole,
     )
+
+
+def twist_compliance(torsion: ReducedProblem, tube: int) -> tuple[Array, float]:
+    """int ds / kt of a tube from where it is held to each point (N,), and to the tip, 1/(N m)."""
+    assembly, mesh, here = torsion.assembly, torsion.mesh, torsion.here
+    if here is None:
+        s = np.append(torsion.arc_length, assembly.total_length)
+        lever = (assembly.transmission[tube] + s) / assembly.torsional_stiffness[tube]
+        return lever[:-1], float(lever[-1])
+    begin = reach(mesh, here)[:, tube]
+    inside = mesh.length[:, None] * (here.rate[:, :, tube] @ mesh.tableau.matrix.T)
+    return (begin[:-1, None] + inside).ravel(), float(begin[-1])
 
 
 def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:
@@ -163,7 +175,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     theta[:] = rotations
     theta.ravel()[torsion.flat] += torsion.factor @ z
     bend, moment, stiff, natural, slope, second = section_function("bending", count, n, False)(
-        theta, torsion.stiffness, torsion.moment
+        directions(torsion, theta), torsion.stiffness, torsion.moment
     )
     # CasADi stores by columns: (N, n, 2).
     slope, second = (part.reshape(count, n, 2).swapaxes(1, 2) for part in (slope, second))
@@ -324,5 +336,7 @@ def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: 
     full = np.empty_like(torsion.moment)
     full[:] = rotations
     full.ravel()[torsion.flat] += torsion.factor @ z
-    natural = section_function("curvature", count, full.shape[1], False)(full, torsion.stiffness, torsion.moment)[0]
+    natural = section_function("curvature", count, full.shape[1], False)(
+        directions(torsion, full), torsion.stiffness, torsion.moment
+    )[0]
     return np.concatenate([z, ((curvature - natural) / problem.softness[:, None]).ravel()])

@@ -8,11 +8,12 @@ import numpy as np
 
 from ..physics.shape import rotation_matrix_function
 from ..typing import Array
-from .arm import Profile, arc_lengths, integrate, rotations_at, torsion_at
+from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at, torsion_at
 from .buffered import mapped, section_function
 from .loaded import LoadedProblem, LoadedState
 from .orientation import tangents
 from .piece import ENDS
+from .reduced import ReducedProblem, reach, sections_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,15 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
     """theta_i(s) of all tubes; a torque at the tip twists the tube that ends last all along."""
     torsion = problem.torsion
     assembly, mesh, tip = torsion.assembly, torsion.mesh, problem.tip_tube
+    if torsion.here is not None:
+        profile = integrate_torque(torsion, rotations, state.torque)
+        assert profile.slope is not None
+        assert profile.compliance is not None
+        profile.twist[:, tip] += state.tip_torque
+        profile.rotation[:, tip] += state.tip_torque * reach(mesh, torsion.here)[:-1, tip]
+        even = torsion.here.rate[:, :, tip] - profile.compliance[:, None, tip]
+        profile.slope[:, :, tip] += state.tip_torque * even
+        return profile
     profile = integrate(mesh, rotations, assembly.transmission, state.torque / assembly.torsional_stiffness)
     twist = state.tip_torque / assembly.torsional_stiffness[tip]
     profile.twist[:, tip] += twist
@@ -45,11 +55,9 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
     torsion, mesh = problem.torsion, problem.mesh
     t, pieces, n = mesh.tableau, len(mesh.length), len(rotations)
     profile = loaded_profile(problem, rotations, state)
-    ends = tuple(ENDS.tolist())
-    theta, slope = (at(torsion, profile, ends) for at in (rotations_at, torsion_at))
+    theta, slope, pull = _tubes(torsion, profile)
     bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
-    kb, m = (np.repeat(table, len(ENDS), axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
-    natural = section_function("curvature", len(kb), n, False)(theta.reshape(-1, n), kb, m)[0]
+    natural = section_function("curvature", len(pull[0]), n, False)(*pull)[0]
     curvature = natural.reshape(pieces, len(ENDS), 2) + t.lagrange(ENDS) @ bent
     along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
     turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
@@ -70,6 +78,22 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
         frame=_shared(frame.reshape(pieces, len(ENDS), 9)).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
         base_torque=base,
     )
+
+
+def _tubes(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+    """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
+    ends = tuple(ENDS.tolist())
+    theta, n = rotations_at(torsion, profile, ends), torsion.assembly.n_tubes
+    if torsion.here is None:
+        kb, m = (np.repeat(table, len(ENDS), axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
+        return theta, torsion_at(torsion, profile, ends), (theta.reshape(-1, n), kb, m)
+    mesh = torsion.mesh
+    here = sections_at(torsion.assembly, mesh, ENDS)
+    inside = mesh.length[:, None, None] * (mesh.tableau.lagrange(ENDS, integrals=1) @ profile.moment)
+    torque = (profile.twist[:, None] + inside).reshape(-1, n)
+    slope = (torque / here.torsional_stiffness + here.twist).reshape(theta.shape)
+    pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
+    return theta + here.wound.reshape(theta.shape), slope, pull
 
 
 def _shared(values: Array) -> Array:

@@ -19,6 +19,16 @@ BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 
+TWIST_PER_PIECE = 1.0
+"""Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
+
+DETAIL_PER_PIECE = 4.0
+"""Largest polynomial degree of precurvature and stiffness along a piece."""
+
+SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
+"""Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Pieces of an arm, base to tip: elements of coupled sections, and the other sections as a whole.
@@ -43,21 +53,55 @@ def coupling_rate(assembly: Assembly) -> Array:
     For two tubes c = (1 + nu) kappa_1 kappa_2 when their nu are equal (Dupont et al. 2010); for more, the row sums of
     the Jacobi matrix bound its eigenvalues.
     """
+    if assembly.general:
+        return _needs(assembly)[0]
     moment = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
     total = (assembly.bending_stiffness * assembly.present).sum(1)
+    return _rate(moment, total, assembly.torsional_stiffness)
+
+
+def _rate(moment: Array, total: Array, torsional_stiffness: Array) -> Array:
+    """sqrt(c) of cross-sections with |m_i| (m, n), sum of kb (m,), and kt (n,) or (m, n)."""
     pairs = moment[:, :, None] * moment[:, None, :] / np.maximum(total, 1e-300)[:, None, None]
-    pairs[:, np.arange(assembly.n_tubes), np.arange(assembly.n_tubes)] = 0.0
-    each = pairs / assembly.torsional_stiffness[:, None] + pairs / assembly.torsional_stiffness
+    tubes = np.arange(moment.shape[1])
+    pairs[:, tubes, tubes] = 0.0
+    kt = np.broadcast_to(torsional_stiffness, moment.shape)
+    each = pairs / kt[:, :, None] + pairs / kt[:, None, :]
     rate: Array = np.sqrt(each.sum(2).max(1, initial=0.0))
     return rate
 
 
+def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
+    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, and pieces for twist and detail."""
+    table, count = assembly.lengthwise, len(SAMPLES)
+    assert table is not None
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    total = here.stiffness.sum(1)
+    rate = _rate(here.moment, total, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    own = here.moment / np.maximum(here.stiffness, 1e-300)
+    steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
+    # A straight tube may be twisted as it likes: nobody sees it.
+    there, bent = here.stiffness > 0, here.moment > 0
+    each = np.maximum(
+        there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
+    )
+    finest = each.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    return rate, steepest, finest * assembly.length
+
+
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
-    waves = coupling_rate(assembly) * assembly.length / WAVES_PER_ELEMENT
-    bend = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0) * assembly.length / BEND_PER_PIECE
-    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
-    pieces[~assembly.curved.any(1)] = 1
+    if assembly.general:
+        rate, steepest, finest = _needs(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+    waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
+    need = np.maximum(np.maximum(waves, bend), finest)
+    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
+    pieces[need <= 0] = 1
     return pieces
 
 
@@ -71,15 +115,30 @@ def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: i
     Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
     rate, or of a lever as long as the arm.
     """
-    stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
+    if assembly.general:
+        rate, natural, finest = _needs(assembly)
+        stiffness, pull = _softest(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+        stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
+        moments = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
+        pull = (moments / assembly.torsional_stiffness).max(1, initial=0.0)
     fast = np.sqrt(force / stiffness)
     bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
-    pull = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
-    twisted = np.sqrt((pull * bent[:, None] / assembly.torsional_stiffness).max(1, initial=0.0))
-    waves = np.maximum(np.maximum(coupling_rate(assembly), fast), twisted) / LOADED_WAVES
-    natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
-    pieces = np.ceil(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length - 1e-9)
+    waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
+    need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
+    pieces = np.ceil(need - 1e-9)
     return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
+
+
+def _softest(assembly: Assembly) -> tuple[Array, Array]:
+    """(m,) least sum of kb, and (m,) largest |m_i| / kt_i of sections of tubes made of pieces."""
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    stiffness = here.stiffness.sum(1).reshape(-1, len(SAMPLES)).min(1)
+    pull = (here.moment / here.torsional_stiffness).max(1).reshape(-1, len(SAMPLES)).max(1)
+    return stiffness, pull
 
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
