@@ -56,7 +56,7 @@ def measure(path: Path, solves: int) -> dict[str, Timing]:
         call = lambda p=tip, e=here: estimate_force(robot, e.rotations, tip_position=p, noise=1e-4, guess=e)  # noqa: E731
         told.append(clock(call)[0])
     many = clock(lambda: forward_kinematics_batch(robot, rotations, load=load))[0] / solves
-    limit = [clock(lambda: find_load_limit(robot, rotations[k], None, load, up_to=4.0))[0] for k in range(3)]
+    limit = [clock(lambda a=a: find_load_limit(robot, a, None, load, up_to=4.0))[0] for a in rotations[:3]]
     proof = [clock(lambda: snap_free_certificate(robot, max_force=0.01))[0] for _ in range(3)]
     return {
         "cold": summarise(cold),

@@ -27,12 +27,12 @@ TRIALS = 50
 def main(out: Path) -> list[Path]:
     """Estimate the force again and again, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-    true = tubeopt.forward_kinematics(robot, ROTATIONS, load=tubeopt.Load(tuple(FORCE)))
+    true = tubeopt.forward_kinematics(robot, ROTATIONS, load=tubeopt.Load((FORCE[0], FORCE[1], FORCE[2])))
     random = np.random.default_rng(0)
     places = np.linspace(0, len(true.arc_length) - 1, 7).astype(int)[1:-1]
     estimates = {}
     for name, points in (("the tip", ()), ("the tip and five points", places)):
-        found = []
+        found: list[tubeopt.ForceEstimate] = []
         for _ in range(TRIALS):
             tip = true.tip_position + NOISE * random.normal(size=3)
             seen = [(true.arc_length[k], true.position[k] + NOISE * random.normal(size=3)) for k in points]

@@ -26,7 +26,7 @@ def main(out: Path) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     alone = tubeopt.forward_kinematics(robot, ROTATIONS)
     payloads = np.linspace(0.0, 0.2, 21)
-    arms = []
+    arms: list[tubeopt.Equilibrium] = []
     for payload in payloads:
         load = tubeopt.Load((0.0, 0.0, -payload), gravity=GRAVITY)
         arms.append(tubeopt.forward_kinematics(robot, ROTATIONS, load=load, guess=arms[-1] if arms else None))

@@ -35,7 +35,7 @@ def main(out: Path, samples: int = 36) -> list[Path]:
         for angle in angles:
             force = np.zeros(3)
             force[["xyz".index(axis) for axis in plane]] = UNIT * np.cos(angle), UNIT * np.sin(angle)
-            load = tubeopt.Load(tuple(force))
+            load = tubeopt.Load((force[0], force[1], force[2]))
             found.append(tubeopt.find_load_limit(robot, start.rotations, None, load, equilibrium=start, up_to=MOST))
         limits[plane] = np.array([UNIT * limit.factor if limit else np.nan for limit in found])
         kinds[plane] = [limit.kind if limit else "" for limit in found]

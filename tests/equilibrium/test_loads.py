@@ -179,18 +179,22 @@ def tube_frame(e: Equilibrium) -> Array:
     return np.asarray(e.tip_rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
-@pytest.mark.parametrize("force", [(0.0, 0.0, 0.0), (0.1, -0.05, 0.02)])
-def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot, force: Any) -> None:
-    shift = (0.0, 0.01, 0.02)
-    here = forward_kinematics(thesis, ROTATIONS, shift, load=Load(force))
+@pytest.mark.parametrize(
+    ("force", "moment"),
+    [((0, 0, 0), (0, 0, 0)), ((0.1, -0.05, 0.02), (0, 0, 0)), ((0.05, 0.0, 0.0), (0.002, 0.003, 0.004))],
+)
+def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot, force: Any, moment: Any) -> None:
+    shift = (0.0, 0.01, -0.02)
+    here = forward_kinematics(thesis, ROTATIONS, shift, load=Load(force, moment))
     compliance = here.compliance
-    scale = np.abs(compliance).max()
-    assert np.abs(compliance - compliance.T).max() < 1e-10 * scale
+    if not any(moment):
+        assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
     for k in range(6):
         step = np.zeros(6)
         step[k] = 1e-4 if k < 3 else 1e-6
         sides = [
-            forward_kinematics(thesis, ROTATIONS, shift, load=Load(force + s * step[:3], s * step[3:])) for s in (1, -1)
+            forward_kinematics(thesis, ROTATIONS, shift, load=Load(force + s * step[:3], moment + s * step[3:]))
+            for s in (1, -1)
         ]
         moved = (sides[0].tip_position - sides[1].tip_position) / (2 * step[k])
         turn = (tube_frame(sides[0]) - tube_frame(sides[1])) @ tube_frame(here).T / (2 * step[k])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dpotrf
+import scipy
 
 from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
@@ -96,7 +96,7 @@ def solve_member(
         return None
     if _moved(there, near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
         return None
-    if there.problem.load.has_energy and stable and dpotrf(result.state.hessian)[1]:
+    if there.problem.load.has_energy and stable and scipy.linalg.lapack.dpotrf(result.state.hessian)[1]:
         return None
     return LoadedPoint(t, there, result.state, loaded_margin(there.problem, result.state), result.iterations)
 
@@ -106,7 +106,7 @@ def _guess(there: Member, near: LoadedPoint, before: LoadedPoint | None, t: floa
     x = carry(near, there)
     if near.member.problem is there.problem and near.member.rotations is there.rotations:
         # Only the factor changes: along the tangent of the branch.
-        step = dgesv(near.state.hessian, -near.state.pull)[2] * (there.factor - near.state.factor)
+        step = scipy.linalg.lapack.dgesv(near.state.hessian, -near.state.pull)[2] * (there.factor - near.state.factor)
     elif before is not None and near.t > before.t:
         step = (x - carry(before, there)) * ((t - near.t) / (near.t - before.t))
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dsyevr
+import scipy
 
 from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
 from ..typing import Array
@@ -29,7 +29,7 @@ def loaded_newton(
     state = evaluate(problem, rotations, x, factor)
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
-        _, _, step, singular = dgesv(state.hessian, -state.gradient)
+        _, _, step, singular = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
         size = turn_of(problem, state, step)
         if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi) or size > 1e3:
             return LoadedResult(state, False, iteration, np.inf)
@@ -62,4 +62,4 @@ def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
     without an energy."""
     if not problem.load.has_energy:
         return float("nan")
-    return min(1.0, float(dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0][0]))
+    return min(1.0, float(scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0][0]))

@@ -22,8 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.linalg.lapack import dpotrf
+import scipy
 
 from ..robots.assembly import Assembly
 from ..typing import Array
@@ -117,7 +116,7 @@ def positive(cells: Cells, eigenvalue: float) -> bool:
     spring = eigenvalue * cells.torsional / np.maximum(cells.transmission, 1e-12)
     matrix[np.arange(n), np.arange(n)] += spring
     kept = np.delete(np.arange(len(matrix)), n)
-    return bool(dpotrf(matrix[np.ix_(kept, kept)], lower=1)[1] == 0)
+    return bool(scipy.linalg.lapack.dpotrf(matrix[np.ix_(kept, kept)], lower=1)[1] == 0)
 
 
 def _stiffness(cells: Cells, eigenvalue: float) -> tuple[Array, Array, Array]:
@@ -132,7 +131,7 @@ def _stiffness(cells: Cells, eigenvalue: float) -> tuple[Array, Array, Array]:
     flow[:, m : m + n, :n] = -cells.coupling
     flow[:, m + n, n] = -1.5 * cells.force
     flow[:, m:, m:] = -flow[:, :m, :m].swapaxes(1, 2)
-    across = expm(flow * cells.length[:, None, None])
+    across = scipy.linalg.expm(flow * cells.length[:, None, None])
     inverse = np.linalg.inv(across[:, :m, m:])
     near, far = inverse @ across[:, :m, :m], across[:, m:, m:] @ inverse
     return (near + near.swapaxes(1, 2)) / 2, (far + far.swapaxes(1, 2)) / 2, -inverse

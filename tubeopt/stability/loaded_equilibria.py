@@ -8,7 +8,7 @@ energy grows with the square of the distance, the work int n.t of a load is at m
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_continuation import LoadedPoint, Member
@@ -63,7 +63,7 @@ def loaded_equilibria(
     for equilibrium in plain:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
         _add(found, member, unknowns(member.problem, rotations, theta))
-    sequence, count = qmc.Sobol(robot.n_tubes + 4, seed=0), FIRST_ROUND
+    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), FIRST_ROUND
     while count <= LAST_ROUND:
         new = sum(_add(found, member, x) for x in _starts(member, sequence.random(count)))
         new += _descend(found, member, explored)

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
-from scipy.optimize import brentq
+import scipy
 
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
@@ -154,7 +153,7 @@ def _root(at: Callable[[float], LoadedPoint | None], low: float, high: float) ->
     if not margin(low) > 0:
         return low
     try:
-        return float(brentq(margin, low, high, xtol=1e-14, rtol=1e-14))
+        return float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14))
     except ValueError:
         return None
 
@@ -188,7 +187,7 @@ def slide(member: Member, x: Array) -> LoadedResult:
     scale = state.energy + abs(state.work)
     for count in range(1, MOST_STEPS + 1):
         matrix = state.hessian + np.eye(problem.size) / time
-        _, step, not_convex = dposv(matrix, -state.gradient)
+        _, step, not_convex = scipy.linalg.lapack.dposv(matrix, -state.gradient)
         turn = turn_of(problem, state, step)
         if not_convex or turn > STRIDE:
             time *= 0.25 if not_convex else max(0.1, 0.8 * STRIDE / turn)

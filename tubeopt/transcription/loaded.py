@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+import scipy
 
 from ..physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ..robots.load import Load
@@ -116,7 +116,7 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
     tip = int(np.argmax(assembly.end))
     lever, whole = twist_compliance(torsion, tip)
     seen = np.where(torsion.tube == tip, lever[torsion.point], 0.0)
-    row = dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
+    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
     force, base = _forces(mesh, load, assembly.present @ density)
     return LoadedProblem(
         torsion=torsion,
@@ -310,9 +310,15 @@ def position_slopes(problem: LoadedProblem, state: LoadedState, s: float) -> tup
 def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     """(6, 6) translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there, world axes."""
     slopes = tip_slopes(problem, state)
-    out = slopes @ np.linalg.solve(state.hessian, slopes.T)
+    answer = np.linalg.solve(state.hessian, slopes.T)
+    out = slopes @ answer
+    # What z does not see of the twist by a torque at the tip: by the new moment, and by the old one as the tip turns.
     tangent = tip_frame(state.orientation)[:, 2]
-    out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
+    torque = np.concatenate([np.zeros(3), tangent])
+    if problem.load.frame == "world":
+        turned = _tip(problem, state.orientation, state.turned)[1] @ answer
+        torque += state.factor * np.cross(tangent, problem.load.moment) @ turned
+    out[3:] += problem.tip_rest * np.outer(tangent, torque)
     return np.asarray(out)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,7 +39,10 @@ def plot_payload(
     ).values()
     for k, e in enumerate(equilibria):
         first, last = k == 0, k == len(equilibria) - 1
-        look = {"color": INK if first else TUBE_COLOURS[0] if last else FAINT, "lw": 2.0 if first or last else 0.7}
+        look: dict[str, Any] = {
+            "color": INK if first else TUBE_COLOURS[0] if last else FAINT,
+            "lw": 2.0 if first or last else 0.7,
+        }
         name = f"{payloads[k] * MILLI:.0f} mN" if first or last else "_"
         side.plot(e.position[:, 1] * MM, e.position[:, 2] * MM, label=name, **look)
     side.set_aspect("equal")
@@ -76,8 +79,8 @@ def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array
 @styled
 def plot_load_limits(
     angles: Array,
-    limits: dict[str, Array],
-    kinds: dict[str, Sequence[str]],
+    limits: Mapping[str, Array],
+    kinds: Mapping[str, Sequence[str]],
     path: str | PathLike[str] | None = None,
     *,
     title: str = "",
@@ -114,7 +117,7 @@ def plot_load_limits(
 @styled
 def plot_force_estimates(
     true: Array,
-    estimates: dict[str, Sequence[ForceEstimate]],
+    estimates: Mapping[str, Sequence[ForceEstimate]],
     path: str | PathLike[str] | None = None,
     *,
     title: str = "",
