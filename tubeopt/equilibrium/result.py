@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -14,13 +13,13 @@ import numpy as np
 
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 
 if TYPE_CHECKING:
     from .jacobian import Jacobian
 
 
-class Status(Enum):
+class Status(Sentence):
     """What became of a solve; every value reads as a sentence."""
 
     STABLE = "a stable equilibrium was found"
@@ -32,9 +31,6 @@ class Status(Enum):
     BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
     BRANCH_ENDED_UNDER_LOAD = "the branch that grows from no load is lost before the whole load is on"
     MESH_TOO_COARSE = "the wanted tolerance was not reached on the finest mesh"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)
@@ -120,6 +116,11 @@ class Equilibrium:
     load: Load | None = None
     work: float = 0.0
     point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def value(self) -> Array:
+        """(3,) m, where the tip is: what forward kinematics is asked for."""
+        return self.tip_position
 
     @property
     def stable(self) -> bool:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from decimal import Decimal
 from os import PathLike
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, ValidationInfo, model_validator
 
 from ..files.checked import Entry, Number, check
 from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, PointForce, Stretch
+from .base import Study
 
 MILLI = Decimal("1e-3")
 SI = Decimal(1)
@@ -81,18 +81,48 @@ class LoadEntry(Entry):
         )
 
 
+def load_entry(path: str | PathLike[str]) -> LoadEntry:
+    """What a load file says; raises InputError with one line for every problem."""
+    return check(LoadEntry, load_yaml(path), path)
+
+
 def load_load(path: str | PathLike[str]) -> Load:
     """The load in a YAML file; raises InputError with one line for every problem."""
-    return check(LoadEntry, load_yaml(path), path).build()
+    return load_entry(path).build()
 
 
-def load_data(path: str | PathLike[str]) -> Mapping[str, Any]:
-    """What a load file says, checked, as the key `load` of a study takes it."""
-    data = load_yaml(path)
-    check(LoadEntry, data, path)
-    return data
+def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
+    if value is None or isinstance(value, LoadEntry):
+        return value
+    if isinstance(value, str):
+        return load_entry(info.context["directory"] / value if info.context else value)
+    return check(LoadEntry, value, "")
 
 
-def build_load(entry: LoadEntry | None) -> Load | None:
-    """The load of a study, None without one."""
-    return None if entry is None else entry.build()
+class LoadedStudy(Study):
+    """A study of a robot on which something may push; the keys of its own replace what the load says."""
+
+    load: Annotated[
+        LoadEntry | None,
+        PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
+        Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
+    ] = None
+    tip_force_mN: Triple | None = Field(None, description="force on the tip in axes of the plate", examples=["X,Y,Z"])
+    tip_moment_mN_m: Triple | None = Field(
+        None, description="moment on the tip in axes of the plate", examples=["X,Y,Z"]
+    )
+    gravity_m_per_s2: Triple | None = Field(
+        None, description="gravity, which acts on the mass of the tubes", examples=["X,Y,Z"]
+    )
+
+    def pushing(self) -> Load | None:
+        """The load, None without one."""
+        names = ("tip_force_mN", "tip_moment_mN_m", "gravity_m_per_s2")
+        own = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.load is None and not own:
+            return None
+        return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
+
+
+LOAD_FLAGS = {"tip_moment_mN_m": "--tip-moment-mN_m", "gravity_m_per_s2": "--gravity-m_per_s2"}
+"""Flags whose units are written as in the keys."""

@@ -9,7 +9,7 @@ import scipy
 
 from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
 from ..typing import Array
-from .newton import LAST_STEP, ROUND_OFF
+from .settings import NEWTON
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +27,16 @@ def loaded_newton(
 ) -> LoadedResult:
     """Full Newton steps from x (U + 2 N,); stops early where they grow instead of shrinking."""
     state = evaluate(problem, rotations, x, factor)
-    last, contraction = np.inf, 0.0
+    last, contraction, close = np.inf, 0.0, NEWTON.round_off
     for iteration in range(1, iterations + 1):
         _, _, step, singular = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
         size = turn_of(problem, state, step)
         if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi) or size > 1e3:
             return LoadedResult(state, False, iteration, np.inf)
         state = evaluate(problem, rotations, state.x + step, factor)
-        if size <= LAST_STEP and (size <= ROUND_OFF or loaded_residual(problem, state) <= ROUND_OFF):
+        if size <= NEWTON.last_step and (size <= close or loaded_residual(problem, state) <= close):
             return LoadedResult(state, True, iteration, contraction)
-        if size > LAST_STEP:
+        if size > NEWTON.last_step:
             contraction = max(contraction, size / last)
         last = size
     return LoadedResult(state, False, iterations, contraction)

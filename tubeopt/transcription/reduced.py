@@ -268,7 +268,9 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    moment, stiffness, bending, *stretch = balance(directions(problem, theta), problem.stiffness, problem.moment, *place)
+    moment, stiffness, bending, *stretch = balance(
+        directions(problem, theta), problem.stiffness, problem.moment, *place
+    )
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
     hessian = torsional_hessian(problem, stiffness)
