@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..runs.load_file import LOAD_FLAGS
 from ..runs.study_file import ForwardKinematicsStudy
 from ..show.report import present
 from ..show.reports import report
@@ -9,7 +10,7 @@ from .flags import asks
 from .options import JsonOption, OutOption, PlotOption
 
 
-@asks(ForwardKinematicsStudy, flags={"tolerance_rad": "--tolerance-rad,--tolerance"})
+@asks(ForwardKinematicsStudy, flags={"tolerance_rad": "--tolerance-rad,--tolerance", **LOAD_FLAGS})
 def fk(
     study: ForwardKinematicsStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False
 ) -> None:

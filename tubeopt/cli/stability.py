@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import typer
 
+from ..runs.load_file import LOAD_FLAGS
 from ..runs.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
 from ..show.certify_report import EXIT_CODES
 from ..show.report import present
@@ -20,19 +21,19 @@ WAYPOINTS = (
 )
 
 
-@asks(EquilibriaStudy)
+@asks(EquilibriaStudy, flags=LOAD_FLAGS)
 def equilibria(study: EquilibriaStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """Every equilibrium at given joint values, stable and unstable, the lowest energy first."""
     present(report(ask(study, "searching equilibria", out)), out=out, as_json=as_json)
 
 
-@asks(SnapStudy)
+@asks(SnapStudy, flags=LOAD_FLAGS)
 def snap(study: SnapStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The first snap on the straight way from one set of joint values to another, computed exactly."""
     present(report(ask(study, "looking for the snap", out)), out=out, as_json=as_json)
 
 
-@asks(FollowStudy, arguments={"robot": ROBOT, "path": WAYPOINTS})
+@asks(FollowStudy, arguments={"robot": ROBOT, "path": WAYPOINTS}, flags=LOAD_FLAGS)
 def follow(study: FollowStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """Slow motion through waypoints, with its history: where the robot snaps and where it lands."""
     present(report(ask(study, "following the path", out)), out=out, as_json=as_json)

@@ -27,6 +27,7 @@ from ..stability import (
 )
 from ..typing import Array
 from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .load_file import LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Equilibria:
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(Study):
+class EquilibriaStudy(LoadedStudy):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
     kind: Literal["equilibria"]
@@ -55,7 +56,7 @@ class EquilibriaStudy(Study):
             progress(0, 0)
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
-        found = find_equilibria(self.robot, rotations, translations)
+        found = find_equilibria(self.robot, rotations, translations, load=self.pushing())
         return Equilibria(self.robot, rotations, translations, tuple(found))
 
 
@@ -73,7 +74,7 @@ class Way:
     arrived: Equilibrium | None
 
 
-class SnapStudy(Study):
+class SnapStudy(LoadedStudy):
     """The first snap on the straight way between two sets of joint values."""
 
     kind: Literal["snap"]
@@ -100,10 +101,11 @@ class SnapStudy(Study):
         if progress is not None:
             progress(0, 0)
         start, end = self._ends()
-        snap = find_snap(self.robot, start, end)
+        load = self.pushing()
+        snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
-        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]])
+        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
@@ -115,7 +117,7 @@ class Motion:
     path: Path
 
 
-class FollowStudy(Study):
+class FollowStudy(LoadedStudy):
     """Slow motion through waypoints of joint values, with the snaps on the way."""
 
     kind: Literal["follow"]
@@ -134,7 +136,8 @@ class FollowStudy(Study):
             if progress is not None:
                 progress(waypoint, last)
 
-        return Motion(self.robot, follow(self.robot, self.path.rotations, self.path.translations, progress=step))
+        way = self.path.rotations, self.path.translations
+        return Motion(self.robot, follow(self.robot, *way, load=self.pushing(), progress=step))
 
 
 @dataclass(frozen=True, eq=False)
