@@ -48,7 +48,8 @@ class Lengthwise:
         direction: (n, B) angle of that in the tube's own frame, rad, where it stays in one plane; else inf.
         detail: (n, B) polynomial degree that matters, per length of the panel, 1/m.
         twist: (n, B) largest |u*_z|, 1/m.
-        cuts: per tube, where its pieces begin and end, from the held end, m.
+        cuts: per tube, where its pieces begin and end and where its precurvature changes sides, so that |u*_xy| has a
+            kink, from the held end, m.
         compliance: (n, B + 1) int ds / GJ from the held end to each break, 1/(N m).
     """
 
@@ -87,6 +88,17 @@ class Lengthwise:
         for k in range(2, table.shape[-1]):
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
+
+    def rates(self, place: Array, inside: Array) -> Array:
+        """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
+        panel, tube = self.panel(inside), np.arange(self.n_tubes)
+        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
+        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
+        table = self.coefficients[tube, panel]
+        degree = table.shape[-1] - 1
+        slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
+        basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
+        return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
 
     def compliant(self, place: Array) -> Array:
         """(n,) int ds / GJ of each tube from its held end to an arc length (n,), 1/(N m)."""
@@ -159,6 +171,19 @@ def _direction(x: Array, y: Array) -> float:
     return angle if np.abs(across).max() <= 1e-15 * float(np.hypot(a, b)[k]) else float("inf")
 
 
+def _zeros(x: Array, y: Array) -> list[float]:
+    """Where in -1 .. 1 a bend in one plane changes sides, ends left out."""
+    angle = _direction(x, y)
+    if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
+        return []
+    size = max(len(x), len(y))
+    bend = sum(f * np.pad(c, (0, size - len(c))) for f, c in ((np.cos(angle), x), (np.sin(angle), y)))
+    bend = chebyshev.chebtrim(bend, 1e-14 * float(np.abs(bend).max()))
+    roots = chebyshev.chebroots(bend) if len(bend) > 1 else np.zeros(0)
+    real = roots.real[np.abs(roots.imag) < 1e-9]
+    return sorted(real[np.abs(real) < 1 - 1e-9].tolist())
+
+
 def _degree(coefficients: Array) -> int:
     """Polynomial degree without what does not matter."""
     size = np.abs(coefficients)
@@ -178,6 +203,7 @@ def _panels(tube: Tube) -> tuple[list[tuple[float, float, list[Array]]], list[fl
             turned = chebyshev.chebint(channels[4], lbnd=-1, scl=half)
             turned[0] += wound
             wound = float(chebyshev.chebval(1.0, turned))
+            cuts += [start + breaks[k] + half * (x + 1) for x in _zeros(channels[2], channels[3])]
             out.append((start + breaks[k], start + breaks[k + 1], [*channels, turned]))
         start += length
         cuts.append(start)

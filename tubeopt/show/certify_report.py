@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
+from ..robots.robot import is_general
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
@@ -259,6 +260,8 @@ class CertificationReport(Report[Certification]):
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
+            if is_general(self.answer.robot):
+                return Text("Of tubes made of pieces the certificate has no gradient.")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
         cells = [
             [

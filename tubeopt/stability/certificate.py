@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, positive, vector
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
@@ -31,7 +31,7 @@ class Certificate:
             nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
         gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
-            the eigenvalue is double, so that the margin has no derivative.
+            the eigenvalue is double, so that the margin has no derivative, and with tubes made of pieces.
         pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
             for tubes off the centreline, of which three take it together.
         section: (start, end) of the section where it takes most, m.
@@ -56,7 +56,10 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise.
+    conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
+    that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
+    of pieces it is a lower bound as well, exact for two tubes that bend in one plane each. What the mesh may leave out
+    of varying couplings, by the difference to a finer one, is taken off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
@@ -84,7 +87,17 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
         if assembly.general:
             raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
         return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
-    return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
+    if assembly.eccentric:
+        return proof(assembly)[0]
+    value = worst_case(_problem(robot, shift))[0]
+    return value - _unresolved(robot, shift, value) if assembly.general else value
+
+
+def _unresolved(robot: Robot, shift: Array, value: float) -> float:
+    """By how much the certificate changes on a mesh of half the pieces: what the mesh may leave out of couplings that
+    vary along tubes made of pieces, and more."""
+    finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
+    return abs(worst_case(finer)[0] - value)
 
 
 def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
@@ -126,6 +139,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         return _of_segments(robot, shift)
     problem = _problem(robot, shift)
     margin, y, following = worst_case(problem)
+    lost = _unresolved(robot, shift, margin) if is_general(robot) else 0.0
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
@@ -138,8 +152,9 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     k = int(np.argmax(each))
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
-    gradient = _gradient(robot, problem, margin) if not double else {name: np.full(n, np.nan) for name in PARAMETERS}
-    return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
+    known = not double and not is_general(robot)
+    gradient = _gradient(robot, problem, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    return Certificate(margin - lost, shift, gradient, (int(i), int(j)), span, share)
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
