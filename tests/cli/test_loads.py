@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.command_line import ROOT, THESIS, Run, answer, refused
+from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, Load, forward_kinematics, load_robot
 from tubeopt.robots.load import PointForce, Stretch
 from tubeopt.runs.load_file import load_load
@@ -50,11 +50,12 @@ def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:
     data = answer(run(*turned, "--tip-force-mN", "100,0,0"))
     same = forward_kinematics(load_robot(THESIS), np.radians([0, 57.3, 114.6]), load=Load((0.1, 0, 0)))
     assert np.allclose(data["tip_position_mm"], same.tip_position * 1e3, rtol=0, atol=1e-9)
-    assert data["load"]["load"] == "100, 0, 0 mN at the tip"
-    assert np.allclose(data["load"]["base_wrench_mN_mN_m"], same.base_wrench * 1e3)
+    assert data["load"] == "100, 0, 0 mN at the tip"
+    assert np.allclose([*data["base_force_mN"], *data["base_moment_mN_m"]], same.base_wrench * 1e3)
+    assert np.allclose(data["compliance"], same.compliance)
     both = answer(run(*turned, "--load", str(file), "--tip-force-mN", "0,0,0"))
-    assert "10, 0, 0 mN at 50 mm" in both["load"]["load"]
-    assert "at the tip" not in both["load"]["load"]
+    assert "10, 0, 0 mN at 50 mm" in both["load"]
+    assert "at the tip" not in both["load"]
     text = " ".join(run(*turned[:-1], "--load", str(file)).out.split())
     assert "on the plate" in text
     assert "a load along the arm" in text
@@ -94,3 +95,15 @@ def test_what_makes_no_sense(run: Run) -> None:
     lost = run("fk", THESIS, "--tip-force-mN", "0,1500,-1500")
     assert lost.code == 3
     assert "bifurcates at 7.135 % of the load" in lost.err
+
+
+def test_certified_whatever_pushes(run: Run) -> None:
+    asked = ["certify", CRL, "--translations-mm=-20,0,0", "--json", "--max-tip-force-mN"]
+    strong, weak = answer(run(*asked, "1000"), 4), answer(run(*asked, "1"))
+    assert weak["exit_code"] == 0
+    assert 0 < weak["certificate_under_force"] < weak["certificate"]
+    assert weak["max_tip_force_mN"] == 1
+    assert strong["certificate_under_force"] < 0
+    assert strong["finding"] == "OPEN"
+    plain = answer(run(*asked[:-1]))
+    assert "certificate_under_force" not in plain

@@ -28,6 +28,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.load_problem import loaded_problem, mass_per_length
 from tubeopt.equilibrium.loaded import loaded_point
+from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.transcription.loaded import evaluate, unknowns
@@ -380,6 +381,7 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
         (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "tube 1 has no density"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=(1, 2, 3)), "it must be a Load"),  # type: ignore[arg-type]
         (lambda: e.jacobian(), "bears a load"),
+        (lambda: verify_equilibrium(e), "bears a load"),
         (lambda: follow(thesis, [ROTATIONS, ROTATIONS], start=e), "bears a load"),
     ]
     for call, message in calls:

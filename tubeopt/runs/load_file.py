@@ -9,13 +9,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PlainValidator, ValidationInfo, model_validator
 
 from ..files.checked import Entry, Number, check
-from ..files.units import MM, to_si
+from ..files.units import MM, UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, PointForce, Stretch
 from .base import Study
-
-MILLI = Decimal("1e-3")
-SI = Decimal(1)
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
@@ -65,19 +62,21 @@ class LoadEntry(Entry):
         along: Any = self.distributed_mN_per_m
         if along is not None and along and isinstance(along[0], StretchEntry):
             along = tuple(
-                Stretch(to_si(part.from_mm, MM), to_si(part.to_mm, MM), _vector(part.force_mN_per_m, MILLI))
+                Stretch(to_si(part.from_mm, MM), to_si(part.to_mm, MM), _vector(part.force_mN_per_m, UNITS["mN"]))
                 for part in along
             )
         elif along is not None:
-            along = _vector(along, MILLI) if along else None
+            along = _vector(along, UNITS["mN"]) if along else None
         zero = (0.0, 0.0, 0.0)
         return Load(
-            zero if self.tip_force_mN is None else _vector(self.tip_force_mN, MILLI),
-            zero if self.tip_moment_mN_m is None else _vector(self.tip_moment_mN_m, MILLI),
+            zero if self.tip_force_mN is None else _vector(self.tip_force_mN, UNITS["mN"]),
+            zero if self.tip_moment_mN_m is None else _vector(self.tip_moment_mN_m, UNITS["mN"]),
             frame=self.frame,
             distributed=along,
-            points=tuple(PointForce(to_si(part.at_mm, MM), _vector(part.force_mN, MILLI)) for part in self.points),
-            gravity=None if self.gravity_m_per_s2 is None else _vector(self.gravity_m_per_s2, SI),
+            points=tuple(
+                PointForce(to_si(part.at_mm, MM), _vector(part.force_mN, UNITS["mN"])) for part in self.points
+            ),
+            gravity=None if self.gravity_m_per_s2 is None else _vector(self.gravity_m_per_s2, UNITS["m_per_s2"]),
         )
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..equilibrium.result import Equilibrium
-from ..files.checked import in_file
+from ..files.checked import Positive, in_file
+from ..files.units import UNITS, to_si
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
+    Finding,
     Path,
     Snap,
     StabilityMap,
@@ -22,9 +24,11 @@ from ..stability import (
     find_snap,
     follow,
     judge,
+    snap_free_certificate,
     stability_map,
     worst_certificate,
 )
+from ..stability.certificate import ROUNDING
 from ..typing import Array
 from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
 from .load_file import LoadedStudy
@@ -145,12 +149,22 @@ class Certification:
     """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
 
     robot_file: what the commands that repeat it name.
+    force: a force on the tip, N, and forced: the certificate for all dead forces up to it; None where not asked for.
     """
 
     robot: Robot
     verdict: Verdict
     box: WorstCertificate | None
     robot_file: str = "ROBOT.yaml"
+    force: float | None = None
+    forced: float | None = None
+
+    @property
+    def finding(self) -> Finding:
+        """The verdict in a word, under the force too where one is asked for: nothing is proved then but by `forced`."""
+        if self.forced is None or self.forced > ROUNDING or self.verdict.finding is not Finding.SNAP_FREE:
+            return self.verdict.finding
+        return Finding.OPEN
 
 
 class CertifyStudy(Study):
@@ -162,6 +176,9 @@ class CertifyStudy(Study):
     box: bool = Field(False, description="for all translations that the robot's limits allow")
     lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
     upper_mm: OnePerTube | None = Field(None, description="largest translations of a box, in place of the limits")
+    max_tip_force_mN: Positive | None = Field(
+        None, description="whatever pushes on the tip with up to this force, in any direction that it keeps"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -180,11 +197,20 @@ class CertifyStudy(Study):
             progress(0, 0)
         if not self.over_box:
             translations = metres(self.translations_mm, self.robot.home_translations)
-            return Certification(self.robot, judge(self.robot, translations, progress=progress), None)
+            return self._under_force(
+                Certification(self.robot, judge(self.robot, translations, progress=progress), None)
+            )
         low, high = np.array(self.robot.limits.translations).T
         worst = worst_certificate(self.robot, metres(self.lower_mm, low), metres(self.upper_mm, high))
         verdict = judge(self.robot, worst.certificate.translations, progress=progress)
-        return Certification(self.robot, verdict, worst)
+        return self._under_force(Certification(self.robot, verdict, worst))
+
+    def _under_force(self, answer: Certification) -> Certification:
+        if self.max_tip_force_mN is None:
+            return answer
+        force = to_si(self.max_tip_force_mN, UNITS["mN"])
+        shift = answer.verdict.certificate.translations
+        return replace(answer, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
 
 
 def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from .style import FAINT, INK, TUBE_COLOURS, finish, new_figure, styled
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from ...equilibrium.result import Equilibrium
     from ...validation.force import ForceEstimate
 
-MM = MILLI = 1e3
 GRID = "#E6E8EB"
 AXES = "xyz"
 
@@ -43,20 +43,22 @@ def plot_payload(
             "color": INK if first else TUBE_COLOURS[0] if last else FAINT,
             "lw": 2.0 if first or last else 0.7,
         }
-        name = f"{payloads[k] * MILLI:.0f} mN" if first or last else "_"
-        side.plot(e.position[:, 1] * MM, e.position[:, 2] * MM, label=name, **look)
+        name = f"{payloads[k] * TO_MILLI:.0f} mN" if first or last else "_"
+        side.plot(e.position[:, 1] * TO_MM, e.position[:, 2] * TO_MM, label=name, **look)
     side.set_aspect("equal")
     side.set_xlabel("y (mm)")
     side.set_ylabel("z (mm)")
     side.legend(loc="best")
     way = [float(np.linalg.norm(e.tip_position - equilibria[0].tip_position)) for e in equilibria]
     linear = np.linalg.norm(_first_order(equilibria[0], equilibria[-1], payloads), axis=1)
-    moved.plot(payloads * MILLI, np.array(way) * MM, color=TUBE_COLOURS[0], lw=1.8)
-    moved.plot(payloads * MILLI, linear * MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start")
+    moved.plot(payloads * TO_MILLI, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
+    moved.plot(
+        payloads * TO_MILLI, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start"
+    )
     moved.set_ylabel("way of the tip (mm)")
     moved.legend(loc="upper left")
     moved.tick_params(labelbottom=False)
-    margin.plot(payloads * MILLI, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
+    margin.plot(payloads * TO_MILLI, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
     margin.set_ylim(min(0.0, *(e.margin for e in equilibria)), 1.05)
     margin.set_ylabel("stability margin")
     margin.set_xlabel("payload (mN)")
@@ -97,13 +99,13 @@ def plot_load_limits(
 
     figure = new_figure(2.6 * len(limits) + 0.3, 3.1)
     panels = figure.subplots(1, len(limits), subplot_kw={"projection": "polar"}, squeeze=False)[0]
-    most = max(float(np.nanmax(values)) for values in limits.values()) * MILLI
+    most = max(float(np.nanmax(values)) for values in limits.values()) * TO_MILLI
     for panel, (plane, values) in zip(panels, limits.items(), strict=True):
-        closed = np.append(angles, angles[0] + 2 * np.pi), np.append(values, values[0]) * MILLI
+        closed = np.append(angles, angles[0] + 2 * np.pi), np.append(values, values[0]) * TO_MILLI
         panel.plot(*closed, color=TUBE_COLOURS[0], lw=1.6)
         folds = np.array([kind == "fold" for kind in kinds[plane]])
-        panel.plot(angles[folds], values[folds] * MILLI, "o", ms=3, color=TUBE_COLOURS[0])
-        panel.plot(angles[~folds], values[~folds] * MILLI, "o", ms=4, mfc="white", mec=TUBE_COLOURS[0])
+        panel.plot(angles[folds], values[folds] * TO_MILLI, "o", ms=3, color=TUBE_COLOURS[0])
+        panel.plot(angles[~folds], values[~folds] * TO_MILLI, "o", ms=4, mfc="white", mec=TUBE_COLOURS[0])
         panel.set_ylim(0, 1.08 * most)
         panel.set_xticks(np.radians([0, 90, 180, 270]))
         panel.set_xticklabels([plane[0], plane[1], f"\N{MINUS SIGN}{plane[0]}", f"\N{MINUS SIGN}{plane[1]}"])
@@ -134,11 +136,11 @@ def plot_force_estimates(
     for panel, (i, j) in zip(panels, ((0, 1), (0, 2)), strict=True):
         for k, (name, found) in enumerate(estimates.items()):
             colour = TUBE_COLOURS[2 * k]
-            forces = np.array([estimate.force for estimate in found]) * MILLI
+            forces = np.array([estimate.force for estimate in found]) * TO_MILLI
             panel.plot(forces[:, i], forces[:, j], ".", ms=3, color=colour, label=name)
-            covariance = found[0].covariance[np.ix_([i, j], [i, j])] * MILLI**2
-            _ellipse(panel, true[[i, j]] * MILLI, covariance, colour)
-        panel.plot(*(true[[i, j]] * MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
+            covariance = found[0].covariance[np.ix_([i, j], [i, j])] * TO_MILLI**2
+            _ellipse(panel, true[[i, j]] * TO_MILLI, covariance, colour)
+        panel.plot(*(true[[i, j]] * TO_MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
         panel.set_xlabel(f"force along {AXES[i]} (mN)")
         panel.set_ylabel(f"force along {AXES[j]} (mN)")
         panel.grid(color=GRID, lw=0.5)
