@@ -101,6 +101,12 @@ class Assembly:
         return bool(self.offset.any())
 
     @property
+    def across(self) -> Array:
+        """(n, 2) m: where each tube runs beside the centreline, d (cos phi, sin phi)."""
+        angle = self.offset_angle
+        return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+    @property
     def coupled(self) -> Mask:
         """(m,) sections in which torsion is not simply linear: two curved tubes, or one where tubes run off-centre."""
         return np.asarray(self.curved.sum(1) >= (1 if self.eccentric else 2))

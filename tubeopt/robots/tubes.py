@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import InputError, finite, instance, positive
+from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
 from .series import Quantity, times
@@ -179,8 +180,7 @@ class Tube:
     @property
     def straightened_strain(self) -> float:
         """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa)."""
-        bend = self.outer_diameter / 2 * abs(self.curvature)
-        return bend / (1 - bend)
+        return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))
 
 
 def must_be_plain(tubes: Iterable[Tube], what: str) -> None:

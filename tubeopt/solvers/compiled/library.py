@@ -35,7 +35,7 @@ from ...transcription.piece import COARSE_STEPS, ENDS, EXTRA_POINTS, STEPS, piec
 from ...transcription.reduced import INWARDS
 from ...transcription.tableau import tableau
 from ...typing import Array
-from .. import newton
+from ..settings import NEWTON
 from .packaged import build_kernels, generations, packaged_kernel
 
 HERE = Path(__file__).parent
@@ -65,12 +65,15 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 """Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
-STRETCHED_ERROR, FAR_BELOW = 3e-8, 0.05
+STRETCHED_ERROR, FAR_BELOW = 3e-9, 0.05
 """Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
 below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
 
 MOST_TUBES = 6
 """Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+
+SOFTENING_ERROR = 1e-2
+"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look off it."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
@@ -124,14 +127,14 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": MOST_PIECES,
         "MOST_UNKNOWNS": MOST_UNKNOWNS,
-        "MOST_ITERATIONS": newton.MOST_ITERATIONS,
+        "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
-        "ROUND_OFF": newton.ROUND_OFF,
-        "LAST_STEP": newton.LAST_STEP,
+        "ROUND_OFF": NEWTON.round_off,
+        "LAST_STEP": NEWTON.last_step,
         "MOST_WARM_ITERATIONS": MOST_WARM_ITERATIONS,
-        "LONGEST_STEP": newton.LONGEST_STEP,
+        "LONGEST_STEP": NEWTON.longest_step,
         "COARSE_STEP": COARSE_STEP,
         "CHORD_STEP": CHORD_STEP,
         "LANCZOS": LANCZOS,
@@ -139,6 +142,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
         "ROUGH_ERROR": ROUGH_ERROR,
         "STRETCHED_ERROR": STRETCHED_ERROR,
         "FAR_BELOW": FAR_BELOW,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
@@ -313,7 +317,11 @@ def _tell_once() -> None:
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
     """Compile the kernels of all robots for a wheel: for this processor, or `everywhere` for every generation of its
     kind; none where there is no compiler."""
-    kinds = [(n, eccentric) for n in range(1, MOST_TUBES + 1) for eccentric in (False, True)]
+    kinds = [
+        (n, eccentric, general)
+        for n in range(1, MOST_TUBES + 1)
+        for eccentric, general in ((False, False), (True, False), (False, True))
+    ]
     if _compiler() is None:
         return []
     here = frozenset(_processor().split())
@@ -326,8 +334,8 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
     path = None
     if os.environ.get("TUBEOPT_COMPILE") != "0":
-        ready = None if general else packaged_kernel(n, eccentric, _processor().split())
-        path = ready or _build(source(n, eccentric, general))
+        path = packaged_kernel((n, eccentric, general), _processor().split())
+        path = path or _build(source(n, eccentric, general))
         if path is None:
             _tell_once()
     if path is None:
