@@ -57,8 +57,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
     that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
-    of pieces it is a lower bound as well, exact for two tubes that bend in one plane each. What the mesh may leave out
-    of varying couplings, by the difference to a finer one, is taken off.
+    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
+    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
+    off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
