@@ -121,7 +121,3 @@ class LoadedStudy(Study):
         if self.load is None and not own:
             return None
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
-
-
-LOAD_FLAGS = {"tip_moment_mN_m": "--tip-moment-mN_m", "gravity_m_per_s2": "--gravity-m_per_s2"}
-"""Flags whose units are written as in the keys."""
