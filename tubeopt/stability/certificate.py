@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from ..errors import vector
+from ..errors import InputError, positive, vector
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
@@ -16,6 +16,7 @@ from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
+from .loaded_certificate import loaded_worst_case
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -50,28 +51,43 @@ class Certificate:
         return self.margin > ROUNDING
 
 
-def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -> float:
+def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
     that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
-    of pieces it is a lower bound as well, exact for two tubes that bend in one plane each. What the mesh may leave out
-    of varying couplings, by the difference to a finer one, is taken off.
+    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
+    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
+    off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
     cannot snap either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
+    With `max_force` it is a bound over all rotations and all forces on the tip, of at most that size and in any
+    direction, that keep their direction (see `loaded_certificate`): above 0 the robot cannot snap or buckle, whatever
+    pushes so. It does not cover moments, forces that turn with the tip, or forces along the arm.
+
     Args:
         translations: (n,) m; default home.
+        max_force: N; concentric tubes only.
 
     Raises:
-        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator; a force that is
+            negative, or on tubes off the centreline.
     """
     shift = _shift(robot, translations)
     assembly = robot.assembly(shift)
+    if positive("max_force", max_force, zero=True):
+        if assembly.eccentric:
+            raise InputError(
+                f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
+            )
+        if assembly.general:
+            raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
+        return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
     if assembly.eccentric:
         return proof(assembly)[0]
     value = worst_case(_problem(robot, shift))[0]
@@ -79,8 +95,8 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
 
 
 def _unresolved(robot: Robot, shift: Array, value: float) -> float:
-    """By how much the certificate changes on a mesh of half the pieces: what the mesh may leave out of couplings that
-    vary along tubes made of pieces, and more."""
+    """By how much the certificate changes with pieces of the mesh half as long: more than what these leave out of
+    couplings that vary along tubes made of pieces."""
     finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
     return abs(worst_case(finer)[0] - value)
 
