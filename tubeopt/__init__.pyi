@@ -51,7 +51,9 @@ from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
+from .robots.load import Load
 from .robots.materials import NITINOL, Material
+from .robots.pieces import Piece
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
@@ -66,6 +68,7 @@ from .stability import (
     Certificate,
     EnergyMap,
     Finding,
+    LoadLimit,
     Path,
     Snap,
     StabilityMap,
@@ -75,6 +78,7 @@ from .stability import (
     certify,
     energy_map,
     find_equilibria,
+    find_load_limit,
     find_snap,
     follow,
     judge,
@@ -84,6 +88,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
+from .validation.force import ForceEstimate, estimate_force
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -102,6 +107,7 @@ __all__ = [
     "EquilibriumBatch",
     "EquilibriumBlock",
     "Finding",
+    "ForceEstimate",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
@@ -112,12 +118,15 @@ __all__ = [
     "Ipopt",
     "Jacobian",
     "JointLimits",
+    "Load",
+    "LoadLimit",
     "Material",
     "Mold",
     "MoldSpec",
     "Newton",
     "OrderWarning",
     "Path",
+    "Piece",
     "PlanOptions",
     "Problem",
     "ProblemSolution",
@@ -143,7 +152,9 @@ __all__ = [
     "WorstMargin",
     "certify",
     "energy_map",
+    "estimate_force",
     "find_equilibria",
+    "find_load_limit",
     "find_snap",
     "follow",
     "follow_the_leader",

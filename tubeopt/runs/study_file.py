@@ -21,6 +21,7 @@ from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
+from .load_file import LoadedStudy
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
@@ -28,15 +29,19 @@ from .validation_study import ValidationStudy
 from .workspace_study import WorkspaceStudy
 
 
-class ForwardKinematicsStudy(Study):
+class ForwardKinematicsStudy(LoadedStudy):
     """The equilibrium of a robot at given joint values."""
 
     kind: Literal["forward_kinematics"]
     robot: RobotPath
-    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
-    translations_mm: OnePerTube | None = Field(None, description="one per tube; home where not given")
-    method: Literal["newton", "ipopt", "energy"] = "newton"
-    tolerance_rad: Positive = Decimal("1e-8")
+    rotations_deg: OnePerTube | None = Field(
+        None, description="rotation of every tube, inner to outer; by default all 0"
+    )
+    translations_mm: OnePerTube | None = Field(
+        None, description="translation of every tube, inner to outer; by default home"
+    )
+    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
+    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
@@ -45,6 +50,7 @@ class ForwardKinematicsStudy(Study):
             self.robot,
             radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
             metres(self.translations_mm, self.robot.home_translations),
+            load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),
             verify=self.verify,

@@ -7,11 +7,13 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import typer
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
+from ..robots.robot import is_general
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
@@ -108,6 +110,16 @@ def _certificate(a: Certification) -> str:
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 
+def _forced(a: Certification) -> str | None:
+    """The certificate under a force in words."""
+    if a.force is None or a.forced is None:
+        return None
+    pushed = f"of up to {a.force * TO_MILLI:.6g} mN that keeps its direction"
+    if a.finding is Finding.SNAP_FREE:
+        return f"{pushed}: cannot snap or buckle at any rotation (margin {a.forced:.3g} proved)"
+    return f"{pushed}: nothing is proved (certificate {a.forced:.3g})"
+
+
 def _least(a: Certification) -> str:
     worst = a.verdict.worst
     if worst is None:
@@ -173,70 +185,41 @@ BOX: tuple[Quantity[WorstCertificate], ...] = (
 CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("translations_mm", "translations", lambda a: a.verdict.certificate.translations, form=".6g"),
-    Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.verdict.finding.name),
-    Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.verdict.finding]),
+    Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.finding.name),
+    Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.finding]),
     Quantity("answer", "the verdict in words", sentence),
     Quantity("assumed", "what all is said under", lambda a: ASSUMING),
     Quantity("certificate", "certificate", lambda a: _number(a.verdict.certificate.margin), words=_certificate),
-    Quantity(
-        "untwisted_margin",
-        "eccentric robots: margin of the softest untwisted equilibrium, in closed form",
-        lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricVerdict) else None,
-    ),
-    Quantity(
-        "margin_found",
-        "least margin found",
-        lambda a: None if a.verdict.worst is None else a.verdict.worst.margin,
-        words=_least,
-    ),
-    Quantity(
-        "found_at_deg",
-        "rotations of the least margin",
-        lambda a: None if a.verdict.worst is None else a.verdict.worst.equilibrium.rotations,
-    ),
-    Quantity(
-        "limiting_tubes",
-        "the two tubes that limit the certificate, from 1",
-        lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair],
-    ),
-    Quantity(
-        "limiting_section_mm",
-        "the section that limits the certificate",
-        lambda a: a.verdict.certificate.section,
-        label="limited by",
-        words=_limited,
-    ),
-    Quantity(
-        "shares",
-        "what each pair of tubes takes from a margin of 1",
-        lambda a: [{"tubes": list(pair), "share": share} for pair, share in _shares(a)],
-        label="takes from the margin",
-        words=_takes,
-    ),
+    Quantity("max_tip_force_mN", "force up to which anything may push on the tip", lambda a: a.force, optional=True),
+    Quantity("certificate_under_force", "lower bound of the margin at all rotations and under all such forces",
+             lambda a: a.forced, label="under a force on the tip", words=_forced, optional=True),
+    Quantity("untwisted_margin", "eccentric robots: margin of the softest untwisted equilibrium, in closed form",
+             lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricVerdict) else None),
+    Quantity("margin_found", "least margin found",
+             lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, words=_least),
+    Quantity("found_at_deg", "rotations of the least margin",
+             lambda a: None if a.verdict.worst is None else a.verdict.worst.equilibrium.rotations),
+    Quantity("limiting_tubes", "the two tubes that limit the certificate, from 1",
+             lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair]),
+    Quantity("limiting_section_mm", "the section that limits the certificate", lambda a: a.verdict.certificate.section,
+             label="limited by", words=_limited),
+    Quantity("shares", "what each pair of tubes takes from a margin of 1",
+             lambda a: [{"tubes": list(pair), "share": share} for pair, share in _shares(a)],
+             label="takes from the margin", words=_takes),
     Quantity("gradient", "derivatives of the certificate by each tube's parameters, per unit of the key", _gradient),
     Quantity("ways_tried", "ways on which a snap was looked for", lambda a: a.verdict.ways),
     Quantity("ways_lost", "ways on which the equilibria were lost", lambda a: a.verdict.failed),
     line("the snap", _snap_words),
-    Quantity(
-        "rotation_limits_deg",
-        "rotations allowed",
-        lambda a: np.array(a.robot.limits.rotations),
-        words=_limits,
-    ),
+    Quantity("rotation_limits_deg", "rotations allowed", lambda a: np.array(a.robot.limits.rotations), words=_limits),
     line("the search for a snap", _searched),
     Quantity("within_limits", "whether the snap is within the limits", lambda a: a.verdict.within_limits),
     Quantity("way_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
     Quantity("snap", "the snap", lambda a: a.verdict.snap, of=SNAP),
     Quantity("repeat", "the command that repeats it", command),
-    Quantity(
-        "box",
-        "the box of translations that was searched",
-        of=BOX,
-        label="box",
-        words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm",
-    ),
+    Quantity("box", "the box of translations that was searched", of=BOX, label="box",
+             words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm"),
     line("searched by", lambda a: None if a.box is None else f"{BOX_METHOD}, {a.box.evaluations} evaluations"),
-)
+)  # fmt: skip
 
 
 class CertificationReport(Report[Certification]):
@@ -278,6 +261,8 @@ class CertificationReport(Report[Certification]):
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
+            if is_general(self.answer.robot):
+                return Text("Of tubes made of pieces the certificate has no gradient.")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
         cells = [
             [
@@ -295,6 +280,10 @@ class CertificationReport(Report[Certification]):
 
         snap = self.answer.verdict.snap
         return [] if snap is None else self.drawn(directory, {"snap.png": plot_snap}, snap)
+
+    def conclude(self) -> None:
+        """End with the exit code of the finding."""
+        raise typer.Exit(EXIT_CODES[self.answer.finding])
 
 
 def _number(value: float) -> float | None:

@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
+from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
@@ -40,25 +41,14 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("rotations_deg", "rotations", words=lambda s: degrees(s.rotations, ".6f")),
     Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
     Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
-    Quantity(
-        "position_error_mm",
-        "misses by",
-        words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm",
-    ),
+    Quantity("position_error_mm", "misses by",
+             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
     Quantity("tip_direction", "pointing along", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f"),
-    Quantity(
-        "direction_error_deg",
-        "off the direction by",
-        lambda s: None if s.target_direction is None else s.direction_error,
-        form=".1e",
-    ),
+    Quantity("direction_error_deg", "off the direction by",
+             lambda s: None if s.target_direction is None else s.direction_error, form=".1e"),
     Quantity("margin", "margin", form=".3f"),
-    Quantity(
-        "clearance_mm",
-        "distance of the arm from obstacles",
-        label="clear of obstacles by",
-        words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None,
-    ),
+    Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
+             words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
     Quantity("cold_start_agrees", "whether a cold start ends in the same equilibrium"),
     Quantity("straight_from_start", "whether the straight way from the start is one", lambda s: s.straight_from_seed),
@@ -66,10 +56,9 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("way", "a way without a snap", of=WAY, words=lambda s: _way_words(s)),
     Quantity("leaps", "how the robot leaps to it from the target before"),
     Quantity("active", "held by", lambda s: list(s.active), words=lambda s: ", ".join(s.active) or None),
-    Quantity(
-        "statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved", words=lambda s: _how(s)
-    ),
-)
+    Quantity("statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved",
+             words=lambda s: _how(s)),
+)  # fmt: skip
 
 
 def _way_words(s: InverseSolution) -> str:
@@ -134,6 +123,12 @@ class PosturesReport(Report[Postures]):
         from .plots.inverse import plot_inverse  # Matplotlib takes longer to load than a solve
 
         return self.drawn(directory, {"inverse.png": plot_inverse}, self.answer.solutions)
+
+    def conclude(self) -> None:
+        """Raise SolveError where the target is missed."""
+        best = self.answer.solutions[0]
+        if not best.reached:
+            raise SolveError(f"{best.status}: {_miss(best)}", best)
 
 
 def _joints(rotations: Array, translations: Array) -> list[object]:
@@ -200,15 +195,15 @@ def _leaps(a: TargetTable) -> str | None:
     return f"{leaping or 'none'}, of {len(a.rows)} rows" if a.followed else None
 
 
-def miss(s: InverseSolution) -> str:
+def _miss(s: InverseSolution) -> str:
     """By how much a target is missed, and what holds the robot back."""
     held = ", ".join(s.active)
     return f"{s.position_error * TO_MM:.4g} mm short{f': {held}' if held else ''}"
 
 
-def why(r: Row) -> str:
+def _why(r: Row) -> str:
     """Why a target of a table was not reached."""
-    return r.problem if r.solution is None else miss(r.solution)
+    return r.problem if r.solution is None else _miss(r.solution)
 
 
 class TargetTableReport(Report[TargetTable]):
@@ -219,7 +214,7 @@ class TargetTableReport(Report[TargetTable]):
 
     def table(self) -> Group:
         """How many targets were reached, and why others were not."""
-        notes = [(r, why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
+        notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
         notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
         texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]]
         texts += [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
@@ -257,6 +252,12 @@ class TargetTableReport(Report[TargetTable]):
 
         reached = _reached(self.answer)
         return self.drawn(directory, {"targets.png": plot_targets}, reached) if len(reached) > 1 else []
+
+    def conclude(self) -> None:
+        """Raise SolveError where every target is missed; misses within a table are named in it."""
+        given = _given(self.answer)
+        if not _reached(self.answer):
+            raise SolveError(f"none of {len(given)} targets was reached; the first: {_why(given[0])}")
 
 
 report.register(Postures, PosturesReport)

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from ..errors import NotProvedError, SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
@@ -96,22 +97,14 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("duration_s", "duration", lambda t: t.time[-1], words="{duration_s:.2f} s, {samples} samples"),
     Quantity("samples", "instants at which joint values are given", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
-    Quantity(
-        "turns",
-        "whole turns added",
-        lambda t: list(t.turns),
-        words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None,
-    ),
+    Quantity("turns", "whole turns added", lambda t: list(t.turns),
+             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
     Quantity("status", "how the planning ended"),
-    Quantity(
-        "largest_deviation_mm",
-        "largest deviation",
-        lambda t: None if t.deviation is None else t.deviation.max(),
-        form=".3f",
-    ),
+    Quantity("largest_deviation_mm", "largest deviation", lambda t: None if t.deviation is None else t.deviation.max(),
+             form=".3f"),
     Quantity("proof", "what was proved", of=PROOF),
     Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
-)
+)  # fmt: skip
 
 FOUND: tuple[Quantity[Trajectory], ...] = (
     *within(PROOF, lambda t: t.proof),
@@ -164,6 +157,11 @@ class TrajectoryReport(Report[Trajectory]):
 
         return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
 
+    def conclude(self) -> None:
+        """Raise NotProvedError where the proof was not finished."""
+        if not self.answer.proved:
+            raise NotProvedError(f"a motion was found, but it is {self.answer.status}")
+
 
 CHECKED: tuple[Quantity[Checked], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.joints.robot.name),
@@ -186,6 +184,11 @@ class CheckedReport(Report[Checked]):
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
         return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, two_columns("", self.rows()))
+
+    def conclude(self) -> None:
+        """Raise SolveError where something does not hold."""
+        if not self.answer.proof.holds:
+            raise SolveError(f"{self.answer.file}: {'; '.join(self.answer.proof.faults)}")
 
 
 report.register(Trajectory, TrajectoryReport)

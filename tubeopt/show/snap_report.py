@@ -32,6 +32,12 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("margin", "stability margin"),
     Quantity("index", "number of ways in which it is unstable"),
     Quantity("energy_mJ", "elastic energy"),
+    Quantity(
+        "potential_mJ",
+        "elastic energy less the work of the load; absent without load",
+        lambda e: None if e.load is None else e.potential,
+        optional=True,
+    ),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
@@ -77,27 +83,18 @@ WAY: tuple[Quantity[Way], ...] = (
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
     Quantity("snap", "the snap, null where there is none", of=SNAP),
-    Quantity(
-        "arrived",
-        "the equilibrium at the end of a way without a snap",
-        of=STATE,
-        label="tip at the end",
-        words="{arrived[tip_position_mm]:.4f} mm",
-    ),
-)
+    Quantity("arrived", "the equilibrium at the end of a way without a snap", of=STATE, label="tip at the end",
+             words="{arrived[tip_position_mm]:.4f} mm"),
+)  # fmt: skip
 
 MOTION: tuple[Quantity[Motion], ...] = (
     Quantity("robot", "name of the robot", lambda m: m.robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.path.equilibria):.3f} at a waypoint"),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.path.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.path.equilibria[-1].tip_position, ".4f")),
-    Quantity(
-        "snaps",
-        "the snaps on the way",
-        lambda m: list(m.path.snaps),
-        of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP),
-    ),
-)
+    Quantity("snaps", "the snaps on the way", lambda m: list(m.path.snaps),
+             of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
+)  # fmt: skip
 
 
 def way_sentence(w: Way) -> str:
@@ -129,7 +126,7 @@ class EquilibriaReport(Report[Equilibria]):
                 row(e.tip_position * TO_MM, ".2f"),
                 row(np.degrees(e.tip_rotations), ".2f"),
                 f"{e.margin:.4f}",
-                f"{e.energy * TO_MILLI:.4f}",
+                f"{e.potential * TO_MILLI:.4f}",
                 str(e.index),
                 in_a_word(e.margin),
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..errors import SolveError
 from ..runs.sweeping import Sweep
 from .quantities import Quantity
 from .report import Report, report
@@ -13,15 +14,12 @@ SWEEP: tuple[Quantity[Sweep], ...] = (
     Quantity("points", "points", words=lambda a: _points(a)),
     Quantity("computed", "points computed by this run"),
     Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
-    Quantity(
-        "failures",
-        "points that failed, from 1, and why",
-        lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures],
-    ),
+    Quantity("failures", "points that failed, from 1, and why",
+             lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures]),
     Quantity("table", "table", lambda a: str(a.table)),
     Quantity("arrays", "the same as arrays", lambda a: str(a.arrays)),
     Quantity("journal", "a line per point, as they were computed", lambda a: str(a.journal)),
-)
+)  # fmt: skip
 
 
 def _points(a: Sweep) -> str:
@@ -46,6 +44,12 @@ class SweepReport(Report[Sweep]):
         if len(a.failures) > SHOWN:
             told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
         return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+
+    def conclude(self) -> None:
+        """Raise SolveError where every point failed."""
+        a = self.answer
+        if len(a.failures) == a.points:
+            raise SolveError(f"all {a.points} points failed; the first: {a.failures[0][1]}")
 
 
 report.register(Sweep, SweepReport)

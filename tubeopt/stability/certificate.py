@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from ..errors import vector
+from ..errors import InputError, positive, vector
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
+from .loaded_certificate import loaded_worst_case
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -30,7 +31,7 @@ class Certificate:
             nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
         gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
-            the eigenvalue is double, so that the margin has no derivative.
+            the eigenvalue is double, so that the margin has no derivative, and with tubes made of pieces.
         pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
             for tubes off the centreline, of which three take it together.
         section: (start, end) of the section where it takes most, m.
@@ -50,26 +51,54 @@ class Certificate:
         return self.margin > ROUNDING
 
 
-def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -> float:
+def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise.
+    conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
+    that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
+    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
+    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
+    off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
     cannot snap either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
+    With `max_force` it is a bound over all rotations and all forces on the tip, of at most that size and in any
+    direction, that keep their direction (see `loaded_certificate`): above 0 the robot cannot snap or buckle, whatever
+    pushes so. It does not cover moments, forces that turn with the tip, or forces along the arm.
+
     Args:
         translations: (n,) m; default home.
+        max_force: N; concentric tubes only.
 
     Raises:
-        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator; a force that is
+            negative, or on tubes off the centreline.
     """
     shift = _shift(robot, translations)
     assembly = robot.assembly(shift)
-    return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
+    if positive("max_force", max_force, zero=True):
+        if assembly.eccentric:
+            raise InputError(
+                f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
+            )
+        if assembly.general:
+            raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
+        return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
+    if assembly.eccentric:
+        return proof(assembly)[0]
+    value = worst_case(_problem(robot, shift))[0]
+    return value - _unresolved(robot, shift, value) if assembly.general else value
+
+
+def _unresolved(robot: Robot, shift: Array, value: float) -> float:
+    """By how much the certificate changes with pieces of the mesh half as long: more than what these leave out of
+    couplings that vary along tubes made of pieces."""
+    finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
+    return abs(worst_case(finer)[0] - value)
 
 
 def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
@@ -111,6 +140,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         return _of_segments(robot, shift)
     problem = _problem(robot, shift)
     margin, y, following = worst_case(problem)
+    lost = _unresolved(robot, shift, margin) if is_general(robot) else 0.0
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
@@ -123,8 +153,9 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     k = int(np.argmax(each))
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
-    gradient = _gradient(robot, problem, margin) if not double else {name: np.full(n, np.nan) for name in PARAMETERS}
-    return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
+    known = not double and not is_general(robot)
+    gradient = _gradient(robot, problem, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    return Certificate(margin - lost, shift, gradient, (int(i), int(j)), span, share)
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,16 @@ degree 6 the error of theta then stays near 1e-10 rad, so that refinement is the
 
 BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
+
+
+TWIST_PER_PIECE = 1.0
+"""Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
+
+DETAIL_PER_PIECE = 4.0
+"""Largest polynomial degree of precurvature and stiffness along a piece."""
+
+SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
+"""Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,22 +53,98 @@ def coupling_rate(assembly: Assembly) -> Array:
     For two tubes c = (1 + nu) kappa_1 kappa_2 when their nu are equal (Dupont et al. 2010); for more, the row sums of
     the Jacobi matrix bound its eigenvalues.
     """
+    if assembly.general:
+        return _needs(assembly)[0]
     moment = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
     total = (assembly.bending_stiffness * assembly.present).sum(1)
+    return _rate(moment, total, assembly.torsional_stiffness)
+
+
+def _rate(moment: Array, total: Array, torsional_stiffness: Array) -> Array:
+    """sqrt(c) of cross-sections with |m_i| (m, n), sum of kb (m,), and kt (n,) or (m, n)."""
     pairs = moment[:, :, None] * moment[:, None, :] / np.maximum(total, 1e-300)[:, None, None]
-    pairs[:, np.arange(assembly.n_tubes), np.arange(assembly.n_tubes)] = 0.0
-    each = pairs / assembly.torsional_stiffness[:, None] + pairs / assembly.torsional_stiffness
+    tubes = np.arange(moment.shape[1])
+    pairs[:, tubes, tubes] = 0.0
+    kt = np.broadcast_to(torsional_stiffness, moment.shape)
+    each = pairs / kt[:, :, None] + pairs / kt[:, None, :]
     rate: Array = np.sqrt(each.sum(2).max(1, initial=0.0))
     return rate
 
 
+def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
+    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, and pieces for twist and detail."""
+    table, count = assembly.lengthwise, len(SAMPLES)
+    assert table is not None
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    total = here.stiffness.sum(1)
+    rate = _rate(here.moment, total, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    own = here.moment / np.maximum(here.stiffness, 1e-300)
+    steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
+    # A straight tube may be twisted as it likes: nobody sees it.
+    there, bent = here.stiffness > 0, here.moment > 0
+    each = np.maximum(
+        there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
+    )
+    finest = each.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    return rate, steepest, finest * assembly.length
+
+
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
-    waves = coupling_rate(assembly) * assembly.length / WAVES_PER_ELEMENT
-    bend = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0) * assembly.length / BEND_PER_PIECE
-    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
-    pieces[~assembly.curved.any(1)] = 1
+    if assembly.general:
+        rate, steepest, finest = _needs(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+    waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
+    need = np.maximum(np.maximum(waves, bend), finest)
+    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
+    pieces[need <= 0] = 1
     return pieces
+
+
+LOADED_WAVES = 0.5
+"""The same of what bends under load: the margin, close to 1 where loads are small, then is right to 1e-8."""
+
+
+def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: int = 0) -> NDArray[np.intp]:
+    """(m,) pieces per section of an arm on whose cross-sections at most `force`, N, and at its tip `moment`, N m, act.
+
+    Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
+    rate, or of a lever as long as the arm.
+    """
+    if assembly.general:
+        rate, natural, finest = _needs(assembly)
+        stiffness, pull = _softest(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+        stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
+        moments = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
+        pull = (moments / assembly.torsional_stiffness).max(1, initial=0.0)
+    fast = np.sqrt(force / stiffness)
+    bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
+    waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
+    need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
+    pieces = np.ceil(need - 1e-9)
+    return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
+
+
+def _softest(assembly: Assembly) -> tuple[Array, Array]:
+    """(m,) least sum of kb, and (m,) largest |m_i| / kt_i of sections of tubes made of pieces."""
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    stiffness = here.stiffness.sum(1).reshape(-1, len(SAMPLES)).min(1)
+    pull = (here.moment / here.torsional_stiffness).max(1).reshape(-1, len(SAMPLES)).max(1)
+    return stiffness, pull
+
+
+def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
+    """Mesh whose pieces all have collocation points: what is loaded bends, be it curved or straight."""
+    mesh = make_mesh(assembly, pieces, family=family, degree=degree)
+    return replace(mesh, collocated=np.ones(len(mesh.length), dtype=bool))
 
 
 def make_mesh(

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...files.files import atomic_write
+from ...files.units import TO_MM
 from ...typing import Array
 
 if TYPE_CHECKING:
@@ -168,6 +169,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
         joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
     margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
     verdict = margin if equilibrium.stable else f"{margin}, unstable"
+    verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
     if narrow:
         return "\n".join([name, *joints, *state])
@@ -175,7 +177,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
 
 
 def _millimetres(lengths: Array) -> str:
-    return ", ".join(number(length * 1e3, 1) for length in lengths)
+    return ", ".join(number(length * TO_MM, 1) for length in lengths)
 
 
 def number(value: float, digits: int) -> str:
