@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
@@ -72,7 +72,11 @@ def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
 
 
 def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
-    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
+    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold).
+
+    Raises InputError for an equilibrium under load, which is none of the reduced problem.
+    """
+    refuse_load(equilibrium)
     shift = tuple(equilibrium.translations.tolist())
     problem = reduced_problem(equilibrium.robot, shift, discretisation)
     theta = sample_rotation(equilibrium, problem.arc_length)
@@ -80,6 +84,12 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     if not result.converged:
         raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
     return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
+
+
+def refuse_load(equilibrium: Equilibrium) -> None:
+    """Raise InputError for an equilibrium under load, where what is asked knows of no load."""
+    if equilibrium.load is not None:
+        raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:

@@ -16,12 +16,14 @@ from ..robots.series import Quantity, Series
 from ..robots.tubes import stretches
 from ..typing import Array
 from .result import Equilibrium, Verification
+from .solving import refuse_load
 
 TOLERANCE = 1e-12
 
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
-    """The same equilibrium with its `verification` filled in."""
+    """The same equilibrium with its `verification` filled in; raises InputError for one under load."""
+    refuse_load(equilibrium)
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     n = assembly.n_tubes
     state = _base(equilibrium, assembly)
