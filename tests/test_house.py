@@ -14,7 +14,13 @@ PACKAGE = ROOT / "tubeopt"
 
 KNOWN_CIRCLES = {
     frozenset({"robots.concentric", "robots.eccentric", "robots.file"}),
-    frozenset(f"equilibrium.{name}" for name in ("file", "jacobian", "result", "solving", "state")),
+    frozenset(
+        f"equilibrium.{name}"
+        for name in (
+            *("file", "jacobian", "result", "solving", "state", "general_derivatives", "kinematics", "verification"),
+            *("continuation", "load_continuation", "load_problem", "loaded"),
+        )
+    ),
     frozenset({"planning.file", "planning.trajectory"}),
     frozenset({"stability.eccentric_verdict", "stability.verdict"}),
     frozenset({"block.problem", "block.reordering"}),
