@@ -62,17 +62,17 @@ def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:
 
 
 def test_moments_have_no_margin(run: Run) -> None:
-    data = answer(run("fk", THESIS, "--tip-moment-mN_m", "1,2,3", "--json"))
+    data = answer(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--json"))
     assert data["margin"] is None
     assert not data["stable"]
-    assert "not told" in run("fk", THESIS, "--tip-moment-mN_m", "1,2,3").out
+    assert "not told" in run("fk", THESIS, "--tip-moment-mN-m", "1,2,3").out
 
 
 def test_snaps_and_equilibria_under_load(run: Run) -> None:
     snapped = answer(run("snap", THESIS, "--to-deg", "360,0,0", "--tip-force-mN=-20,0,0", "--json"))
     assert snapped["snap"]["rotations_deg"][0] == pytest.approx(201.0758694, abs=1e-6)
     path = str(ROOT / "configs" / "paths" / "turn_and_back.csv")
-    followed = answer(run("follow", THESIS, path, "--gravity-m_per_s2", "0,0,-9.81", "--json"))
+    followed = answer(run("follow", THESIS, path, "--gravity-m-per-s2", "0,0,-9.81", "--json"))
     assert len(followed["snaps"]) == 2
     loaded = run("equilibria", THESIS, "--rotations-deg", "20,0,0", "--tip-force-mN=-2,0,0", "--json")
     assert len(answer(loaded)["equilibria"]) == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ..runs.load_file import LOAD_FLAGS
 from ..runs.study_file import ForwardKinematicsStudy
 from ..show.report import present
 from ..show.reports import report
@@ -10,7 +9,7 @@ from .flags import asks
 from .options import JsonOption, OutOption, PlotOption
 
 
-@asks(ForwardKinematicsStudy, flags={"tolerance_rad": "--tolerance-rad,--tolerance", **LOAD_FLAGS})
+@asks(ForwardKinematicsStudy, flags={"tolerance_rad": "--tolerance-rad,--tolerance"})
 def fk(
     study: ForwardKinematicsStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False
 ) -> None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import typer
-
-from ..runs.load_file import LOAD_FLAGS
 from ..runs.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
-from ..show.certify_report import EXIT_CODES
 from ..show.report import present
 from ..show.reports import report
 from .flags import ROBOT, ask, asks
@@ -21,19 +17,19 @@ WAYPOINTS = (
 )
 
 
-@asks(EquilibriaStudy, flags=LOAD_FLAGS)
+@asks(EquilibriaStudy)
 def equilibria(study: EquilibriaStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """Every equilibrium at given joint values, stable and unstable, the lowest energy first."""
     present(report(ask(study, "searching equilibria", out)), out=out, as_json=as_json)
 
 
-@asks(SnapStudy, flags=LOAD_FLAGS)
+@asks(SnapStudy)
 def snap(study: SnapStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The first snap on the straight way from one set of joint values to another, computed exactly."""
     present(report(ask(study, "looking for the snap", out)), out=out, as_json=as_json)
 
 
-@asks(FollowStudy, arguments={"robot": ROBOT, "path": WAYPOINTS}, flags=LOAD_FLAGS)
+@asks(FollowStudy, arguments={"robot": ROBOT, "path": WAYPOINTS})
 def follow(study: FollowStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
     """Slow motion through waypoints, with its history: where the robot snaps and where it lands."""
     present(report(ask(study, "following the path", out)), out=out, as_json=as_json)
@@ -48,7 +44,6 @@ def certify(study: CertifyStudy, robot: str, out: OutOption = None, as_json: Jso
     """
     answer = replace(ask(study, "looking for snaps", out), robot_file=robot)
     present(report(answer), out=out, as_json=as_json)
-    raise typer.Exit(EXIT_CODES[answer.finding])
 
 
 @asks(StabilityMapStudy)

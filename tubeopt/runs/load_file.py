@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PlainValidator, ValidationInfo, model_validator
 
@@ -12,6 +12,7 @@ from ..files.checked import Entry, Number, check
 from ..files.units import MM, UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, PointForce, Stretch
+from .base import Study
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
@@ -97,44 +98,26 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     return check(LoadEntry, value, "")
 
 
-LoadPath = Annotated[
-    LoadEntry | None,
-    PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
-    Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
-]
-"""What pushes on the robot of a study."""
+class LoadedStudy(Study):
+    """A study of a robot on which something may push; the keys of its own replace what the load says."""
 
-TIP_FORCE = Field(None, description="force on the tip in axes of the plate, in place of that of `load`", examples=["X,Y,Z"])
-    None, description="force on the tip in axes of the plate; replaces that of `load`", examples=["X,Y,Z"]
-)
-TIP_MOMENT = Field(None, description="moment on the tip, likewise", examples=["X,Y,Z"])
-GRAVITY = Field(None, description="gravity, which acts on the mass of the tubes, likewise", examples=["X,Y,Z"])
+    load: Annotated[
+        LoadEntry | None,
+        PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
+        Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
+    ] = None
+    tip_force_mN: Triple | None = Field(None, description="force on the tip in axes of the plate", examples=["X,Y,Z"])
+    tip_moment_mN_m: Triple | None = Field(
+        None, description="moment on the tip in axes of the plate", examples=["X,Y,Z"]
+    )
+    gravity_m_per_s2: Triple | None = Field(
+        None, description="gravity, which acts on the mass of the tubes", examples=["X,Y,Z"]
+    )
 
-
-class Loaded(Protocol):
-    """A study with the keys of a load."""
-
-    @property
-    def load(self) -> LoadEntry | None: ...
-    @property
-    def tip_force_mN(self) -> list[Decimal] | None: ...
-    @property
-    def tip_moment_mN_m(self) -> list[Decimal] | None: ...
-    @property
-    def gravity_m_per_s2(self) -> list[Decimal] | None: ...
-
-
-def pushing(study: Loaded) -> Load | None:
-    """The load of a study, whose own keys replace what its load says; None without one."""
-    names = ("tip_force_mN", "tip_moment_mN_m", "gravity_m_per_s2")
-    own = {name: getattr(study, name) for name in names if getattr(study, name) is not None}
-    if study.load is None and not own:
-        return None
-    return (study.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
-
-
-LOAD_FLAGS = {
-    "tip_moment_mN_m": "--tip-moment-mN-m,--tip-moment-mN_m",
-    "gravity_m_per_s2": "--gravity-m-per-s2,--gravity-m_per_s2",
-}
-"""Flags that may be written with the units of the keys, too."""
+    def pushing(self) -> Load | None:
+        """The load, None without one."""
+        names = ("tip_force_mN", "tip_moment_mN_m", "gravity_m_per_s2")
+        own = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.load is None and not own:
+            return None
+        return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()

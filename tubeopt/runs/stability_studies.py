@@ -31,7 +31,7 @@ from ..stability import (
 from ..stability.certificate import ROUNDING
 from ..typing import Array
 from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .load_file import GRAVITY, TIP_FORCE, TIP_MOMENT, LoadPath, Triple, pushing
+from .load_file import LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Equilibria:
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(Study):
+class EquilibriaStudy(LoadedStudy):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
     kind: Literal["equilibria"]
@@ -53,10 +53,6 @@ class EquilibriaStudy(Study):
         None, description="rotation of every tube, inner to outer; by default all 0"
     )
     translations_mm: OnePerTube | None = SHIFTED
-    load: LoadPath = None
-    tip_force_mN: Triple | None = TIP_FORCE
-    tip_moment_mN_m: Triple | None = TIP_MOMENT
-    gravity_m_per_s2: Triple | None = GRAVITY
 
     def run(self, progress: Progress | None = None) -> Equilibria:
         """The equilibria; raises SolveError where one is missing."""
@@ -64,7 +60,7 @@ class EquilibriaStudy(Study):
             progress(0, 0)
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
-        found = find_equilibria(self.robot, rotations, translations, load=pushing(self))
+        found = find_equilibria(self.robot, rotations, translations, load=self.pushing())
         return Equilibria(self.robot, rotations, translations, tuple(found))
 
 
@@ -82,7 +78,7 @@ class Way:
     arrived: Equilibrium | None
 
 
-class SnapStudy(Study):
+class SnapStudy(LoadedStudy):
     """The first snap on the straight way between two sets of joint values."""
 
     kind: Literal["snap"]
@@ -91,10 +87,6 @@ class SnapStudy(Study):
     to_deg: OnePerTube | None = Field(None, description="rotations to turn to; by default those of the start")
     from_mm: OnePerTube | None = Field(None, description="translations to start from; by default home")
     to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
-    load: LoadPath = None
-    tip_force_mN: Triple | None = TIP_FORCE
-    tip_moment_mN_m: Triple | None = TIP_MOMENT
-    gravity_m_per_s2: Triple | None = GRAVITY
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         alpha = radians(self.from_deg, np.zeros(self.robot.n_tubes))
@@ -113,7 +105,7 @@ class SnapStudy(Study):
         if progress is not None:
             progress(0, 0)
         start, end = self._ends()
-        load = pushing(self)
+        load = self.pushing()
         snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
@@ -129,7 +121,7 @@ class Motion:
     path: Path
 
 
-class FollowStudy(Study):
+class FollowStudy(LoadedStudy):
     """Slow motion through waypoints of joint values, with the snaps on the way."""
 
     kind: Literal["follow"]
@@ -139,10 +131,6 @@ class FollowStudy(Study):
         in_file(load_waypoints, "a CSV file", of_robot=True),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
-    load: LoadPath = None
-    tip_force_mN: Triple | None = TIP_FORCE
-    tip_moment_mN_m: Triple | None = TIP_MOMENT
-    gravity_m_per_s2: Triple | None = GRAVITY
 
     def run(self, progress: Progress | None = None) -> Motion:
         """The motion; raises SolveError where there is no stable equilibrium to start from or to land on."""
@@ -153,7 +141,7 @@ class FollowStudy(Study):
                 progress(waypoint, last)
 
         way = self.path.rotations, self.path.translations
-        return Motion(self.robot, follow(self.robot, *way, load=pushing(self), progress=step))
+        return Motion(self.robot, follow(self.robot, *way, load=self.pushing(), progress=step))
 
 
 @dataclass(frozen=True, eq=False)

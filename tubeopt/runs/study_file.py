@@ -21,7 +21,7 @@ from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
-from .load_file import GRAVITY, TIP_FORCE, TIP_MOMENT, LoadPath, Triple, pushing
+from .load_file import LoadedStudy
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
@@ -29,7 +29,7 @@ from .validation_study import ValidationStudy
 from .workspace_study import WorkspaceStudy
 
 
-class ForwardKinematicsStudy(Study):
+class ForwardKinematicsStudy(LoadedStudy):
     """The equilibrium of a robot at given joint values."""
 
     kind: Literal["forward_kinematics"]
@@ -43,10 +43,6 @@ class ForwardKinematicsStudy(Study):
     method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
     tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
-    load: LoadPath = None
-    tip_force_mN: Triple | None = TIP_FORCE
-    tip_moment_mN_m: Triple | None = TIP_MOMENT
-    gravity_m_per_s2: Triple | None = GRAVITY
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""
@@ -54,7 +50,7 @@ class ForwardKinematicsStudy(Study):
             self.robot,
             radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
             metres(self.translations_mm, self.robot.home_translations),
-            load=pushing(self),
+            load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),
             verify=self.verify,

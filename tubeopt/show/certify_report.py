@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import typer
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -279,6 +280,10 @@ class CertificationReport(Report[Certification]):
 
         snap = self.answer.verdict.snap
         return [] if snap is None else self.drawn(directory, {"snap.png": plot_snap}, snap)
+
+    def conclude(self) -> None:
+        """End with the exit code of the finding."""
+        raise typer.Exit(EXIT_CODES[self.answer.finding])
 
 
 def _number(value: float) -> float | None:

@@ -58,8 +58,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
     conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
     that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
-    of pieces it is a lower bound as well, exact for two tubes that bend in one plane each. What the mesh may leave out
-    of varying couplings, by the difference to a finer one, is taken off.
+    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
+    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
+    off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
@@ -94,8 +95,8 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
 
 
 def _unresolved(robot: Robot, shift: Array, value: float) -> float:
-    """By how much the certificate changes on a mesh of half the pieces: what the mesh may leave out of couplings that
-    vary along tubes made of pieces, and more."""
+    """By how much the certificate changes with pieces of the mesh half as long: more than what these leave out of
+    couplings that vary along tubes made of pieces."""
     finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
     return abs(worst_case(finer)[0] - value)
 

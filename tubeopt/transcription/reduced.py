@@ -206,13 +206,21 @@ def reach(mesh: Mesh, here: Compliant) -> Array:
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
 
 
+def ahead(mesh: Mesh, here: Compliant) -> Array:
+    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    chosen = mesh.collocated
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
+    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    return np.asarray(out.reshape(-1, out.shape[-1]))
+
+
 def _general_green(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
     """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
     t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
     rate, length = here.rate[elements, :, tube], mesh.length[elements]
-    ahead = (begin[:, None] + length[:, None] * (rate @ t.matrix.T)).ravel()
-    first = np.arange(len(ahead)) // t.degree
-    green: Array = np.where(first[:, None] < first, ahead[:, None], ahead)
+    near = ahead(mesh, here)[:, tube]
+    first = np.arange(len(near)) // t.degree
+    green: Array = np.where(first[:, None] < first, near[:, None], near)
     for e in range(len(elements)):
         block = slice(e * t.degree, (e + 1) * t.degree)
         green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
