@@ -76,7 +76,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
         (("--robot", ROBOT, "--tube", "7"), "--tube is 7; it must be 1 to 3"),
         (("--free", "leads"), "--free[0] is 'leads'; it must be clearance, lead or vents; did you mean 'lead'?"),
         (("--slot-s", "0.0333"), "slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds"),
-        (("--loss-percent", "120"), "--loss-percent is 120.0; it must be less than 100"),
+        (("--loss-percent", "120"), "--loss-percent is 120; it must be less than 100"),
     ],
 )
 def test_wrong_flags(run: Run, flags: tuple[str, ...], message: str) -> None:

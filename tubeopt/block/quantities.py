@@ -211,6 +211,7 @@ def recorded(function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, 
     symbols: dict[Quantity, Any] = {}
 
     def look(one: Quantity) -> Any:
+        """The symbol of a quantity, made where it is first asked for."""
         if one not in symbols:
             symbols[one] = ca.SX.sym(one.name, one.size(n_tubes))
         return symbols[one]

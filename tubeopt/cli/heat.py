@@ -9,7 +9,6 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import InputError, SolveError
-from ..files.checked import check
 from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.tubes import Tube
@@ -17,13 +16,13 @@ from ..runs.heating_study import HeatingStudy
 from ..runs.rig_file import load_heating_log, load_heating_trials, load_rig
 from ..shaping.heating.calibration import FACTORS, RigFit, calibrate
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import CHARGES, Uncertainty
-from ..shaping.heating.spec import HeatingSpec
+from ..shaping.heating.robust import CHARGES
 from ..shaping.heating.trials import TrialFit, calibrate_from_trials
 from ..show.heat_report import missed
 from ..show.progress import working
 from ..show.report import can_be_saved, present
 from ..show.reports import report
+from .flags import ask, asks
 from .options import JsonOption, OutOption, PlotOption, numbers
 
 
@@ -77,70 +76,18 @@ def _floats(name: str, text: str) -> tuple[float, ...]:
 
 
 @app.command(epilog="Example: tubeopt heat configs/rigs/thesis_calcium_silicate.yaml --out results")
-def plan(
-    rig: RigArgument,
-    robot: RobotOption = None,
-    tube: TubeOption = 1,
-    window_degc: Annotated[
-        str, typer.Option("--window-degC", metavar="A,B", help="Of the curved part during the hold.")
-    ] = "500,550",
-    limit_degc: Annotated[
-        float | None, typer.Option("--limit-degC", help="For every point at all times; by default B.")
-    ] = None,
-    hold_s: Annotated[float, typer.Option(help="Length of the hold.")] = HeatingSpec.hold_time,
-    ramp_k_per_s: Annotated[float, typer.Option("--ramp-K-per-s", help="Greatest rate of warming.")] = HeatingSpec.ramp,
-    objective: Annotated[
-        str, typer.Option(help="time: soonest done; energy: least charge; margin: farthest from the window's ends.")
-    ] = "time",
-    slot_s: Annotated[float, typer.Option(help="For how long a duty is kept.")] = HeatingSpec.slot,
-    longest_s: Annotated[float, typer.Option(help="Longest heating before the hold.")] = HeatingSpec.longest_heating,
-    quench: Annotated[str, typer.Option(help="water or air.")] = HeatingSpec.quench,
-    free: Annotated[str, typer.Option(metavar="NAME,..", help="Choose these of the rig: clearance, lead, vents.")] = "",
-    material: Annotated[str | None, typer.Option(help="Mold material in place of the rig's.")] = None,
-    voltage: Annotated[
-        float | None, typer.Option("--battery-V", help="Of the battery at rest, as read; by default the rig file's.")
-    ] = None,
-    charges_percent: ChargesOption = DEFAULT_CHARGES,
-    loss_percent: Annotated[
-        float, typer.Option(help="Half-width of what is not known of the heat loss; 0 for no band.")
-    ] = 100 * Uncertainty.loss,
-    robust: Annotated[bool, typer.Option("--robust", help="Scale the duties to the most likely success.")] = False,
-    samples: Annotated[int, typer.Option(help="Uncertain rigs in the ensemble.")] = 64,
-    plot: PlotOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@asks(
+    HeatingStudy,
+    arguments={"rig": ("RIG.yaml", "Rig file.")},
+    defaults={"charges_percent": DEFAULT_CHARGES, "samples": "64"},
+)
+def plan(study: HeatingStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
 
     Ends with 3 where the window cannot be held within limit, ramp and currents; the best schedule and what would help
     are shown and saved all the same.
     """
-    flags: dict[str, Any] = {
-        "kind": "heating",
-        "rig": rig,
-        "robot": robot,
-        "tube": tube,
-        "window_degC": numbers(window_degc),
-        "limit_degC": limit_degc,
-        "hold_s": hold_s,
-        "ramp_K_per_s": ramp_k_per_s,
-        "objective": objective,
-        "slot_s": slot_s,
-        "longest_s": longest_s,
-        "quench": quench,
-        "free": [part.strip() for part in free.split(",") if part.strip()],
-        "material": material,
-        "battery_V": voltage,
-        "charges_percent": [] if charges_percent == "none" else numbers(charges_percent),
-        "loss_percent": loss_percent,
-        "robust": robust,
-        "samples": samples,
-    }
-    names = {key: f"--{key.replace('_', '-')}" for key in flags} | {"rig": "", "robot": ""}
-    study = check(HeatingStudy, {key: value for key, value in flags.items() if value is not None}, "", names=names)
-    can_be_saved(out)
-    with working("planning the heating") as progress:
-        answer = study.run(progress)
+    answer = ask(study, "planning the heating", out)
     present(report(answer), out=out, as_json=as_json, plot=plot)
     if not answer.plan.feasible:
         raise SolveError(missed(answer.plan))

@@ -13,17 +13,15 @@ from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
-from ..runs.mold_file import load_mold_spec, load_springback, load_trials
-from ..runs.mold_study import Ranking
+from ..runs.mold_file import load_trials
+from ..runs.mold_study import MoldStudy, Ranking
 from ..shaping.mold.heat import HeatSpec
-from ..shaping.mold.materials import mold_material
 from ..shaping.mold.ranking import rank_mold_materials
-from ..shaping.mold.robot import plan_robot_mold
-from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import calibrate_springback
 from ..show.report import can_be_saved, present
 from ..show.reports import report
-from .options import JsonOption, OutOption, PlotOption, RobotArgument
+from .flags import ask, asks
+from .options import JsonOption, OutOption, PlotOption
 
 
 class _PlanByDefault(TyperGroup):
@@ -39,54 +37,12 @@ class _PlanByDefault(TyperGroup):
 
 app = typer.Typer(cls=_PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
 
-TubesOption = Annotated[
-    str | None,
-    typer.Option("--tubes", metavar="N,..", help="Which tubes, from 1; by default every different curved one."),
-]
-
 
 @app.command(epilog="Example: tubeopt mold plan configs/robots/thesis_etr.yaml --out results")
-def plan(
-    robot: RobotArgument,
-    mold: Annotated[
-        str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
-    ] = None,
-    tubes: TubesOption = None,
-    material: Annotated[
-        str | None, typer.Option(help="steel, mdf, glass_mica or calcium_silicate; by default that of the mold file.")
-    ] = None,
-    springback: Annotated[
-        str | None, typer.Option(metavar="FILE.yaml", help="Spring-back from `tubeopt mold calibrate`.")
-    ] = None,
-    cold_length_mm: Annotated[
-        float | None, typer.Option(help="From a clamp to where the tube is hot; by default estimated.")
-    ] = None,
-    plot: PlotOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@asks(MoldStudy)
+def plan(study: MoldStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet."""
-    made_of = load_robot(robot)
-    spec = MoldSpec() if mold is None else load_mold_spec(mold)
-    if material is not None:
-        spec = replace(spec, material=mold_material(material))
-    if springback is not None:
-        spec = replace(spec, springback=load_springback(springback))
-    if cold_length_mm is not None:
-        spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / TO_MM)
-    numbers = _tube_numbers(tubes)
-    can_be_saved(out)
-    present(report(plan_robot_mold(made_of, spec, numbers)), out=out, as_json=as_json, plot=plot)
-
-
-def _tube_numbers(text: str | None) -> list[int] | None:
-    """`1,3` as numbers; raises InputError for anything else."""
-    if text is None:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() for part in parts):
-        raise InputError(f"--tubes is {text!r}; it must be numbers from 1, with commas between")
-    return [int(part) for part in parts]
+    present(report(ask(study, "planning the mold", out)), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold calibrate configs/molds/example_trials.csv --out results")

@@ -21,6 +21,7 @@ def at_state(state: State) -> Linear:
     """Quantities at a state; poses are numbered as in its layout."""
 
     def look(one: Quantity) -> tuple[Array, Array]:
+        """Value and change of one quantity."""
         if one.name == "certificate":
             return _row(state.certificate_at(one.at))
         if one.pose is None:

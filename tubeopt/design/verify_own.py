@@ -25,6 +25,7 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
     integration."""
 
     def look(one: Quantity) -> Array:
+        """The numbers of one quantity."""
         if one.name == "certificate":
             return np.array([snap_free_certificate(robot, np.array(one.at))])
         if one.pose is None:

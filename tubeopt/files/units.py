@@ -17,6 +17,7 @@ GPA = Decimal("1e9")
 PERCENT = Decimal("1e-2")
 DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
 PER_M = RAD = Decimal(1)
+ZERO_CELSIUS = Decimal("273.15")
 
 _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
@@ -99,6 +100,11 @@ def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
         number = Context(prec=digits).plus(exact)
         if to_si(number, unit) == value:
             break
+    return plainest(number)
+
+
+def plainest(number: Decimal) -> int | float | Decimal:
+    """A decimal as an int or a float where that holds its digits."""
     if number == number.to_integral_value() and abs(number) < 10**15:
         return int(number)
     return float(number) if Decimal(repr(float(number))) == number else number

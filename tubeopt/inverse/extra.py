@@ -96,6 +96,7 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
     """Quantities of a posture as numbers."""
 
     def look(one: Quantity) -> Array:
+        """One quantity of the posture."""
         here = at.equilibrium
         match one.name:
             case "strain" | "clearance":

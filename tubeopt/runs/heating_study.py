@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from ..files.checked import NotNegative, Number, Positive
-from ..files.units import PERCENT, shown, to_si
+from ..files.checked import NotNegative, Positive, in_file
+from ..files.fields import asking, values
+from ..files.units import PERCENT, to_si
 from ..robots.tubes import Tube
 from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
@@ -72,17 +73,9 @@ def heating_of(
     return Heating(planned, tuple(tables), band, Uncertainty() if ensemble is None else ensemble.uncertainty, scale)
 
 
-def _load(value: object, info: ValidationInfo) -> Rig:
-    if isinstance(value, Rig):  # of a sweep, which has loaded or changed it
-        return value
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a rig file")
-    return load_rig(info.context["directory"] / value if info.context else value)
-
-
 RigPath = Annotated[
     Rig,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_rig, "a rig file", kind=Rig),
     Field(description="path of the rig file, relative to this file"),
 ]
 """A rig, given as the path of its file."""
@@ -95,33 +88,23 @@ def _of_the_robot(tube: int, info: ValidationInfo) -> int:
     return tube
 
 
+@asking(HeatingSpec)
 class HeatingStudy(Study):
     """The schedule that holds the curved part of a tube within a window of temperature."""
 
     kind: Literal["heating"]
     rig: RigPath
-    robot: RobotPath | None = Field(None, description="robot whose tube is heated; by default the rig's own tube")
+    robot: RobotPath | None = Field(
+        None, description="robot whose tube is heated; by default the rig's own tube", examples=["ROBOT.yaml"]
+    )
     tube: Annotated[Whole, Field(ge=1), AfterValidator(_of_the_robot)] = Field(
         1, description="which tube of the robot, from 1"
     )
-    window_degC: Annotated[list[Number], Field(min_length=2, max_length=2)] = Field(
-        [Decimal(500), Decimal(550)], description="of the curved part during the hold"
-    )
-    limit_degC: Number | None = Field(None, description="for every point at all times; by default the window's end")
-    hold_s: Positive = Field(Decimal(60), description="length of the hold")
-    ramp_K_per_s: Positive = Field(Decimal(20), description="greatest rate of warming")
-    objective: Literal["time", "energy", "margin"] = Field(
-        "time", description="time: soonest done; energy: least charge; margin: farthest from the window's ends"
-    )
-    slot_s: Positive = Field(Decimal("0.5"), description="for how long a duty is kept")
-    longest_s: Positive = Field(Decimal(120), description="longest heating before the hold")
-    quench: Literal["water", "air"] = Field("water", description="water or air")
-    free: list[Literal["clearance", "lead", "vents"]] = Field(
-        [], description="choose these of the rig: clearance, lead, vents"
-    )
     material: str | None = Field(None, description="mold material in place of the rig's")
     battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
-    charges_percent: list[Positive] = Field([], description="also tables for these states of charge")
+    charges_percent: list[Positive] = Field(
+        [], description="also tables for these states of charge; none for no tables"
+    )
     loss_percent: NotNegative = Field(
         Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
     )
@@ -153,18 +136,7 @@ class HeatingStudy(Study):
         return rig
 
     def _spec(self) -> HeatingSpec:
-        low, high = (float(value) for value in self.window_degC)
-        return HeatingSpec(
-            window_degC=(low, high),
-            hold_time=float(self.hold_s),
-            limit_degC=None if self.limit_degC is None else float(self.limit_degC),
-            ramp=float(self.ramp_K_per_s),
-            objective=self.objective,
-            longest_heating=float(self.longest_s),
-            slot=float(self.slot_s),
-            quench=self.quench,
-            free=tuple(self.free),
-        )
+        return HeatingSpec(**values(HeatingSpec, self))
 
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""

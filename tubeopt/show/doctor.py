@@ -14,6 +14,7 @@ import numpy as np
 from .. import __version__
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
+from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.compiled.library import cache_directory, library
@@ -67,9 +68,8 @@ def _extra(name: str, lacks: tuple[str, ...]) -> str:
 
 def _verdict(a: Doctor) -> str:
     words = "passed" if a.test.passed else "FAILED"
-    return (
-        f"{words}: off by {a.test.difference * 1e3:.0e} mm from a re-integration; {1e6 * a.test.seconds:.0f} us a solve"
-    )
+    off, took = a.test.difference * TO_MM, a.test.seconds * 1e6
+    return f"{words}: off by {off:.0e} mm from a re-integration; {took:.0f} us a solve"
 
 
 DOCTOR: tuple[Quantity[Doctor], ...] = (

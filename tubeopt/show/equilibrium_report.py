@@ -35,17 +35,12 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("mesh_error_rad", "estimated error of the tubes' rotations"),
     Quantity("tip_error_mm", "estimated error of the tip"),
     line("estimated error", "{mesh_error_rad:.1e} rad along the tubes, {tip_error_mm:.1e} mm at the tip"),
-    Quantity(
-        "verification",
-        "how far an adaptive re-integration differs",
-        of=VERIFICATION,
-        label="re-integration differs",
-        words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad",
-    ),
-    Quantity(
-        "statistics", "how it was solved", lambda e: asdict(e.statistics), label="solved", words=lambda e: _how(e)
-    ),
-)
+    Quantity("verification", "how far an adaptive re-integration differs", of=VERIFICATION,
+             label="re-integration differs",
+             words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
+    Quantity("statistics", "how it was solved", lambda e: asdict(e.statistics), label="solved",
+             words=lambda e: _how(e)),
+)  # fmt: skip
 
 
 def _how(e: Equilibrium) -> str:

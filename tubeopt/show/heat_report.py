@@ -89,12 +89,8 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("hold_start_s", "when the hold begins"),
     Quantity("hold_end_s", "when the hold ends"),
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
-    Quantity(
-        "rounding_error_K",
-        "largest change of a temperature by rounding to counts",
-        label="rounding to counts",
-        words="changes temperatures by {rounding_error_K:.1f} K at most",
-    ),
+    Quantity("rounding_error_K", "largest change of a temperature by rounding to counts", label="rounding to counts",
+             words="changes temperatures by {rounding_error_K:.1f} K at most"),
     Quantity("ramp_K_per_s", "fastest warming as a mean over a slot", lambda p: p.ramp),
     Quantity("steepest_K_per_s", "fastest warming at any instant", lambda p: p.steepest),
     Quantity("ramp_limit_K_per_s", "its limit", lambda p: p.spec.ramp),
@@ -122,25 +118,16 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("mold_degC", "hottest place of the groove's wall", lambda p: p.mold_temperature.max()),
     Quantity("clamp_degC", "hottest of the clamps", lambda p: p.clamp_temperature.max()),
     Quantity("quench", "water or air", lambda p: p.spec.quench),
-    Quantity(
-        "quench_s",
-        "until all of the tube is below 100 degC",
-        lambda p: p.quench_time,
-        label="quench",
-        words="in {quench}: below 100 degC after {quench_s:.1f} s",
-    ),
-    Quantity(
-        "energy_error",
-        "part of the energy that is not accounted for",
-        label="energy balance",
-        words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K",
-    ),
+    Quantity("quench_s", "until all of the tube is below 100 degC", lambda p: p.quench_time, label="quench",
+             words="in {quench}: below 100 degC after {quench_s:.1f} s"),
+    Quantity("energy_error", "part of the energy that is not accounted for", label="energy balance",
+             words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
     Quantity("iterations", "of the optimal control problem, in its last round"),
     Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
     Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
     Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
-)
+)  # fmt: skip
 
 TABLE = tuple(
     quantity
@@ -187,15 +174,10 @@ BAND: tuple[Quantity[Heating], ...] = (
 
 HEATING: tuple[Quantity[Heating], ...] = (
     *within(PLAN, lambda a: a.plan),
-    Quantity(
-        "band",
-        "what uncertain rigs do, where that was asked for",
-        lambda a: None if a.band is None else a,
-        of=BAND,
-        optional=True,
-    ),
+    Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
+             of=BAND, optional=True),
     Quantity("tables", "the same for other states of charge", lambda a: list(a.tables), of=TABLE),
-)
+)  # fmt: skip
 
 
 class HeatingReport(Report[Heating]):
@@ -334,14 +316,10 @@ TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
     Quantity("low", "least of its interval"),
     Quantity("high", "greatest of its interval"),
     Quantity("confidence", "of the interval"),
-    Quantity(
-        "end_temperatures_degC",
-        "trials ended at",
-        lambda f: f.temperatures,
-        words="{end_temperatures_degC:.0f} degC by the calibrated rig",
-    ),
+    Quantity("end_temperatures_degC", "trials ended at", lambda f: f.temperatures,
+             words="{end_temperatures_degC:.0f} degC by the calibrated rig"),
     Quantity("least_probability", "of the least likely trial", lambda f: f.surprise),
-)
+)  # fmt: skip
 
 
 def _factor(f: TrialFit) -> str:

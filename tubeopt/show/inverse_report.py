@@ -40,25 +40,14 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("rotations_deg", "rotations", words=lambda s: degrees(s.rotations, ".6f")),
     Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
     Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
-    Quantity(
-        "position_error_mm",
-        "misses by",
-        words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm",
-    ),
+    Quantity("position_error_mm", "misses by",
+             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
     Quantity("tip_direction", "pointing along", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f"),
-    Quantity(
-        "direction_error_deg",
-        "off the direction by",
-        lambda s: None if s.target_direction is None else s.direction_error,
-        form=".1e",
-    ),
+    Quantity("direction_error_deg", "off the direction by",
+             lambda s: None if s.target_direction is None else s.direction_error, form=".1e"),
     Quantity("margin", "margin", form=".3f"),
-    Quantity(
-        "clearance_mm",
-        "distance of the arm from obstacles",
-        label="clear of obstacles by",
-        words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None,
-    ),
+    Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
+             words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
     Quantity("cold_start_agrees", "whether a cold start ends in the same equilibrium"),
     Quantity("straight_from_start", "whether the straight way from the start is one", lambda s: s.straight_from_seed),
@@ -66,10 +55,9 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("way", "a way without a snap", of=WAY, words=lambda s: _way_words(s)),
     Quantity("leaps", "how the robot leaps to it from the target before"),
     Quantity("active", "held by", lambda s: list(s.active), words=lambda s: ", ".join(s.active) or None),
-    Quantity(
-        "statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved", words=lambda s: _how(s)
-    ),
-)
+    Quantity("statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved",
+             words=lambda s: _how(s)),
+)  # fmt: skip
 
 
 def _way_words(s: InverseSolution) -> str:

@@ -45,24 +45,14 @@ MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("directions", "directions in which the first snap is looked for", lambda a: len(a.map.boundary)),
     Quantity("least_margin", "least margin", lambda a: a.map.margin.min(), form=".3f"),
     Quantity("least_margin_before_a_snap", "least margin of what is reached without a snap", _least_before),
-    Quantity(
-        "snapped_fraction",
-        "part of the map that is reached after a snap",
-        lambda a: (a.map.snaps > 0).mean(),
-        label="reached after a snap",
-        words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map",
-    ),
+    Quantity("snapped_fraction", "part of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
+             label="reached after a snap", words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
     Quantity("most_snaps", "most snaps on the way to a point", lambda a: a.map.snaps.max()),
     line("snaps on the way", _snapping),
-    Quantity(
-        "nearest_snap_deg",
-        "the snap that needs the least turning",
-        _nearest,
-        label="the nearest snap",
-        words=_nearest_words,
-    ),
+    Quantity("nearest_snap_deg", "the snap that needs the least turning", _nearest, label="the nearest snap",
+             words=_nearest_words),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
-)
+)  # fmt: skip
 
 
 class RobotMapReport(Report[RobotMap]):

@@ -32,12 +32,8 @@ CLAMP: tuple[Quantity[Clamp], ...] = (
 )
 
 GROOVE: tuple[Quantity[Groove], ...] = (
-    Quantity(
-        "wanted_radius_mm",
-        "wanted radius",
-        lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf,
-        form=".4g",
-    ),
+    Quantity("wanted_radius_mm", "wanted radius", lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf,
+             form=".4g"),
     Quantity("mold_radius_mm", "mold radius", lambda g: g.radius, form=".4g"),
     Quantity("mold_curvature_per_m", "curvature of the mold", lambda g: g.curvature),
     Quantity("bend_length_mm", "bend, length", form=".4g"),
@@ -62,7 +58,7 @@ GROOVE: tuple[Quantity[Groove], ...] = (
     Quantity("trim_distal_mm", "cut off at the distal end", lambda g: g.trim[1]),
     Quantity("clamps", "the two clamps", lambda g: list(g.clamps), of=CLAMP),
     Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
-)
+)  # fmt: skip
 
 PREDICTED: tuple[Quantity[Tube], ...] = (
     Quantity("curvature_per_m", "of the tube that comes out"),
@@ -180,12 +176,8 @@ def _radii(c: Calibration) -> list[float] | None:
 CALIBRATION: tuple[Quantity[Calibration], ...] = (
     Quantity("trials", "trials", lambda c: _trials(c), words=lambda c: str(len(c.mold_curvature))),
     Quantity("model", "model", words="{model}"),
-    Quantity(
-        "fraction_percent",
-        "lost at small curvature",
-        lambda c: c.springback.fraction,
-        words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
-    ),
+    Quantity("fraction_percent", "lost at small curvature", lambda c: c.springback.fraction,
+             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}"),
     Quantity(
         "slope_mm",
         "growth of the lost part with the mold's curvature",
@@ -193,20 +185,15 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
         label="and per 1/m of curvature",
         words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear" else None,
     ),
-    Quantity(
-        "shrinkage_percent", "part of the bend's length that is lost on cooling", lambda c: c.springback.shrinkage
-    ),
+    Quantity("shrinkage_percent", "part of the bend's length that is lost on cooling",
+             lambda c: c.springback.shrinkage),
     Quantity("radius_range_mm", "least and greatest mold radius of the trials", _radii, digits=9, optional=True),
     Quantity("fraction_interval_percent", "95 % interval of the fraction"),
     Quantity("slope_interval_mm", "95 % interval of the slope"),
-    Quantity(
-        "noise_percent",
-        "scatter of one tube",
-        lambda c: c.noise,
-        words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %",
-    ),
+    Quantity("noise_percent", "scatter of one tube", lambda c: c.noise,
+             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
     Quantity("remarks", "what to beware of", lambda c: list(c.remarks)),
-)
+)  # fmt: skip
 
 
 class CalibrationReport(Report[Calibration]):

@@ -96,22 +96,14 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("duration_s", "duration", lambda t: t.time[-1], words="{duration_s:.2f} s, {samples} samples"),
     Quantity("samples", "instants at which joint values are given", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
-    Quantity(
-        "turns",
-        "whole turns added",
-        lambda t: list(t.turns),
-        words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None,
-    ),
+    Quantity("turns", "whole turns added", lambda t: list(t.turns),
+             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
     Quantity("status", "how the planning ended"),
-    Quantity(
-        "largest_deviation_mm",
-        "largest deviation",
-        lambda t: None if t.deviation is None else t.deviation.max(),
-        form=".3f",
-    ),
+    Quantity("largest_deviation_mm", "largest deviation", lambda t: None if t.deviation is None else t.deviation.max(),
+             form=".3f"),
     Quantity("proof", "what was proved", of=PROOF),
     Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
-)
+)  # fmt: skip
 
 FOUND: tuple[Quantity[Trajectory], ...] = (
     *within(PROOF, lambda t: t.proof),

@@ -83,8 +83,11 @@ class Quantity(Generic[A]):
             return None
         if self.words is not None:
             return _TEMPLATE.vformat(self.words, (), known)
-        shown = _TEMPLATE.format_field(known[self.key], self.form)
-        return f"{shown} {self.sign}".strip()
+        return f"{self.number(known)} {self.sign}".strip()
+
+    def number(self, known: Mapping[str, Any]) -> str:
+        """Its number or numbers in the record, as its format wants them, without the unit."""
+        return str(_TEMPLATE.format_field(known[self.key], self.form))
 
 
 def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:

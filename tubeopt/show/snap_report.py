@@ -77,27 +77,18 @@ WAY: tuple[Quantity[Way], ...] = (
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
     Quantity("snap", "the snap, null where there is none", of=SNAP),
-    Quantity(
-        "arrived",
-        "the equilibrium at the end of a way without a snap",
-        of=STATE,
-        label="tip at the end",
-        words="{arrived[tip_position_mm]:.4f} mm",
-    ),
-)
+    Quantity("arrived", "the equilibrium at the end of a way without a snap", of=STATE, label="tip at the end",
+             words="{arrived[tip_position_mm]:.4f} mm"),
+)  # fmt: skip
 
 MOTION: tuple[Quantity[Motion], ...] = (
     Quantity("robot", "name of the robot", lambda m: m.robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.path.equilibria):.3f} at a waypoint"),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.path.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.path.equilibria[-1].tip_position, ".4f")),
-    Quantity(
-        "snaps",
-        "the snaps on the way",
-        lambda m: list(m.path.snaps),
-        of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP),
-    ),
-)
+    Quantity("snaps", "the snaps on the way", lambda m: list(m.path.snaps),
+             of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
+)  # fmt: skip
 
 
 def way_sentence(w: Way) -> str:

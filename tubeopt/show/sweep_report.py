@@ -13,15 +13,12 @@ SWEEP: tuple[Quantity[Sweep], ...] = (
     Quantity("points", "points", words=lambda a: _points(a)),
     Quantity("computed", "points computed by this run"),
     Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
-    Quantity(
-        "failures",
-        "points that failed, from 1, and why",
-        lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures],
-    ),
+    Quantity("failures", "points that failed, from 1, and why",
+             lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures]),
     Quantity("table", "table", lambda a: str(a.table)),
     Quantity("arrays", "the same as arrays", lambda a: str(a.arrays)),
     Quantity("journal", "a line per point, as they were computed", lambda a: str(a.journal)),
-)
+)  # fmt: skip
 
 
 def _points(a: Sweep) -> str:

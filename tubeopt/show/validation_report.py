@@ -72,39 +72,18 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
         of=REGISTRATION,
         words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, tilt {registration[tilt_deg]:.2f} deg",
     ),
-    Quantity(
-        "error",
-        "tip error",
-        lambda v: _summary(v.summary, v.length),
-        words=lambda v: _errors_in_words(v.summary, v.length),
-    ),
-    Quantity(
-        "by_direction",
-        "the same by direction",
-        lambda v: _groups(v.by_direction, "direction_deg", v.length),
-        label="worst direction",
-        words=lambda v: _worst(v.by_direction),
-    ),
-    Quantity(
-        "by_separation",
-        "the same by separation",
-        lambda v: _groups(v.by_separation, "separation_deg", v.length),
-        label="worst separation",
-        words=lambda v: _worst(v.by_separation),
-    ),
-    Quantity(
-        "length_mm",
-        "length of the arm, which percentages are of",
-        label="percentages",
-        words="of the arm's length, {length_mm:.1f} mm",
-    ),
-    Quantity(
-        "sensor_spread_rms_mm",
-        "RMS distance of sensors from their mean",
-        lambda v: np.sqrt((v.measurements.sensor_spread**2).mean()),
-    ),
+    Quantity("error", "tip error", lambda v: _summary(v.summary, v.length),
+             words=lambda v: _errors_in_words(v.summary, v.length)),
+    Quantity("by_direction", "the same by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
+             label="worst direction", words=lambda v: _worst(v.by_direction)),
+    Quantity("by_separation", "the same by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
+             label="worst separation", words=lambda v: _worst(v.by_separation)),
+    Quantity("length_mm", "length of the arm, which percentages are of", label="percentages",
+             words="of the arm's length, {length_mm:.1f} mm"),
+    Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
+             lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
     Quantity("least_margin", "least margin of the configurations", lambda v: v.margin.min()),
-)
+)  # fmt: skip
 
 
 class ValidationReport(Report[Validation]):
@@ -155,14 +134,10 @@ def _estimate(e: Estimate) -> dict[str, Any]:
 FIT_ERRORS: tuple[Quantity[Fit], ...] = (
     line("tip error before", lambda f: _errors_in_words(f.before.summary, f.before.length)),
     line("after the fit", lambda f: _errors_in_words(f.after.summary, f.after.length)),
-    Quantity(
-        "held_out",
-        "errors of configurations that a fit to the others did not see",
-        lambda f: _summary(f.held_out, f.after.length) if f.held_out else None,
-        label="held out",
-        words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None,
-    ),
-)
+    Quantity("held_out", "errors of configurations that a fit to the others did not see",
+             lambda f: _summary(f.held_out, f.after.length) if f.held_out else None, label="held out",
+             words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None),
+)  # fmt: skip
 
 FIT: tuple[Quantity[Fit], ...] = (
     Quantity("estimates", "the parameters, with their intervals", lambda f: [_estimate(e) for e in f.estimates]),

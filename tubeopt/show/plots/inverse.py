@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MM
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
 from .stage import Box, View, draw_box, facets, note, widest_view
@@ -69,7 +70,7 @@ def _draw_target(scene: Axes, solution: InverseSolution, view: View) -> None:
         tip = view.project(solution.equilibrium.tip_position)
         scene.plot([tip[0], at[0]], [tip[1], at[1]], color=TARGET, lw=1.0, ls=(0, (4, 2)), zorder=7)
         middle = (tip[:2] + at[:2]) / 2
-        note(scene, f"{solution.position_error * 1e3:.2f} mm short", middle, np.array([6.0, 0.0]), colour=TARGET)
+        note(scene, f"{solution.position_error * TO_MM:.2f} mm short", middle, np.array([6.0, 0.0]), colour=TARGET)
 
 
 @picture
@@ -103,7 +104,7 @@ def plot_targets(
     scene = figure.add_subplot(grid[:, 0])
     _draw_arms(scene, [arms[k] for k in chosen], targets, view)
     rows = [figure.add_subplot(grid[k, 1]) for k in range(3)]
-    _draw_joints(rows, arms, arc_length(targets) * 1e3)
+    _draw_joints(rows, arms, arc_length(targets) * TO_MM)
     return figure
 
 
@@ -130,7 +131,7 @@ def _draw_joints(rows: Sequence[Axes], arms: Sequence[Equilibrium], way: Array) 
     """Rotations, translations and margin over the way of the tip."""
     robot = arms[0].robot
     rotations = np.degrees([each.rotations for each in arms])
-    translations = np.array([each.translations for each in arms]) * 1e3
+    translations = np.array([each.translations for each in arms]) * TO_MM
     for i in range(robot.n_tubes):
         rows[0].plot(way, rotations[:, i], color=tube_colour(i), lw=1.2)
     for tubes in robot.moving_together:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...files.units import TO_MM
+from ...files.units import TO_MILLI, TO_MM
 from ...shaping.mold.drawing import draw_plate
 from ...shaping.mold.groove import Arc, Piece
 from ...typing import Array
@@ -165,7 +165,7 @@ def _text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, w
 def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     """What the workshop needs to know of one groove; mm and deg."""
     tube, back = groove.tube, mold.spec.springback
-    radius = "straight" if tube.curvature == 0 else f"{1e3 / abs(tube.curvature):.2f}"
+    radius = "straight" if tube.curvature == 0 else f"{TO_MM / abs(tube.curvature):.2f}"
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return [
         ("tube, outer / inner diameter", f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"),
@@ -264,7 +264,7 @@ def plot_springback(calibration: Calibration) -> Figure:
     axes.set_ylim(min(0.0, float((c.lost * 100).min()) * 1.2), max(1.0, float(c.lost.max()) * 135))
     upper = axes.secondary_xaxis("top", functions=(_reciprocal, _reciprocal))
     upper.set_xlabel("radius of the mold (mm)")
-    radii = np.unique(np.round(1e3 / c.mold_curvature, 3))
+    radii = np.unique(np.round(TO_MM / c.mold_curvature, 3))
     upper.set_xticks(radii if len(radii) <= 6 else radii[np.linspace(0, len(radii) - 1, 5).astype(int)])
     axes.legend(loc="lower right")
     return figure
@@ -272,7 +272,7 @@ def plot_springback(calibration: Calibration) -> Figure:
 
 def _reciprocal(values: Any) -> Any:
     """1/m to mm and back."""
-    return np.asarray(1e3 / np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-9))
+    return np.asarray(TO_MM / np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-9))
 
 
 @picture
@@ -282,7 +282,7 @@ def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
     panels = figure.subplots(1, 3, sharey=True)
     names = [rating.material.name.replace("_", " ") for rating in ratings]
     columns = (
-        ("heat drawn in the hold (kJ per m of tube)", [r.heat_drawn / 1e3 for r in ratings]),
+        ("heat drawn in the hold (kJ per m of tube)", [r.heat_drawn / TO_MILLI for r in ratings]),
         ("limit above the set temperature (K)", [r.limit_margin for r in ratings]),
         ("current beside the tube, at most", [max(r.leak, 1e-18) for r in ratings]),
     )

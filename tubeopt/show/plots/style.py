@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...files.files import atomic_write
+from ...files.units import TO_MM
 from ...typing import Array
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
 
 
 def _millimetres(lengths: Array) -> str:
-    return ", ".join(number(length * 1e3, 1) for length in lengths)
+    return ", ".join(number(length * TO_MM, 1) for length in lengths)
 
 
 def number(value: float, digits: int) -> str:

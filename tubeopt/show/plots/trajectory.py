@@ -18,7 +18,7 @@ from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
-from .mesh import Centreline, Mesh, _quads, tube_mesh
+from .mesh import Centreline, Mesh, quads, tube_mesh
 from .shape import exposed
 from .stage import Box, View, draw_box, facets, widest_view
 from .style import FAINT, INK, headed, new_figure, number, picture, styled, tube_colour
@@ -214,7 +214,7 @@ def _swept(line: Array, radius: float, colour: Array, *, capped: bool = True) ->
         x = x / max(float(np.linalg.norm(x)), 1e-12)
         aside, y = x, np.cross(normal, x)
         rings.append(centre + size * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y))
-    return _mesh(_quads(np.array(rings)), colour)
+    return _mesh(quads(np.array(rings)), colour)
 
 
 def _cuboid(low: Array, high: Array) -> Mesh:

@@ -12,6 +12,9 @@
 #define STRIDE MOST_UNKNOWNS
 #define FACTOR_SIZE (MOST_UNKNOWNS * (MOST_UNKNOWNS + 4))
 
+#if GENERAL
+#include "pieces.c"
+#endif
 #include "layout.c"
 #include "linear.c"
 #include "energy.c"
