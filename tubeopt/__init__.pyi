@@ -52,6 +52,7 @@ from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
 from .robots.materials import NITINOL, Material
+from .robots.pieces import Piece
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
@@ -116,6 +117,7 @@ __all__ = [
     "MoldSpec",
     "OrderWarning",
     "Path",
+    "Piece",
     "PlanOptions",
     "Problem",
     "ProblemSolution",

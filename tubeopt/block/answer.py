@@ -68,7 +68,7 @@ def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibri
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     """The robot with other DIMENSIONS of its tubes, (n,) each.
 
-    A stiffness other than that of tube and material is had by other moduli of the material: diameters stay.
+    A stiffness other than that of tube and material is a given one: diameters and material stay.
     """
     given = dimensions_of(robot.tubes)
     if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
@@ -88,11 +88,6 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
 
 
 def _tube(tube: Tube, own: dict[str, float]) -> Tube:
-    """A tube with other dimensions."""
-    bending, torsional = own.pop("bending_stiffness"), own.pop("torsional_stiffness")
-    material = tube.material
-    if bending != tube.bending_stiffness:
-        material = replace(material, youngs_modulus=bending / tube.second_moment)
-    if torsional != tube.torsional_stiffness:
-        material = replace(material, shear_modulus=torsional / tube.polar_moment)
-    return replace(tube, **own, material=material)
+    """A tube with other dimensions; a stiffness that is not changed keeps following the cross-section."""
+    stiffness = ("bending_stiffness", "torsional_stiffness")
+    return replace(tube, **{k: v for k, v in own.items() if k not in stiffness or v != getattr(tube, k)})  # type: ignore[arg-type]

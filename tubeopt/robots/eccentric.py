@@ -13,7 +13,7 @@ from ..errors import InputError, positive
 from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
 from .limits import JointLimits, default_limits
-from .tubes import Tube
+from .tubes import Tube, must_be_plain
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
 """Directions of the three tubes from the centreline, rad."""
@@ -50,6 +50,7 @@ class EccentricRobot:
     joint_limits: JointLimits | None = None
 
     def __post_init__(self) -> None:
+        must_be_plain([self.tube], "an eccentric robot")
         positive("transmission_length", self.transmission_length, zero=True)
         touching = self.tube.outer_diameter / math.sqrt(3)
         distance = touching if self.offset is None else positive("offset", self.offset, zero=True)
@@ -150,6 +151,7 @@ class SegmentedEccentricRobot:
     def __post_init__(self) -> None:
         segments = tuple(self.segments)
         object.__setattr__(self, "segments", segments)
+        must_be_plain(segments, "an eccentric robot")
         if not segments:
             raise InputError("segments is empty; a robot needs at least one segment")
         for i in range(len(segments) - 1):

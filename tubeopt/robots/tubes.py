@@ -1,13 +1,16 @@
-"""One pre-curved tube: a straight part, then a part of constant precurvature (SI)."""
+"""One pre-curved tube: a straight part, then a part of constant precurvature, or a chain of pieces (SI)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ..errors import InputError, finite, positive
+from ..errors import InputError, finite, instance, positive
 from .materials import NITINOL, Material
+from .pieces import Piece
+from .series import Quantity, times
 
 
 def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
@@ -15,15 +18,32 @@ def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
     return math.pi / 64 * (outer_diameter**4 - inner_diameter**4)
 
 
+class OfCrossSection(float):
+    """A stiffness that follows from material and cross-section, and anew where `dataclasses.replace` changes them."""
+
+    def __reduce__(self) -> tuple[type[OfCrossSection], tuple[float]]:
+        return OfCrossSection, (float(self),)
+
+
+OF_CROSS_SECTION = OfCrossSection(math.nan)
+"""The stiffness E I or G J, to be derived."""
+
+
 @dataclass(frozen=True)
 class Tube:
-    """A tube that is straight from its held end, then curved with one radius.
+    """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
 
     Args:
         outer_diameter, inner_diameter: m; 0 <= inner < outer.
-        straight_length, curved_length: m, >= 0 and not both 0.
-        curvature: precurvature of the curved part, 1/m; the sign is the side to which it bends.
+        straight_length, curved_length: m, >= 0 and not both 0; of a tube of pieces, curved_length is their sum.
+        curvature: precurvature of the curved part, 1/m; the sign is the side to which it bends. Of a tube of pieces the
+            largest |u*_xy|: another value bends all pieces in proportion.
         material: elastic constants.
+        bending_stiffness, torsional_stiffness: as measured, N m^2, of the straight part and of the pieces without one
+            of their own. Left out, or None, they are E I and G J, and stay so when `dataclasses.replace` changes the
+            diameters or the material; given ones stay as they are.
+        mass_per_length: kg/m, or None where it is not known.
+        pieces: what the tube is made of behind its straight part; none is one constant curvature.
 
     Raises:
         InputError: a field is not finite or out of its range, or the curve is tighter than the tube is thick.
@@ -35,12 +55,16 @@ class Tube:
     curved_length: float
     curvature: float
     material: Material = NITINOL
+    bending_stiffness: float = field(default=OF_CROSS_SECTION, kw_only=True)
+    torsional_stiffness: float = field(default=OF_CROSS_SECTION, kw_only=True)
+    mass_per_length: float | None = field(default=None, kw_only=True)
+    pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         set_field(self, "outer_diameter", positive("outer_diameter", self.outer_diameter))
-        for field in ("inner_diameter", "straight_length", "curved_length"):
-            set_field(self, field, positive(field, getattr(self, field), zero=True))
+        for name in ("inner_diameter", "straight_length", "curved_length"):
+            set_field(self, name, positive(name, getattr(self, name), zero=True))
         set_field(self, "curvature", finite("curvature", self.curvature))
         if self.inner_diameter >= self.outer_diameter:
             raise InputError(
@@ -49,11 +73,90 @@ class Tube:
             )
         if self.length == 0:
             raise InputError("straight_length and curved_length are both 0; a tube must have a length")
+        if self.mass_per_length is not None:
+            set_field(self, "mass_per_length", positive("mass_per_length", self.mass_per_length))
+        self._derive_stiffness()
+        if self.pieces:
+            self._join_pieces()
         if self.outer_diameter / 2 * abs(self.curvature) >= 1:
             raise InputError(
                 f"curvature is {self.curvature:g} per m; its radius must exceed half the outer_diameter "
                 f"({self.outer_diameter / 2:g} m)"
             )
+
+    def _derive_stiffness(self) -> None:
+        moduli = {
+            "bending_stiffness": self.material.youngs_modulus,
+            "torsional_stiffness": 2 * self.material.shear_modulus,
+        }
+        for name, modulus in moduli.items():
+            given = getattr(self, name)
+            own = given is None or isinstance(given, OfCrossSection)
+            value = OfCrossSection(modulus * self.second_moment) if own else positive(name, given)
+            object.__setattr__(self, name, value)
+
+    def _join_pieces(self) -> None:
+        """Bend the pieces as `curvature` says, and let curvature and curved length be exactly theirs."""
+        for piece in self.pieces:
+            instance("a piece", piece, Piece)
+        total = math.fsum(piece.length for piece in self.pieces)
+        if abs(total - self.curved_length) > 1e-9 * total:
+            raise InputError(
+                f"curved_length is {self.curved_length:g} m; of a tube of pieces it is the sum of their lengths, "
+                f"{total:g} m"
+            )
+        largest = max(piece.largest_curvature for piece in self.pieces)
+        pieces = tuple(self.pieces)
+        if self.curvature != largest:
+            if largest == 0:
+                raise InputError(
+                    f"curvature is {self.curvature:g} per m; all pieces of the tube are straight, so it is 0"
+                )
+            pieces = tuple(piece.scaled(self.curvature / largest) for piece in pieces)
+        object.__setattr__(self, "pieces", pieces)
+        object.__setattr__(self, "curved_length", total)
+        object.__setattr__(self, "curvature", max(piece.largest_curvature for piece in pieces))
+
+    @classmethod
+    def of_pieces(
+        cls,
+        outer_diameter: float,
+        inner_diameter: float,
+        pieces: Iterable[Piece],
+        *,
+        straight_length: float = 0.0,
+        material: Material = NITINOL,
+        bending_stiffness: float | None = None,
+        torsional_stiffness: float | None = None,
+        mass_per_length: float | None = None,
+    ) -> Tube:
+        """A tube that is a chain of pieces behind a straight part; one circular arc about x is the ordinary tube.
+
+        Args:
+            pieces: from the straight part to the tip.
+            straight_length, material, bending_stiffness, torsional_stiffness, mass_per_length: as of a `Tube`.
+        """
+        chain = tuple(pieces)
+        if not chain:
+            raise InputError("pieces is empty; a tube needs at least one piece")
+        for piece in chain:
+            instance("a piece", piece, Piece)
+        total = math.fsum(piece.length for piece in chain)
+        given: dict[str, Any] = {
+            "bending_stiffness": bending_stiffness,
+            "torsional_stiffness": torsional_stiffness,
+            "mass_per_length": mass_per_length,
+        }
+        if len(chain) == 1 and chain[0].plain:
+            curvature = float(chain[0].precurvature[0])
+        else:
+            curvature, given["pieces"] = max(piece.largest_curvature for piece in chain), chain
+        return cls(outer_diameter, inner_diameter, straight_length, total, curvature, material, **given)
+
+    @property
+    def general(self) -> bool:
+        """Whether it is made of pieces: precurvature and stiffness are not one number each."""
+        return bool(self.pieces)
 
     @property
     def length(self) -> float:
@@ -71,17 +174,44 @@ class Tube:
         return 2 * self.second_moment
 
     @property
-    def bending_stiffness(self) -> float:
-        """EI, N m^2."""
-        return self.material.youngs_modulus * self.second_moment
-
-    @property
-    def torsional_stiffness(self) -> float:
-        """GJ, N m^2."""
-        return self.material.shear_modulus * self.polar_moment
-
-    @property
     def straightened_strain(self) -> float:
         """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa)."""
         bend = self.outer_diameter / 2 * abs(self.curvature)
         return bend / (1 - bend)
+
+
+def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
+    """Raise InputError where a tube is made of pieces; `what` says for whom that is too much."""
+    for i, tube in enumerate(tubes, start=1):
+        if tube.general:
+            raise InputError(f"tube {i} is made of pieces; {what} takes tubes of one constant curvature only")
+
+
+def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
+    """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
+    own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
+    chain = tube.pieces or (Piece(tube.curved_length, tube.curvature),) * (tube.curved_length > 0)
+    out: list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]] = []
+    if tube.straight_length > 0:
+        out.append((tube.straight_length, (0.0, 0.0, 0.0), *own))
+    for piece in chain:
+        stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
+        bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
+        out.append((piece.length, piece.precurvature, bending, torsional))
+    return out
+
+
+def with_stiffness(tube: Tube, *, bending: float = 1.0, torsional: float = 1.0) -> Tube:
+    """The tube with its stiffnesses, those of its pieces too, multiplied by numbers."""
+
+    def changed(piece: Piece) -> Piece:
+        own = piece.bending_stiffness, piece.torsional_stiffness
+        new = [None if q is None else times(q, f) for q, f in zip(own, (bending, torsional), strict=True)]
+        return replace(piece, bending_stiffness=new[0], torsional_stiffness=new[1])
+
+    return replace(
+        tube,
+        bending_stiffness=float(tube.bending_stiffness) * bending,
+        torsional_stiffness=float(tube.torsional_stiffness) * torsional,
+        pieces=tuple(changed(piece) for piece in tube.pieces),
+    )

@@ -1,0 +1,154 @@
+"""A piece of a tube: any precurvature and any stiffness along a stretch of it (SI)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, finite, positive
+from ..typing import Array
+from .series import Quantity, Series, expand, extremes, spline, times
+
+Along = float | Series | Callable[[float], float]
+"""What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a tube with a precurvature and stiffnesses of its own.
+
+    Args:
+        length: m, > 0.
+        precurvature: u* (1/m) in the tube's own frame, that turns with the tube: a number (about x), three numbers
+            (x, y, z; z is the natural twist), or a function of the piece's own arc length (m) that returns either.
+            A function must be smooth: it is turned into polynomials at once, and jumps lie where two pieces meet.
+        bending_stiffness, torsional_stiffness: N m^2, a number or such a function; None is that of the tube.
+
+    Raises:
+        InputError: a value is not finite or out of its range, or a function is not smooth.
+    """
+
+    length: float
+    precurvature: Any
+    bending_stiffness: Any = None
+    torsional_stiffness: Any = None
+
+    def __post_init__(self) -> None:
+        set_field = object.__setattr__
+        set_field(self, "length", positive("length of a piece", self.length))
+        set_field(self, "precurvature", _precurvature(self.precurvature, self.length))
+        for field in ("bending_stiffness", "torsional_stiffness"):
+            given = getattr(self, field)
+            if given is not None:
+                set_field(self, field, _stiffness(field, given, self.length))
+
+    @classmethod
+    def helix(cls, length: float, radius: float, pitch: float, *, left: bool = False, **stiffness: Any) -> Piece:
+        """A helix of a radius and a pitch (m), wound like a right-handed screw unless `left`.
+
+        Curvature R / (R^2 + (p / 2 pi)^2), torsion p / 2 pi over the same.
+        """
+        lead = positive("pitch", pitch, zero=True) / (2 * math.pi)
+        size = positive("radius", radius) ** 2 + lead**2
+        return cls(length, (radius / size, 0.0, (-lead if left else lead) / size), **stiffness)
+
+    @classmethod
+    def table(cls, arc_length: ArrayLike, precurvature: ArrayLike, **stiffness: Any) -> Piece:
+        """Precurvature (k, 3) at rising arc lengths (k,) from 0 (m), joined by a cubic spline (no knot at the second
+        and the last but one).
+
+        Raises:
+            InputError: the table is not in order, not finite, or has fewer than two rows.
+        """
+        s, u = np.asarray(arc_length, dtype=float), np.asarray(precurvature, dtype=float)
+        check_table(s, u, "arc_length", 1.0)
+        parts = tuple(_constant_or(spline(s, column), column) for column in u.T)
+        return cls(float(s[-1]), parts, **stiffness)
+
+    @property
+    def largest_curvature(self) -> float:
+        """Largest |u*_xy| along it, 1/m."""
+        return _largest(self.precurvature, self.length)
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is a circular arc, or straight, about x, with the tube's own stiffnesses."""
+        x, *rest = self.precurvature
+        own = self.bending_stiffness is None and self.torsional_stiffness is None
+        return own and not isinstance(x, Series) and tuple(rest) == (0.0, 0.0)
+
+    def scaled(self, factor: float) -> Piece:
+        """The piece bent `factor` times as much, with the same natural twist."""
+        x, y, z = self.precurvature
+        return replace(self, precurvature=(times(x, factor), times(y, factor), z))
+
+
+def check_table(s: Array, u: Array, name: str, unit: float) -> None:
+    """Raise InputError unless arc lengths (k,), shown in `unit` (m), rise from 0 and u is (k, 3), all finite."""
+    if s.ndim != 1 or len(s) < 2 or u.shape != (len(s), 3):
+        raise InputError(f"a table has {len(np.atleast_1d(s))} arc lengths; it must have two or more, with u* of each")
+    if not (np.isfinite(s).all() and np.isfinite(u).all()):
+        raise InputError("a table has a number that is not finite; every number must be")
+    if s[0] != 0:
+        raise InputError(f"{name} of a table begins at {s[0] / unit:g}; it must begin at 0")
+    fall = np.flatnonzero(np.diff(s) <= 0)
+    if len(fall):
+        k = int(fall[0])
+        raise InputError(
+            f"{name} of a table is {s[k + 1] / unit:g} in row {k + 2}, after {s[k] / unit:g}; it must rise from row to "
+            "row"
+        )
+
+
+def _constant_or(series: Series, values: Array) -> Quantity:
+    return float(values[0]) if (values == values[0]).all() else series
+
+
+def _precurvature(given: Any, length: float) -> tuple[Quantity, Quantity, Quantity]:
+    """u* as three quantities."""
+    if callable(given) and not isinstance(given, Series):
+        x, y, z = expand(lambda s: _vector(given(s)), length, "precurvature", 3)
+        return x, y, z
+    if isinstance(given, str):
+        raise InputError(f"precurvature is {given!r}; it must be a number, three numbers, or a function")
+    parts = (given, 0.0, 0.0) if isinstance(given, Series) or np.ndim(given) == 0 else tuple(given)
+    if len(parts) != 3:
+        raise InputError(f"precurvature has {len(parts)} components; it must have three, about x, y and z")
+    x, y, z = (_quantity("precurvature", part, length) for part in parts)
+    return x, y, z
+
+
+def _vector(value: ArrayLike) -> Array:
+    out = np.asarray(value, dtype=float).reshape(-1)
+    return np.array([out[0], 0.0, 0.0]) if len(out) == 1 else out
+
+
+def _quantity(name: str, given: Any, length: float) -> Quantity:
+    if not isinstance(given, Series):
+        return finite(name, given)
+    if abs(given.length - length) > 1e-12 * length:
+        raise InputError(f"{name} is given for {given.length:g} m of a piece of {length:g} m; it must be for all of it")
+    return given
+
+
+def _stiffness(name: str, given: Any, length: float) -> Quantity:
+    series = callable(given) and not isinstance(given, Series)
+    quantity = expand(given, length, name, 1)[0] if series else _quantity(name, given, length)
+    least = extremes([quantity], length)[0]
+    if least <= 0:
+        raise InputError(f"{name} of a piece is {least:g} N m^2; it must be greater than 0")
+    return quantity
+
+
+@lru_cache(maxsize=1024)
+def _largest(precurvature: tuple[Quantity, Quantity, Quantity], length: float) -> float:
+    x, y, _ = precurvature
+    if not isinstance(x, Series) and not isinstance(y, Series):
+        return math.hypot(x, y)
+    return extremes([x, y], length)[1]

@@ -1,0 +1,231 @@
+"""A quantity along a stretch of tube: a number, or polynomials in arc length that a function was turned into.
+
+A function given by the user is expanded once, in Chebyshev polynomials on panels that are halved until the coefficients
+fall to 1e-13 of the largest value (Trefethen, Approximation Theory and Approximation Practice, SIAM 2013). What remains
+is plain data: it is compared, hashed, pickled and saved, and evaluated alike by NumPy and by the compiled kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, PPoly
+
+from ..errors import InputError
+from ..typing import Array
+
+POINTS = 25
+"""Chebyshev points on a panel, and most coefficients of it."""
+
+TOLERANCE = 1e-13
+"""Of the largest value, what may be left out."""
+
+HALVINGS = 10
+"""How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused."""
+
+_NODES = np.cos(np.pi * (np.arange(POINTS)[::-1] + 0.5) / POINTS)
+_FIT = np.linalg.inv(chebyshev.chebvander(_NODES, POINTS - 1))
+
+
+@dataclass(frozen=True)
+class Series:
+    """A polynomial on each of several panels.
+
+    Attributes:
+        breaks: (k + 1) arc lengths at which the panels meet, from 0, m.
+        coefficients: per panel, of the Chebyshev polynomials in x = -1 .. 1 along it.
+    """
+
+    breaks: tuple[float, ...]
+    coefficients: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        breaks = tuple(float(s) for s in self.breaks)
+        table = tuple(tuple(float(c) for c in panel) for panel in self.coefficients)
+        values = np.array([*breaks, *(c for panel in table for c in panel)])
+        shaped = len(breaks) == len(table) + 1 and len(table) > 0 and all(table)
+        if not shaped or not np.isfinite(values).all() or breaks[0] != 0 or (np.diff(breaks) <= 0).any():
+            raise InputError("a series must have one list of finite coefficients for every panel between rising breaks")
+        object.__setattr__(self, "breaks", breaks)
+        object.__setattr__(self, "coefficients", table)
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.breaks, self.coefficients))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @property
+    def length(self) -> float:
+        """Arc length of the whole, m."""
+        return self.breaks[-1]
+
+    def __call__(self, arc_length: ArrayLike) -> Array:
+        """Values at arc lengths (any shape), m; those outside are of the nearest end."""
+        s = np.clip(np.asarray(arc_length, dtype=float), 0.0, self.length)
+        panel = np.clip(np.searchsorted(self.breaks, s, side="right") - 1, 0, len(self.coefficients) - 1)
+        low, high = np.array(self.breaks)[panel], np.array(self.breaks)[panel + 1]
+        x = (2 * s - low - high) / (high - low)
+        table = padded(self.coefficients)
+        return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1))
+
+    def times(self, factor: float) -> Series:
+        """The quantity multiplied by a number."""
+        return Series(self.breaks, tuple(tuple(factor * c for c in panel) for panel in self.coefficients))
+
+
+Quantity = float | Series
+"""A quantity that is constant along its stretch, or a series of it."""
+
+
+def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
+    """(k, largest) coefficients of all panels, with zeros to the same number, at least `width`."""
+    out = np.zeros((len(coefficients), max(width, *(len(panel) for panel in coefficients))))
+    for row, panel in zip(out, coefficients, strict=True):
+        row[: len(panel)] = panel
+    return out
+
+
+def times(quantity: Quantity, factor: float) -> Quantity:
+    """A quantity multiplied by a number."""
+    return quantity.times(factor) if isinstance(quantity, Series) else quantity * factor
+
+
+def breaks_of(quantities: Sequence[Quantity], length: float) -> Array:
+    """Arc lengths at which any of the quantities along a stretch begins another panel, with both ends, m."""
+    inner = {s for q in quantities if isinstance(q, Series) for s in q.breaks if 0 < s < length}
+    return np.array([0.0, *sorted(inner), length])
+
+
+def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
+    """Coefficients of a quantity on panels that its own are made of, or cut into."""
+    if not isinstance(quantity, Series):
+        return [np.array([quantity])] * (len(breaks) - 1)
+    out = []
+    for low, high in pairwise(breaks):
+        panel = min(int(np.searchsorted(quantity.breaks, (low + high) / 2)) - 1, len(quantity.coefficients) - 1)
+        own = np.array(quantity.coefficients[panel])
+        first, last = quantity.breaks[panel : panel + 2]
+        if first == low and last == high:
+            out.append(own)
+            continue
+        nodes = np.cos(np.pi * (np.arange(len(own)) + 0.5) / len(own))
+        s = (low + high) / 2 + nodes * (high - low) / 2
+        values = chebyshev.chebval((2 * s - first - last) / (last - first), own)
+        out.append(np.linalg.solve(chebyshev.chebvander(nodes, len(own) - 1), values))
+    return out
+
+
+def extremes(quantities: Sequence[Quantity], length: float) -> tuple[float, float]:
+    """Least and greatest root of the sum of squares of quantities along a stretch; of one quantity, of its values."""
+    found: list[float] = []
+    breaks = breaks_of(quantities, length)
+    for panels in zip(*(on_panels(q, breaks) for q in quantities), strict=True):
+        total = panels[0] if len(panels) == 1 else reduce(chebyshev.chebadd, (chebyshev.chebmul(p, p) for p in panels))
+        slope = chebyshev.chebtrim(chebyshev.chebder(total), 1e-14 * float(np.abs(total).max()))
+        roots = chebyshev.chebroots(slope) if len(slope) > 1 else np.zeros(0)
+        inside = roots.real[(np.abs(roots.imag) < 1e-4) & (np.abs(roots.real) < 1)]
+        found += np.atleast_1d(chebyshev.chebval(np.array([-1.0, 1.0, *inside]), total)).tolist()
+    if len(quantities) == 1:
+        return min(found), max(found)
+    return max(min(found), 0.0) ** 0.5, max(max(found), 0.0) ** 0.5
+
+
+def spline(arc_length: Array, values: Array) -> Series:
+    """The cubic spline through values (k,) at rising arc lengths (k,) from 0: twice continuously differentiable,
+    without a knot at the second and last but one point; a parabola or line through three or two points."""
+    return _of_polynomials(CubicSpline(arc_length, values))
+
+
+def _of_polynomials(polynomials: PPoly) -> Series:
+    """Exactly the same polynomials in Chebyshev's."""
+    breaks, degree = np.asarray(polynomials.x), polynomials.c.shape[0] - 1
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    fit = np.linalg.inv(chebyshev.chebvander(nodes, degree))
+    table = []
+    for k, (low, high) in enumerate(pairwise(breaks)):
+        offset = (nodes + 1) / 2 * (high - low)
+        table.append(tuple((fit @ np.polyval(polynomials.c[:, k], offset)).tolist()))
+    return Series(tuple(breaks.tolist()), tuple(table))
+
+
+def expand(function: Callable[[float], ArrayLike], length: float, name: str, size: int) -> tuple[Quantity, ...]:
+    """`size` components of a function of arc length 0 .. `length` (m) as quantities, constants where they are constant.
+
+    Raises:
+        InputError: it does not return `size` finite numbers, or is not smooth: the sentence says where.
+    """
+
+    def sample(low: float, high: float, x: Array) -> Array:
+        return np.array([_values(function, (low + high) / 2 + t * (high - low) / 2, name, size) for t in x])
+
+    ends = np.array([-1.0, -0.6, 0.1, 1.0])
+    scale = np.maximum(np.abs(sample(0.0, length, np.concatenate([ends, _NODES]))).max(0), 1e-300)
+    scale = np.maximum(scale, 1e-3 * scale.max())
+    panels: list[tuple[float, float, Array]] = []
+    stack = [(0.0, length, 0)]
+    while stack:
+        low, high, depth = stack.pop()
+        values = sample(low, high, _NODES)
+        coefficients = _FIT @ values
+        # What is constant is so to the last bit.
+        still = np.ptp(values, axis=0) == 0
+        coefficients[:, still] = np.eye(POINTS)[:, :1] * values[0, still]
+        # Between the points the function must be what its expansion says, or a spike would pass unseen.
+        between = np.abs(sample(low, high, ends) - chebyshev.chebval(ends, coefficients).T)
+        if (np.abs(coefficients[-3:]) <= TOLERANCE * scale).all() and (between <= 1e-11 * scale).all():
+            panels.append((low, high, coefficients))
+            continue
+        if depth == HALVINGS:
+            raise InputError(
+                f"{name} is not smooth near {(low + high) / 2 * 1e3:.4g} mm of its piece; a jump or a corner must lie "
+                "where two pieces meet"
+            )
+        middle = (low + high) / 2
+        stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
+    _must_join(panels, scale, name)
+    return tuple(_trimmed(panels, k, scale[k]) for k in range(size))
+
+
+def _values(function: Callable[[float], ArrayLike], s: float, name: str, size: int) -> Array:
+    try:
+        values = np.asarray(function(float(s)), dtype=float).reshape(-1)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece fails: {error}") from None
+    if values.shape != (size,) or not np.isfinite(values).all():
+        wanted = "a finite number" if size == 1 else f"{size} finite numbers"
+        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {wanted}")
+    return values
+
+
+def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str) -> None:
+    """Refuse jumps and corners that happen to lie where panels meet."""
+    for (low, middle, left), (_, high, right) in pairwise(panels):
+        jump = np.abs(chebyshev.chebval(1.0, left) - chebyshev.chebval(-1.0, right))
+        slopes = [
+            chebyshev.chebval(x, chebyshev.chebder(c)) * 2 / (b - a)
+            for x, c, a, b in ((1.0, left, low, middle), (-1.0, right, middle, high))
+        ]
+        corner = np.abs(slopes[0] - slopes[1]) * (high - low)
+        if (jump > 1e-10 * scale).any() or (corner > 1e-7 * scale).any():
+            raise InputError(
+                f"{name} is not smooth at {middle * 1e3:.4g} mm of its piece; a jump or a corner must lie where two "
+                "pieces meet"
+            )
+
+
+def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float) -> Quantity:
+    """One component without the coefficients that are round-off; a number where nothing else is left."""
+    table = [chebyshev.chebtrim(c[:, column], TOLERANCE * scale / 10) for *_, c in panels]
+    first = float(table[0][0])
+    if all(len(c) == 1 and abs(c[0] - first) <= TOLERANCE * scale for c in table):
+        return first
+    breaks = (0.0, *(high for _, high, _ in panels))
+    return Series(breaks, tuple(tuple(c.tolist()) for c in table))
