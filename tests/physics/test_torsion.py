@@ -21,6 +21,7 @@ from tubeopt.transcription import arm as arms
 from tubeopt.transcription.mesh import make_mesh
 from tubeopt.transcription.offset_margin import softenings
 from tubeopt.transcription.reduced import evaluate, margin, reduce, residual, to_unknowns
+from tubeopt.transcription.whole_arm import evaluate_arm
 from tubeopt.typing import Array
 
 
@@ -218,7 +219,7 @@ def solve_eccentric(rotations: Array, offset: float) -> arms.Arm:
     result = newton(problem, rotations, np.zeros(problem.size))
     assert result.converged
     assert residual(problem, result.state) < 1e-12
-    return arms.evaluate_arm(problem, rotations, result.state, arms.profile(problem, rotations, result.state))
+    return evaluate_arm(problem, rotations, result.state, arms.profile(problem, rotations, result.state))
 
 
 @pytest.mark.parametrize(("rotations", "tip"), ECCENTRIC_TIPS)

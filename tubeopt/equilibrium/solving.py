@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import SolveError
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
 from ..transcription.mesh import make_mesh, piece_counts
-from ..transcription.piece import STEPS
-from ..transcription.reduced import ReducedProblem, margin, reduce, residual, to_unknowns, unstable_directions
+from ..transcription.piece import ENDS, STEPS
+from ..transcription.reduced import (
+    ReducedProblem,
+    margin,
+    pull_rate,
+    reduce,
+    residual,
+    to_unknowns,
+    unstable_directions,
+)
+from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .result import Equilibrium, Statistics, Status
 
@@ -74,7 +83,10 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite."""
+    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi where
+    a tube is made of pieces."""
+    if is_general(equilibrium.robot):
+        return _sample_elastic(equilibrium, arc_length)
     if np.array_equal(arc_length, equilibrium.point):
         return equilibrium.point_rotation
     s = equilibrium.arc_length
@@ -87,6 +99,21 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     value = r[:, k] * (1 + 2 * x) * (1 - x) ** 2 + r[:, k + 1] * x**2 * (3 - 2 * x)
     value += h * (w[:, k] * x * (1 - x) ** 2 - w[:, k + 1] * x**2 * (1 - x))
     return np.asarray(value.T)
+
+
+def _sample_elastic(equilibrium: Equilibrium, arc_length: Array) -> Array:
+    """phi (len(arc_length), n), by the polynomial through the shape points of each piece: between them phi' may jump."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    if np.array_equal(arc_length, equilibrium.point):
+        return equilibrium.point_rotation - assembly.wound(arc_length)
+    s = equilibrium.arc_length
+    phi = equilibrium.rotation.T - assembly.wound(s)
+    if len(s) < 2:
+        return np.tile(phi[0], (len(arc_length), 1))
+    piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
+    x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
+    basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))
+    return np.asarray(np.einsum("ak,aki->ai", basis, phi[piece[:, None] * STEPS + np.arange(STEPS + 1)]))
 
 
 def from_compiled(
@@ -138,7 +165,7 @@ def to_equilibrium(
     problem, rotations, state = solution.problem, solution.rotations, solution.result.state
     began = time.perf_counter()
     assembly, mesh = problem.assembly, problem.mesh
-    arm = arms.evaluate_arm(problem, rotations, state, solution.arm)
+    arm = evaluate_arm(problem, rotations, state, solution.arm)
     s = arm.arc_length
     ends = np.maximum(assembly.end, 0.0)
     # The inverse of the linearised equation amplifies a defect by at most one over the margin.
@@ -146,8 +173,7 @@ def to_equilibrium(
     # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
     # |u| itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum kb_i does.
     ahead = mesh.start[-1:] + mesh.length[-1:] - mesh.start - mesh.length / 2
-    pull = np.abs(problem.piece_moment).sum(1) / np.maximum(problem.piece_stiffness.sum(1), 1e-300)
-    lever = float((pull * mesh.length) @ ahead) if len(mesh.length) else 0.0
+    lever = float((pull_rate(problem) * mesh.length) @ ahead) if len(mesh.length) else 0.0
     method, start, seconds = how
     return Equilibrium(
         robot=robot,
@@ -164,7 +190,7 @@ def to_equilibrium(
         tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(s, ends - 1e-12)],
         section_start=assembly.start,
         point=problem.arc_length,
-        point_rotation=state.theta,
+        point_rotation=state.theta + assembly.wound(problem.arc_length),
         tube_end=ends,
         margin=solution.margin,
         index=0 if solution.margin > 0 else unstable_directions(problem, state),

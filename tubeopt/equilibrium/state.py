@@ -13,6 +13,7 @@ from ..transcription.collocated import ENDS
 from ..transcription.linear import Arm
 from ..transcription.reduced import ReducedProblem
 from ..transcription.tableau import tableau
+from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish, reduced_problem
@@ -22,7 +23,7 @@ def arm_of(solution: Solution) -> Arm:
     """The arm of a solved problem."""
     problem, t = solution.problem, solution.problem.mesh.tableau
     assembly, mesh, torsion = problem.assembly, problem.mesh, solution.arm
-    shape = arms.evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
+    shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
     return Arm(
         tableau=t,
         start=mesh.start,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 
 from ..errors import InputError
 from ..typing import Array, Mask
+from .lengthwise import CrossSections, Lengthwise, lengthwise
 from .tubes import Tube
 
 ROUND_OFF = 1e-12
@@ -19,17 +21,19 @@ ROUND_OFF = 1e-12
 class Assembly:
     """A bundle of n tubes in front of the plate, cut into m sections, base to tip.
 
-    Inside a section the same tubes are present and the same ones are curved. Tube i runs at the fixed offset
+    Inside a section the same pieces of tubes are present and the same ones are curved. Tube i runs at the fixed offset
     `offset[i]` from the centreline in direction `offset_angle[i]` (0 for concentric tubes).
 
     Attributes:
         bending_stiffness, torsional_stiffness: (n,) EI and GJ, N m^2.
-        curvature: (n,) precurvature of the curved parts, 1/m.
+        curvature: (n,) precurvature of the curved parts, 1/m. Where a tube is made of pieces these three have no
+            number, and refuse every use with an InputError: `lengthwise` tells them.
         offset, offset_angle: (n,) m, rad.
         transmission: (n,) |beta_i|, the length from where tube i is held to the plate, m.
         transition, end: (n,) arc length where each tube begins to curve, and where it ends, m; < 0 behind the plate.
         start, length: (m,) arc length where each section begins, and its length, m.
         present, curved: (m, n) whether tube i is there, and whether it is curved there.
+        lengthwise: precurvature and stiffness along the tubes, where one of them is made of pieces; else None.
     """
 
     bending_stiffness: Array
@@ -44,11 +48,38 @@ class Assembly:
     length: Array
     present: Mask
     curved: Mask
+    lengthwise: Lengthwise | None = None
+
+    @property
+    def general(self) -> bool:
+        """Whether a tube is made of pieces."""
+        return self.lengthwise is not None
+
+    def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
+        """The tubes at arc lengths (X,), m, where one is made of pieces; `inside` (X,) lie in the same sections, away
+        from their ends, which tells what is meant where a breakpoint lies."""
+        assert self.lengthwise is not None
+        place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
+        return self.lengthwise.at(place, near, inside[:, None] < self.end)
+
+    def wound(self, arc_length: Array) -> Array:
+        """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 without pieces."""
+        if self.lengthwise is None:
+            return np.zeros((len(arc_length), self.n_tubes))
+        return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
     @property
     def n_tubes(self) -> int:
         """Number of tubes n."""
         return len(self.transmission)
+
+    @property
+    def breakpoints(self) -> Array:
+        """Arc lengths (some behind the plate) of all transitions, ends, and places where pieces meet, m."""
+        points = [self.transition, self.end]
+        if self.lengthwise is not None:
+            points += [np.array(own) - held for own, held in zip(self.lengthwise.cuts, self.transmission, strict=True)]
+        return np.concatenate(points)
 
     @property
     def n_sections(self) -> int:
@@ -102,24 +133,59 @@ def assemble(
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
-    curvature = np.array([tube.curvature for tube in tubes])
-    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
-    present, curved = where(transition, end, curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
+    table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
     zero = np.zeros(n)
-    return Assembly(
-        bending_stiffness=np.array([tube.bending_stiffness for tube in tubes]),
-        torsional_stiffness=np.array([tube.torsional_stiffness for tube in tubes]),
-        curvature=curvature,
+    bundle = Assembly(
+        bending_stiffness=_numbers(tubes, "bending_stiffness"),
+        torsional_stiffness=_numbers(tubes, "torsional_stiffness"),
+        curvature=_numbers(tubes, "curvature"),
         offset=zero if offset is None else offset,
         offset_angle=zero if offset_angle is None else offset_angle,
         transmission=-beta,
         transition=transition,
         end=end,
-        start=cuts[:-1],
-        length=np.diff(cuts),
-        present=present,
-        curved=curved,
+        start=zero,
+        length=zero,
+        present=np.zeros((0, n), dtype=bool),
+        curved=np.zeros((0, n), dtype=bool),
+        lengthwise=table,
     )
+    cuts = merge(np.maximum(np.concatenate([[0.0], bundle.breakpoints]), 0.0))
+    present, curved = present_and_curved(bundle, (cuts[:-1] + cuts[1:]) / 2)
+    return replace(bundle, start=cuts[:-1], length=np.diff(cuts), present=present, curved=curved)
+
+
+class _OfPieces:
+    """Stands for one number per tube where a tube is made of pieces: every use is refused."""
+
+    def __init__(self, name: str, tube: int) -> None:
+        self.name, self.tube = name, tube
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise InputError(
+            f"tube {self.tube} is made of pieces: its {self.name.replace('_', ' ')} is not one number, and this "
+            "question takes tubes of one constant curvature only"
+        )
+
+    __array__ = __getitem__ = __mul__ = __rmul__ = __add__ = __radd__ = __sub__ = __rsub__ = _refuse
+    __truediv__ = __rtruediv__ = __neg__ = __abs__ = __len__ = __iter__ = __pow__ = tolist = copy = _refuse
+
+
+def _numbers(tubes: Sequence[Tube], name: str) -> Array:
+    """(n,) one number per tube; what refuses to be used where a tube is made of pieces."""
+    made = next((i for i, tube in enumerate(tubes, start=1) if tube.general), 0)
+    if made:
+        return cast(Array, _OfPieces(name, made))
+    return np.array([getattr(tube, name) for tube in tubes])
+
+
+def present_and_curved(assembly: Assembly, s: Array) -> tuple[Mask, Mask]:
+    """(X, n) which tubes are present, and which are curved, at arc lengths (X,) between the breakpoints."""
+    if assembly.lengthwise is None:
+        return where(assembly.transition, assembly.end, assembly.curvature, s[:, None])
+    present: Mask = np.asarray(s[:, None] < assembly.end)
+    panel = assembly.lengthwise.panel(s[:, None] + assembly.transmission)
+    return present, np.asarray(present & assembly.lengthwise.bent[np.arange(assembly.n_tubes), panel])
 
 
 def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:

@@ -53,3 +53,8 @@ class Robot(Protocol):
         """Write the robot as YAML that `load_robot` reads back."""
 
     def __hash__(self) -> int: ...
+
+
+def is_general(robot: Robot) -> bool:
+    """Whether a tube of the robot is made of pieces."""
+    return any(tube.general for tube in robot.tubes)

@@ -19,6 +19,16 @@ BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 
+TWIST_PER_PIECE = 1.0
+"""Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
+
+DETAIL_PER_PIECE = 8.0
+"""Largest polynomial degree of precurvature and stiffness along a piece."""
+
+SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
+"""Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Pieces of an arm, base to tip: elements of coupled sections, and the other sections as a whole.
@@ -43,21 +53,55 @@ def coupling_rate(assembly: Assembly) -> Array:
     For two tubes c = (1 + nu) kappa_1 kappa_2 when their nu are equal (Dupont et al. 2010); for more, the row sums of
     the Jacobi matrix bound its eigenvalues.
     """
+    if assembly.general:
+        return _needs(assembly)[0]
     moment = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
     total = (assembly.bending_stiffness * assembly.present).sum(1)
+    return _rate(moment, total, assembly.torsional_stiffness)
+
+
+def _rate(moment: Array, total: Array, torsional_stiffness: Array) -> Array:
+    """sqrt(c) of cross-sections with |m_i| (m, n), sum of kb (m,), and kt (n,) or (m, n)."""
     pairs = moment[:, :, None] * moment[:, None, :] / np.maximum(total, 1e-300)[:, None, None]
-    pairs[:, np.arange(assembly.n_tubes), np.arange(assembly.n_tubes)] = 0.0
-    each = pairs / assembly.torsional_stiffness[:, None] + pairs / assembly.torsional_stiffness
+    tubes = np.arange(moment.shape[1])
+    pairs[:, tubes, tubes] = 0.0
+    kt = np.broadcast_to(torsional_stiffness, moment.shape)
+    each = pairs / kt[:, :, None] + pairs / kt[:, None, :]
     rate: Array = np.sqrt(each.sum(2).max(1, initial=0.0))
     return rate
 
 
+def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
+    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, and pieces for twist and detail."""
+    table, count = assembly.lengthwise, len(SAMPLES)
+    assert table is not None
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    total = here.stiffness.sum(1)
+    rate = _rate(here.moment, total, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    own = here.moment / np.maximum(here.stiffness, 1e-300)
+    steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
+    # A straight tube may be twisted as it likes: nobody sees it.
+    there, bent = here.stiffness > 0, here.moment > 0
+    each = np.maximum(
+        there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
+    )
+    finest = each.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    return rate, steepest, finest * assembly.length
+
+
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
-    waves = coupling_rate(assembly) * assembly.length / WAVES_PER_ELEMENT
-    bend = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0) * assembly.length / BEND_PER_PIECE
-    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(np.maximum(waves, bend) - 1e-9)).astype(np.intp) * 2**refinement
-    pieces[~assembly.curved.any(1)] = 1
+    if assembly.general:
+        rate, steepest, finest = _needs(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+    waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
+    need = np.maximum(np.maximum(waves, bend), finest)
+    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
+    pieces[need <= 0] = 1
     return pieces
 
 

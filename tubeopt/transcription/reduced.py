@@ -10,6 +10,10 @@ torsion that nothing couples always has).
 Tubes off the centreline add the stretch of each tube, theta' = g w, which no energy of this form has:
 
     theta = alpha - Gamma M - P [(g - 1) . W M],   P, W: integration from the base and from the tip.
+
+Tubes made of pieces are wound by their natural twist, theta = phi + int u*_z, and what the elastic torsion turns is
+phi: it obeys the same equations, with the cross-section at phi + phase in place of theta, and int ds / kt in place of
+s / kt. Where a tube is made of pieces, `theta` here and in `arm` is phi.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..robots.assembly import Assembly, without_offsets
+from ..robots.lengthwise import CrossSections
 from ..typing import Array
 from .buffered import section_function
 from .mesh import Mesh
@@ -30,13 +35,31 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
+class Compliant:
+    """Tubes made of pieces on a mesh.
+
+    Attributes:
+        sections: (P K, n) the cross-sections at the points that all pieces would have.
+        rate: (P, K, n) 1 / kt there.
+        transmission: (n,) int ds / kt from where each tube is held to the plate.
+    """
+
+    sections: CrossSections
+    rate: Array
+    transmission: Array
+
+
+@dataclass(frozen=True, eq=False)
 class ReducedProblem:
     """Numbers of one assembly on one mesh, ready for any rotations; N collocation points, U unknowns.
 
     Attributes:
         assembly, mesh: what is solved.
         piece_stiffness, piece_moment: (P, n) kb_i of the tubes present and m_i of the tubes curved on each piece.
+            Where a tube is made of pieces both refuse every use: `here` tells them.
         stiffness, moment: (N, n) the same at the points.
+        phase: (N, n) angle to be added to the elastic rotation for the direction of a tube's pull; None is 0.
+        here: tubes made of pieces, (P K, n) at the points that all pieces would have; None where there are none.
         arc_length, weight: (N,) place and quadrature weight of the points, m.
         point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
         factor: (U, U) L, rad per sqrt(J).
@@ -65,6 +88,8 @@ class ReducedProblem:
     entry_weight: Array
     stretch: tuple[Array, Array, Array] | None
     blocks: tuple[Block, ...] = ()
+    phase: Array | None = None
+    here: Compliant | None = None
 
     @property
     def size(self) -> int:
@@ -99,15 +124,18 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
     index[point, tube] = np.arange(len(point))
     pair = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
     at, row, column = np.unravel_index(pair, (len(section), n, n))
-    piece_stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
-    piece_moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
+    here = compliant(assembly, mesh) if assembly.general else None
+    piece_stiffness, piece_moment = _piece_numbers(assembly, mesh)
     factor = np.zeros((len(point), len(point)))
     green = _green(mesh, elements)
     for i in range(n):
         mine = tube == i
         if mine.any():
             chosen = np.ix_(point[mine], point[mine])
-            compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+            if here is None:
+                compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+            else:
+                compliance = _general_green(mesh, elements, here, i)[chosen]
             factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
     stretch: tuple[Array, Array, Array] | None = None
     blocks: tuple[Block, ...] = ()
@@ -115,13 +143,19 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
         up_to, beyond = _integrals(mesh, elements)
         stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
         blocks = tuple(make_blocks(assembly, green, section, (up_to, beyond, weight)))
+    at_points: tuple[Array, ...] = ()
+    if here is not None:
+        chosen_points = (elements[:, None] * degree + np.arange(degree)).ravel()
+        at_points = tuple(
+            table[chosen_points] for table in (here.sections.stiffness, here.sections.moment, here.sections.phase)
+        )
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
         piece_stiffness=piece_stiffness,
         piece_moment=piece_moment,
-        stiffness=np.repeat(piece_stiffness[elements], degree, axis=0),
-        moment=np.repeat(piece_moment[elements], degree, axis=0),
+        stiffness=np.repeat(piece_stiffness[elements], degree, axis=0) if here is None else at_points[0],
+        moment=np.repeat(piece_moment[elements], degree, axis=0) if here is None else at_points[1],
         arc_length=_points(mesh, elements),
         weight=weight,
         point=point,
@@ -135,7 +169,51 @@ def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
         entry_weight=weight[at],
         stretch=stretch,
         blocks=blocks,
+        phase=None if here is None else at_points[2],
+        here=here,
     )
+
+
+def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
+    """The tubes of an assembly with pieces on a mesh."""
+    assert assembly.lengthwise is not None
+    sections = sections_at(assembly, mesh, mesh.tableau.nodes)
+    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, -1)
+    return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
+
+
+def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
+    """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
+    s = (mesh.start[:, None] + mesh.length[:, None] * x).ravel()
+    return assembly.cross_sections(s, np.repeat(mesh.start + mesh.length / 2, len(x)))
+
+
+def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
+    """kb of the tubes present and m of those curved, (P, n); what refuses to be used where tubes are made of pieces."""
+    if assembly.general:
+        return assembly.bending_stiffness, assembly.bending_stiffness
+    stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
+    moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
+    return stiffness, moment
+
+
+def reach(mesh: Mesh, here: Compliant) -> Array:
+    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
+    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
+    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
+
+
+def _general_green(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
+    """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
+    t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
+    rate, length = here.rate[elements, :, tube], mesh.length[elements]
+    ahead = (begin[:, None] + length[:, None] * (rate @ t.matrix.T)).ravel()
+    first = np.arange(len(ahead)) // t.degree
+    green: Array = np.where(first[:, None] < first, ahead[:, None], ahead)
+    for e in range(len(elements)):
+        block = slice(e * t.degree, (e + 1) * t.degree)
+        green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
+    return green
 
 
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
@@ -188,7 +266,8 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    moment, stiffness, bending, *stretch = balance(theta, problem.stiffness, problem.moment, *place)
+    direction = theta if problem.phase is None else theta + problem.phase
+    moment, stiffness, bending, *stretch = balance(direction, problem.stiffness, problem.moment, *place)
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
     hessian = _hessian(problem, stiffness)
@@ -230,6 +309,16 @@ def _stretch_terms(
     p, t = problem.point, problem.tube
     chosen = (direct - through)[t[:, None], p[:, None], p, t]
     return extra, inverse @ change[p, t], inverse @ chosen @ problem.factor
+
+
+def pull_rate(problem: ReducedProblem) -> Array:
+    """(P,) sum of |m_i| over sum of kb_i on each piece: how much curvature a turn of the tubes can change, 1/m."""
+    if problem.here is None:
+        stiffness = np.maximum(problem.piece_stiffness.sum(1), 1e-300)
+        return np.asarray(np.abs(problem.piece_moment).sum(1) / stiffness)
+    here = problem.here.sections
+    each = here.moment.sum(1) / np.maximum(here.stiffness.sum(1), 1e-300)
+    return np.asarray(each.reshape(len(problem.mesh.length), -1).max(1, initial=0.0))
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.robot import Robot
+from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
 from .library import MOST_TUBES, Library, library
 
@@ -76,7 +76,7 @@ def _tubes(robot: Robot) -> Array:
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Library | None:
     """The compiled kernel for a robot, None where there is none for it."""
-    if robot.n_tubes > MOST_TUBES:
+    if robot.n_tubes > MOST_TUBES or is_general(robot):
         return None
     return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
