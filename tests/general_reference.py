@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +70,8 @@ def behind_plate(tube: Sequence[Stretch], held: float) -> tuple[float, float]:
     for length, u, _, torsional in tube:
         stop = min(begin + length, 0.0)
         if stop > begin:
-            compliance += quad(lambda s: 1 / torsional(s), 0, stop - begin, epsabs=0, epsrel=1e-13, limit=200)[0]
-            wound += quad(lambda s: u(s)[2], 0, stop - begin, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
+            compliance += quad(lambda s, kt=torsional: 1 / kt(s), 0, stop - begin, epsabs=0, epsrel=1e-13, limit=200)[0]
+            wound += quad(lambda s, u=u: u(s)[2], 0, stop - begin, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
         begin += length
     return compliance, wound
 
@@ -118,13 +119,17 @@ class _Section:
         return np.concatenate([v / kt[:, None] * there[:, None], stiff @ y])
 
 
-def _march(bundle: Bundle, beta: Array, start: Array) -> tuple[Array, list[tuple[_Section, float, float, Callable[[float], Array]]]]:
+Solved = list[tuple[_Section, float, float, Callable[[float], Array]]]
+
+
+def _march(bundle: Bundle, beta: Array, start: Array, tolerance: float = 1e-12) -> tuple[Array, Solved]:
     """State at the tip, and every section with its dense solution."""
     state, out = start, []
-    cuts = _cuts(bundle, beta)
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+    for low, high in pairwise(_cuts(bundle, beta)):
         section = _Section(bundle, beta, low, high)
-        run = solve_ivp(section.rates, (low, high), state, method="DOP853", rtol=1e-12, atol=1e-13, dense_output=True)
+        run = solve_ivp(
+            section.rates, (low, high), state, method="DOP853", rtol=tolerance, atol=tolerance / 10, dense_output=True
+        )
         state = run.y[:, -1]
         out.append((section, low, high, run.sol))
     return state, out
@@ -140,18 +145,18 @@ def shoot(bundle: Bundle, rotations: Sequence[float], beta: Sequence[float], tor
     def start(t: Array) -> Array:
         return np.concatenate([alpha + wound + compliance * t, t, np.eye(3).ravel(), np.zeros(3)])
 
+    def left(t: Array, tolerance: float) -> Array:
+        return _march(bundle, held, start(t), tolerance)[0][n : 2 * n]
+
     size = 1e-3 * max(1e-3, float(np.abs(t).max()))
-    for _ in range(12):
-        end = _march(bundle, held, start(t))[0][n : 2 * n]
-        slope = np.empty((n, n))
-        for k in range(n):
-            sides = [_march(bundle, held, start(t + sign * size * np.eye(n)[k]))[0][n : 2 * n] for sign in (1, -1)]
-            slope[:, k] = (sides[0] - sides[1]) / (2 * size)
-        step = np.linalg.solve(slope, -end)
-        t = t + step
-        if np.abs(step).max() < 1e-13 + 1e-11 * np.abs(t).max():
+    rough = left(t, 1e-8)
+    slope = np.column_stack([(left(t + size * row, 1e-8) - rough) / size for row in np.eye(n)])
+    for _ in range(8):
+        state, sections = _march(bundle, held, start(t))
+        step = np.linalg.solve(slope, -state[n : 2 * n])
+        if np.abs(step).max() <= 1e-11 * np.abs(t).max() + 1e-14:
             break
-    state, sections = _march(bundle, held, start(t))
+        t = t + step
     return Shot(
         tip=state[-3:],
         frame=state[2 * n : 2 * n + 9].reshape(3, 3),
@@ -161,7 +166,7 @@ def shoot(bundle: Bundle, rotations: Sequence[float], beta: Sequence[float], tor
     )
 
 
-def _stable(sections: list[tuple[_Section, float, float, Callable[[float], Array]]], compliance: Array) -> bool:
+def _stable(sections: Solved, compliance: Array) -> bool:
     """Whether det Y > 0 from the tip to the plate, and det(Y - C V) > 0 there."""
     n = len(compliance)
     fields = np.concatenate([np.eye(n), np.zeros((n, n))])

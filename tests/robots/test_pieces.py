@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from tubeopt import EccentricRobot, InputError, Piece, Tube
 from tubeopt.robots.series import Series, expand, extremes, spline
@@ -51,14 +51,21 @@ def test_pieces_are_values_that_pickle() -> None:
     assert hash(tube) == hash(tube_of(other, Piece(0.02, 3.0)))
 
 
-def test_a_table_is_a_cubic_spline() -> None:
-    s = np.array([0.0, 0.01, 0.03, 0.04, 0.06])
-    u = np.stack([10 + 100 * s, np.sin(40 * s), np.full(5, 2.0)], axis=1)
+def test_a_table_is_a_spline_through_its_points() -> None:
+    s = np.array([0.0, 0.01, 0.03, 0.04, 0.05, 0.055, 0.07, 0.08, 0.1])
+    u = np.stack([10 + 100 * s, np.sin(40 * s), np.full(9, 2.0)], axis=1)
     piece = Piece.table(s, u)
-    at = np.linspace(0, 0.06, 77)
-    assert np.abs(piece.precurvature[1](at) - CubicSpline(s, u[:, 1])(at)).max() < 1e-13
+    at = np.linspace(0, 0.1, 77)
+    wanted = make_interp_spline(s, u[:, 1], k=5)
+    assert np.abs(piece.precurvature[1](at) - wanted(at)).max() < 1e-13
+    assert np.abs(piece.precurvature[0](at) - 10 - 100 * at).max() < 1e-12
     assert piece.precurvature[2] == 2.0
-    assert piece.length == 0.06
+    assert piece.length == 0.1
+
+
+def test_a_short_table_is_the_polynomial_through_it() -> None:
+    piece = Piece.table([0, 0.02, 0.05], [[1, 0, 0], [3, 0, 0], [4, 0, 0]])
+    assert piece.precurvature[0](0.03) == pytest.approx(np.polyval(np.polyfit([0, 2, 5], [1, 3, 4], 2), 3))
 
 
 def test_the_largest_curvature_is_the_largest() -> None:
@@ -131,7 +138,7 @@ def dyadic_jump(s: float) -> float:
             lambda: replace(tube_of(Piece(0.1, varying)), curved_length=0.2),
             "curved_length is 0.2 m; of a tube of",
         ),
-        (lambda: tube_of(Piece(0.1, (0, 2000.0, 0))), "curvature is 2000 per m; its radius must exceed half the"),
+        (lambda: tube_of(Piece(0.1, (0, 2000.0, 0))), "piece 1 is curved by 2000 per m; its radius must exceed"),
         (lambda: EccentricRobot(tube_of(Piece(0.1, varying))), "tube 1 is made of pieces; an eccentric robot takes"),
     ],
 )

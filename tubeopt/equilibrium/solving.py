@@ -83,8 +83,8 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi where
-    a tube is made of pieces."""
+    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
+    where a tube is made of pieces."""
     if is_general(equilibrium.robot):
         return _sample_elastic(equilibrium, arc_length)
     if np.array_equal(arc_length, equilibrium.point):
@@ -102,7 +102,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 
 
 def _sample_elastic(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """phi (len(arc_length), n), by the polynomial through the shape points of each piece: between them phi' may jump."""
+    """phi (len(arc_length), n), by the polynomial through the shape points of each piece: its rate jumps between."""
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     if np.array_equal(arc_length, equilibrium.point):
         return equilibrium.point_rotation - assembly.wound(arc_length)

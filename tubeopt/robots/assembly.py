@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -74,12 +74,9 @@ class Assembly:
         return len(self.transmission)
 
     @property
-    def breakpoints(self) -> Array:
+    def breakpoints(self) -> list[float]:
         """Arc lengths (some behind the plate) of all transitions, ends, and places where pieces meet, m."""
-        points = [self.transition, self.end]
-        if self.lengthwise is not None:
-            points += [np.array(own) - held for own, held in zip(self.lengthwise.cuts, self.transmission, strict=True)]
-        return np.concatenate(points)
+        return _breakpoints(self.transition, self.end, self.lengthwise, -self.transmission)
 
     @property
     def n_sections(self) -> int:
@@ -133,26 +130,38 @@ def assemble(
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
+    curvature = _numbers(tubes, "curvature")
     table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
+    cuts = merge([0.0, *(s for s in _breakpoints(transition, end, table, beta) if s > 0)])
+    middle = (cuts[:-1] + cuts[1:])[:, None] / 2
+    if table is None:
+        present, curved = where(transition, end, curvature, middle)
+    else:
+        present = middle < end
+        curved = present & table.bent[np.arange(n), table.panel(middle - beta)]
     zero = np.zeros(n)
-    bundle = Assembly(
+    return Assembly(
         bending_stiffness=_numbers(tubes, "bending_stiffness"),
         torsional_stiffness=_numbers(tubes, "torsional_stiffness"),
-        curvature=_numbers(tubes, "curvature"),
+        curvature=curvature,
         offset=zero if offset is None else offset,
         offset_angle=zero if offset_angle is None else offset_angle,
         transmission=-beta,
         transition=transition,
         end=end,
-        start=zero,
-        length=zero,
-        present=np.zeros((0, n), dtype=bool),
-        curved=np.zeros((0, n), dtype=bool),
+        start=cuts[:-1],
+        length=np.diff(cuts),
+        present=present,
+        curved=curved,
         lengthwise=table,
     )
-    cuts = merge(np.maximum(np.concatenate([[0.0], bundle.breakpoints]), 0.0))
-    present, curved = present_and_curved(bundle, (cuts[:-1] + cuts[1:]) / 2)
-    return replace(bundle, start=cuts[:-1], length=np.diff(cuts), present=present, curved=curved)
+
+
+def _breakpoints(transition: Array, end: Array, table: Lengthwise | None, beta: Array) -> list[float]:
+    points = [*transition.tolist(), *end.tolist()]
+    for own, held in zip(() if table is None else table.cuts, beta.tolist(), strict=table is not None):
+        points += [s + held for s in own]
+    return points
 
 
 class _OfPieces:
@@ -179,25 +188,16 @@ def _numbers(tubes: Sequence[Tube], name: str) -> Array:
     return np.array([getattr(tube, name) for tube in tubes])
 
 
-def present_and_curved(assembly: Assembly, s: Array) -> tuple[Mask, Mask]:
-    """(X, n) which tubes are present, and which are curved, at arc lengths (X,) between the breakpoints."""
-    if assembly.lengthwise is None:
-        return where(assembly.transition, assembly.end, assembly.curvature, s[:, None])
-    present: Mask = np.asarray(s[:, None] < assembly.end)
-    panel = assembly.lengthwise.panel(s[:, None] + assembly.transmission)
-    return present, np.asarray(present & assembly.lengthwise.bent[np.arange(assembly.n_tubes), panel])
-
-
 def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:
     """Which tubes are present, and which are curved, at arc length s between the breakpoints."""
     present: Mask = np.asarray(s < end)
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
-def merge(points: Array) -> Array:
+def merge(points: Iterable[float]) -> Array:
     """Sorted points without those closer than ROUND_OFF to the last one that was kept."""
     kept: list[float] = []
-    for point in np.sort(points).tolist():
+    for point in sorted(points):
         if not kept or point - kept[-1] > ROUND_OFF:
             kept.append(point)
     return np.array(kept)

@@ -11,7 +11,8 @@ from decimal import Decimal
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, Positive, check_kind
@@ -21,8 +22,9 @@ from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits
 from .materials import NITINOL, ZERO_CELSIUS, Material, ThermalData
+from .piece_file import N_MM2, PieceEntry, given_stiffness, piece_to_dict
 from .robot import Robot
-from .tubes import Tube
+from .tubes import OfCrossSection, Tube
 
 
 class Part(Entry):
@@ -113,31 +115,87 @@ MaterialChoice = Annotated[
 """A material by name or by its constants."""
 
 
+G_PER_M = Decimal("1e-3")
+
+
 class TubeEntry(Part):
-    """A tube: a straight part, then a curved part whose curvature or radius is given."""
+    """A tube: a straight part, then a curved part whose curvature or radius is given, or pieces."""
 
     outer_diameter_mm: Positive
     inner_diameter_mm: NotNegative
     straight_length_mm: NotNegative
-    curved_length_mm: NotNegative
+    pieces: list[PieceEntry] | None = Field(
+        None, min_length=1, description="what the tube is made of behind its straight part"
+    )
+    curved_length_mm: NotNegative | None = Field(
+        None, validate_default=True, description="length of the curved part; with pieces it may be left out"
+    )
     curvature_per_m: Number | None = Field(
         None, description="precurvature; 0 for a straight tube, negative to the other side"
     )
     radius_mm: Positive | None = Field(None, description="radius of the precurvature, in place of curvature_per_m")
     material: MaterialChoice = "nitinol"
+    bending_stiffness_N_mm2: Positive | None = Field(None, description="as measured; by default E I")
+    torsional_stiffness_N_mm2: Positive | None = Field(None, description="as measured; by default G J")
+    mass_per_length_g_per_m: Positive | None = None
+
+    @field_validator("curved_length_mm")
+    @classmethod
+    def _told(cls, value: Decimal | None, info: ValidationInfo) -> Decimal | None:
+        if value is None and info.data.get("pieces", 0) is None:
+            raise PydanticCustomError("missing", "Field required")
+        return value
 
     def build(self) -> Tube:
         """The tube in SI."""
-        if (self.curvature_per_m is None) == (self.radius_mm is None):
-            raise ValueError(_one_of("curvature_per_m", "radius_mm", both=self.radius_mm is not None))
-        curvature = 1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0
-        return Tube(
+        tube = Tube(
             outer_diameter=to_si(self.outer_diameter_mm, MM),
             inner_diameter=to_si(self.inner_diameter_mm, MM),
             straight_length=to_si(self.straight_length_mm, MM),
-            curved_length=to_si(self.curved_length_mm, MM),
-            curvature=float(curvature),
+            curved_length=to_si(self.curved_length_mm or Decimal(1), MM) if self.curved_length_mm != 0 else 0.0,
+            curvature=0.0 if self.pieces else self._curvature(),
             material=NITINOL if isinstance(self.material, str) else self.material.build(),
+            mass_per_length=None
+            if self.mass_per_length_g_per_m is None
+            else to_si(self.mass_per_length_g_per_m, G_PER_M),
+        )
+        own: dict[str, Any] = {}
+        for name in ("bending_stiffness", "torsional_stiffness"):
+            given = getattr(self, f"{name}_N_mm2")
+            if given is not None:
+                own[name] = given_stiffness(f"{name}_N_mm2", given, getattr(tube, name))
+        tube = replace(tube, **own)
+        return tube if self.pieces is None else self._of_pieces(tube, self.pieces)
+
+    def _curvature(self) -> float:
+        if (self.curvature_per_m is None) == (self.radius_mm is None):
+            raise ValueError(_one_of("curvature_per_m", "radius_mm", both=self.radius_mm is not None))
+        return float(1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0)
+
+    def _of_pieces(self, tube: Tube, entries: list[PieceEntry]) -> Tube:
+        """A tube like `tube`, made of pieces."""
+        for name in ("curvature_per_m", "radius_mm"):
+            if getattr(self, name) is not None:
+                raise InputError(f"{name} and pieces are both given; every piece has a curvature of its own")
+        pieces = []
+        for k, entry in enumerate(entries):
+            try:
+                pieces.append(entry.build((float(tube.bending_stiffness), float(tube.torsional_stiffness))))
+            except InputError as error:
+                raise InputError("\n".join(f"pieces[{k}]: {line}" for line in str(error).splitlines())) from None
+        total = sum(piece.length for piece in pieces)
+        if self.curved_length_mm is not None and abs(to_si(self.curved_length_mm, MM) - total) > 1e-9:
+            raise InputError(
+                f"curved_length_mm is {self.curved_length_mm}; the lengths of the pieces add up to {total * 1e3:g}"
+            )
+        own = {name: getattr(tube, name) for name in ("bending_stiffness", "torsional_stiffness", "mass_per_length")}
+        return Tube.of_pieces(
+            tube.outer_diameter,
+            tube.inner_diameter,
+            pieces,
+            straight_length=tube.straight_length,
+            material=tube.material,
+            **own,
         )
 
 
@@ -290,14 +348,24 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
 
 def tube_to_dict(tube: Tube) -> dict[str, Any]:
     """`tube` with the keys and units of a robot file."""
-    return {
+    data: dict[str, Any] = {
         "outer_diameter_mm": in_unit(tube.outer_diameter, MM),
         "inner_diameter_mm": in_unit(tube.inner_diameter, MM),
         "straight_length_mm": in_unit(tube.straight_length, MM),
-        "curved_length_mm": in_unit(tube.curved_length, MM),
-        "curvature_per_m": in_unit(tube.curvature, PER_M),
-        "material": NITINOL.name if tube.material == NITINOL else _material(tube.material),
     }
+    if tube.pieces:
+        data["pieces"] = [piece_to_dict(piece) for piece in tube.pieces]
+    else:
+        data["curved_length_mm"] = in_unit(tube.curved_length, MM)
+        data["curvature_per_m"] = in_unit(tube.curvature, PER_M)
+    data["material"] = NITINOL.name if tube.material == NITINOL else _material(tube.material)
+    for name in ("bending_stiffness", "torsional_stiffness"):
+        own = getattr(tube, name)
+        if not isinstance(own, OfCrossSection):
+            data[f"{name}_N_mm2"] = in_unit(own, N_MM2)
+    if tube.mass_per_length is not None:
+        data["mass_per_length_g_per_m"] = in_unit(tube.mass_per_length, G_PER_M)
+    return data
 
 
 def _material(material: Material) -> dict[str, Any]:

@@ -60,8 +60,7 @@ class Piece:
 
     @classmethod
     def table(cls, arc_length: ArrayLike, precurvature: ArrayLike, **stiffness: Any) -> Piece:
-        """Precurvature (k, 3) at rising arc lengths (k,) from 0 (m), joined by a cubic spline (no knot at the second
-        and the last but one).
+        """Precurvature (k, 3) at rising arc lengths (k,) from 0 (m), joined by an interpolating spline of degree 5.
 
         Raises:
             InputError: the table is not in order, not finite, or has fewer than two rows.

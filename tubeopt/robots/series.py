@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PPoly
+from scipy.interpolate import PPoly, make_interp_spline
 
 from ..errors import InputError
 from ..typing import Array
@@ -139,9 +139,13 @@ def extremes(quantities: Sequence[Quantity], length: float) -> tuple[float, floa
 
 
 def spline(arc_length: Array, values: Array) -> Series:
-    """The cubic spline through values (k,) at rising arc lengths (k,) from 0: twice continuously differentiable,
-    without a knot at the second and last but one point; a parabola or line through three or two points."""
-    return _of_polynomials(CubicSpline(arc_length, values))
+    """The spline of degree 5 through values (k,) at rising arc lengths (k,) from 0, four times continuously
+    differentiable, without knots at the two points next to either end; the polynomial through six points or fewer."""
+    degree = min(5, len(arc_length) - 1)
+    through = PPoly.from_spline(make_interp_spline(arc_length, values, k=degree))
+    # The knots outside, and those that are there several times, make pieces without length.
+    inside = np.flatnonzero((np.diff(through.x) > 0) & (through.x[:-1] >= arc_length[0]))
+    return _of_polynomials(PPoly(through.c[:, inside], through.x[[*inside, inside[-1] + 1]]))
 
 
 def _of_polynomials(polynomials: PPoly) -> Series:

@@ -25,10 +25,6 @@ class OfCrossSection(float):
         return OfCrossSection, (float(self),)
 
 
-OF_CROSS_SECTION = OfCrossSection(math.nan)
-"""The stiffness E I or G J, to be derived."""
-
-
 @dataclass(frozen=True)
 class Tube:
     """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
@@ -55,8 +51,9 @@ class Tube:
     curved_length: float
     curvature: float
     material: Material = NITINOL
-    bending_stiffness: float = field(default=OF_CROSS_SECTION, kw_only=True)
-    torsional_stiffness: float = field(default=OF_CROSS_SECTION, kw_only=True)
+    # None only on the way in: a tube that exists has its stiffnesses.
+    bending_stiffness: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    torsional_stiffness: float = field(default=None, kw_only=True)  # type: ignore[assignment]
     mass_per_length: float | None = field(default=None, kw_only=True)
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
 
@@ -113,6 +110,12 @@ class Tube:
                     f"curvature is {self.curvature:g} per m; all pieces of the tube are straight, so it is 0"
                 )
             pieces = tuple(piece.scaled(self.curvature / largest) for piece in pieces)
+        for k, piece in enumerate(pieces, start=1):
+            if self.outer_diameter / 2 * piece.largest_curvature >= 1:
+                raise InputError(
+                    f"piece {k} is curved by {piece.largest_curvature:g} per m; its radius must exceed half the "
+                    f"outer_diameter ({self.outer_diameter / 2:g} m)"
+                )
         object.__setattr__(self, "pieces", pieces)
         object.__setattr__(self, "curved_length", total)
         object.__setattr__(self, "curvature", max(piece.largest_curvature for piece in pieces))

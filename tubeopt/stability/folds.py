@@ -108,7 +108,8 @@ def _hessian_slope(problem: ReducedProblem, rotations: Array, state: Evaluation,
         return np.column_stack([(up.hessian - down.hessian) @ v / 2e-6 for up, down in pairs])
     y = np.zeros((count, n))
     y.ravel()[problem.flat] = problem.factor @ v
-    slope = section_function("stiffness_slope", count, n, False)(state.theta, problem.stiffness, problem.moment, y)[0]
+    direction = state.theta if problem.phase is None else state.theta + problem.phase
+    slope = section_function("stiffness_slope", count, n, False)(direction, problem.stiffness, problem.moment, y)[0]
     second = np.zeros(problem.size**2)
     second[problem.places] = slope.ravel()[problem.entries] * problem.entry_weight
     return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)

@@ -19,8 +19,8 @@ import numpy as np
 import scipy
 
 from ..robots.assembly import Assembly
-from ..transcription.reduced import Index, ReducedProblem
-from .shooting import Bundle
+from ..transcription.reduced import Index, ReducedProblem, reach
+from .shooting import Bundle, along_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,8 @@ def groups_of(problem: ReducedProblem) -> list[Group]:
 
 def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
     assembly, mesh = problem.assembly, problem.mesh
+    if problem.here is not None:
+        return _general_group(problem, tubes, sections)
     place = _places(assembly)
     others = [int(np.argmax(place == p)) for p in np.setdiff1d(place, place[tubes])]
     members = np.concatenate([tubes, np.array(others, dtype=np.intp)])
@@ -79,6 +81,31 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
         place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
     )
     return Group(tubes, bundle, seat)
+
+
+def _general_group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
+    """Tubes made of pieces that act on one another; one straight tube stands for all the others."""
+    assembly, mesh, along = problem.assembly, problem.mesh, along_of(problem)
+    assert along is not None
+    assert problem.here is not None
+    rest = np.setdiff1d(np.arange(assembly.n_tubes), tubes)
+    members = np.concatenate([tubes, rest[:1]])
+    # Between two curved pieces of a tube a straight one only hands on the torque, but that it does.
+    pieces = np.flatnonzero((mesh.section >= sections[0]) & (mesh.section <= sections[-1]))
+    part = along.of(pieces, members)
+    part.stiffness[..., len(tubes) :] = along.stiffness[pieces][:, :, rest].sum(2, keepdims=True)[..., : len(rest)]
+    part.moment[..., len(tubes) :] = 0.0
+    bundle = Bundle(
+        length=mesh.length[pieces],
+        bent=mesh.collocated[pieces],
+        stiffness=problem.piece_stiffness,
+        moment=problem.piece_moment,
+        torsional_stiffness=assembly.torsional_stiffness,
+        transmission=reach(mesh, problem.here)[pieces[0], members],
+        place=(),
+        along=part,
+    )
+    return Group(tubes, bundle, np.zeros(assembly.n_tubes, dtype=np.intp))
 
 
 def _places(assembly: Assembly) -> Index:

@@ -9,11 +9,12 @@ joints. The derivatives of the joints by the tips are integrated along, from tho
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from ..transcription.buffered import section_function
-from ..transcription.reduced import Index, ReducedProblem
+from ..transcription.reduced import Index, ReducedProblem, reach, sections_at
 from ..typing import Array, Mask
 
 CHUNKS = (512, 64, 8)
@@ -27,6 +28,40 @@ State = tuple[Array, ...]
 and w by the tip angles."""
 
 
+GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
+"""Fractions of a piece at which the steps look at its cross-sections."""
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Tubes made of pieces at X places of P pieces, (P, X, n): kb, m, phase, 1 / kt; `whole` (P, n): int ds / kt."""
+
+    stiffness: Array
+    moment: Array
+    phase: Array
+    compliance: Array
+    whole: Array
+
+    def of(self, pieces: Index, tubes: Index) -> Along:
+        """Some tubes on some pieces."""
+        own = np.ix_(pieces, np.arange(len(GRID)), tubes)
+        kb, m, phase, soft = (part[own] for part in (self.stiffness, self.moment, self.phase, self.compliance))
+        return Along(kb, m, phase, soft, self.whole[np.ix_(pieces, tubes)])
+
+
+@lru_cache(maxsize=16)
+def along_of(problem: ReducedProblem) -> Along | None:
+    """The tubes of a problem at GRID of all its pieces; None where none is made of pieces."""
+    mesh, here = problem.mesh, problem.here
+    if here is None:
+        return None
+    at = sections_at(problem.assembly, mesh, GRID)
+    shape = len(mesh.length), len(GRID), problem.assembly.n_tubes
+    table = (at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness)
+    kb, m, phase, soft = (part.reshape(shape) for part in table)
+    return Along(kb, m, phase, soft, np.diff(reach(mesh, here), axis=0))
+
+
 @dataclass(frozen=True, eq=False)
 class Bundle:
     """Tubes that are integrated together, on P pieces, base to tip.
@@ -34,6 +69,10 @@ class Bundle:
     length: (P,) m.  bent: (P,) whether torsion is not linear there.  stiffness, moment: (P, n) kb_i of the tubes
     present and m_i of the tubes curved.  torsional_stiffness, transmission: (n,), the latter m between where a tube is
     held and the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
+
+    With tubes made of pieces theta is the elastic phi, w the torque, `transmission` the compliance int ds / kt up to
+    the first piece, and `along` has the cross-sections at GRID of every piece; stiffness, moment and
+    torsional_stiffness are not read.
     """
 
     length: Array
@@ -43,6 +82,7 @@ class Bundle:
     torsional_stiffness: Array
     transmission: Array
     place: tuple[Array, ...]
+    along: Along | None = None
 
     @property
     def n_tubes(self) -> int:
@@ -70,7 +110,8 @@ def whole(problem: ReducedProblem) -> Bundle:
         stiffness=problem.piece_stiffness,
         moment=problem.piece_moment,
         torsional_stiffness=assembly.torsional_stiffness,
-        transmission=assembly.transmission,
+        transmission=assembly.transmission if problem.here is None else problem.here.transmission,
+        along=along_of(problem),
         place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
     )
 
@@ -123,11 +164,11 @@ def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
     """Rotations, w, travel and, if `slopes`, the derivatives of the rotations."""
     state = _at_tip(tips, slopes)
     for piece in reversed(range(len(bundle.length))):
-        for _ in range(steps if bundle.bent[piece] else 1):
-            state, _ = _step(bundle, piece, state, bundle.length[piece] / steps)
-    reach = bundle.transmission
-    shot = (state[0] - reach * state[1], state[1], state[2])
-    return (*shot, state[3] - reach[:, None] * state[4]) if slopes else shot
+        for k in reversed(range(steps if bundle.bent[piece] else 1)):
+            state, _ = _step(bundle, (piece, k, steps), state)
+    held = bundle.transmission
+    shot = (state[0] - held * state[1], state[1], state[2])
+    return (*shot, state[3] - held[:, None] * state[4]) if slopes else shot
 
 
 def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
@@ -139,12 +180,12 @@ def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
     for piece in reversed(range(len(mesh.length))):
         h = mesh.length[piece] / STEPS
         grid = []
-        for _ in range(STEPS if mesh.collocated[piece] else 1):
+        for k in reversed(range(STEPS if mesh.collocated[piece] else 1)):
             before = state[0]
-            state, slope = _step(bundle, piece, state, h)
+            state, slope = _step(bundle, (piece, k, STEPS), state)
             grid.append((before, slope))
         if mesh.collocated[piece]:
-            grid.append((state[0], _rate(bundle, piece, state)[0]))
+            grid.append((state[0], _rate(bundle, piece, 0, state)[0]))
             at -= degree
             out[:, at : at + degree] = _hermite(grid, nodes, h)
     return out
@@ -156,15 +197,23 @@ def _at_tip(tips: Array, slopes: bool) -> State:
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
 
 
-def _step(bundle: Bundle, piece: int, state: State, h: float) -> tuple[State, Array]:
+def _step(bundle: Bundle, place: tuple[int, int, int], state: State) -> tuple[State, Array]:
     """One step of the classical Runge-Kutta method towards the base, all of a piece where torsion is linear; and
-    theta' where it began."""
-    k1 = _rate(bundle, piece, state)
+    theta' where it began. `place`: the piece, which step from its beginning, and how many these are."""
+    piece, step, steps = place
+    low, middle, high = (k * STEPS // steps for k in (2 * step, 2 * step + 1, 2 * step + 2))
     if not bundle.bent[piece]:
-        return _back(state, bundle.length[piece], k1), k1[0]
-    k2 = _rate(bundle, piece, _back(state, h / 2, k1))
-    k3 = _rate(bundle, piece, _back(state, h / 2, k2))
-    k4 = _rate(bundle, piece, _back(state, h, k3))
+        k1 = _rate(bundle, piece, len(GRID) - 1, state)
+        if bundle.along is None:
+            return _back(state, bundle.length[piece], k1), k1[0]
+        gain = bundle.along.whole[piece]
+        moved = (state[0] - gain * state[1], state[1], state[2] + bundle.length[piece])
+        return (moved if len(state) == 3 else (*moved, state[3] - gain[:, None] * state[4], state[4])), k1[0]
+    h = bundle.length[piece] / steps
+    k1 = _rate(bundle, piece, high, state)
+    k2 = _rate(bundle, piece, middle, _back(state, h / 2, k1))
+    k3 = _rate(bundle, piece, middle, _back(state, h / 2, k2))
+    k4 = _rate(bundle, piece, low, _back(state, h, k3))
     mean = tuple((a + 2 * (b + c) + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
     return _back(state, h, mean), k1[0]
 
@@ -176,8 +225,10 @@ def _back(state: State, h: float, rate: State) -> State:
     return tuple(moved)
 
 
-def _rate(bundle: Bundle, piece: int, state: State) -> State:
-    """Derivatives of a state by arc length."""
+def _rate(bundle: Bundle, piece: int, at: int, state: State) -> State:
+    """Derivatives of a state by arc length, at the place `at` of GRID."""
+    if bundle.along is not None:
+        return _general_rate(bundle.along, piece, at, state)
     theta, twist = state[:2]
     count, n = theta.shape
     if not bundle.bent[piece]:
@@ -198,6 +249,20 @@ def _rate(bundle: Bundle, piece: int, state: State) -> State:
     stretch = out[3].copy()
     stretched = out[4].reshape(count, n, n).swapaxes(1, 2) @ theta_by_tip
     return stretch * twist, bend, stretch, stretch[:, :, None] * twist_by_tip + twist[:, :, None] * stretched, turned
+
+
+def _general_rate(along: Along, piece: int, at: int, state: State) -> State:
+    """Derivatives of the elastic rotation and the torque of tubes made of pieces."""
+    phi, torque = state[:2]
+    count, n = phi.shape
+    soft = along.compliance[piece, at]
+    function = section_function("balance" if len(state) > 3 else "moment", count, n, False)
+    out = function(phi + along.phase[piece, at], along.stiffness[piece, at], along.moment[piece, at])
+    turned, bend, one = soft * torque, out[0].copy(), np.ones_like(phi)
+    if len(state) == 3:
+        return turned, bend, one
+    stiff = out[1].reshape(count, n, n).swapaxes(1, 2)
+    return turned, bend, one, soft[:, None] * state[4], stiff @ state[3]
 
 
 def _hermite(grid: list[tuple[Array, Array]], nodes: Array, h: float) -> Array:

@@ -33,6 +33,9 @@ from .offset_margin import Block, make_blocks, softenings
 
 Index = NDArray[np.intp]
 
+INWARDS = 1e-6
+"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
+
 
 @dataclass(frozen=True, eq=False)
 class Compliant:
@@ -184,8 +187,8 @@ def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
     """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
-    s = (mesh.start[:, None] + mesh.length[:, None] * x).ravel()
-    return assembly.cross_sections(s, np.repeat(mesh.start + mesh.length / 2, len(x)))
+    s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
+    return assembly.cross_sections(s.ravel(), inside.ravel())
 
 
 def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
@@ -235,11 +238,10 @@ def _green(mesh: Mesh, elements: Index) -> Array:
     start, length = mesh.start[elements], mesh.length[elements]
     s = _points(mesh, elements)
     green = np.minimum(s[:, None], s)
-    local = tableau.matrix @ (tableau.matrix / tableau.weights).T
     k = tableau.degree
     for e in range(len(elements)):
         block = slice(e * k, (e + 1) * k)
-        green[block, block] = start[e] + length[e] * local
+        green[block, block] = start[e] + length[e] * tableau.compliance
     return green
 
 

@@ -1,0 +1,137 @@
+"""Tubes of pieces in YAML: every way to say them, there and back to the last bit, and a sentence for what is wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tubeopt import ConcentricRobot, InputError, Piece, Tube, load_robot, save_robot
+from tubeopt.robots.series import Series
+
+HEAD = """kind: concentric
+tubes:
+  - outer_diameter_mm: 1
+    inner_diameter_mm: 0.8
+    straight_length_mm: 20
+"""
+
+
+def load(tmp_path: Path, pieces: str, more: str = "") -> Tube:
+    lines = "".join(f"      - {line}\n" for line in pieces.splitlines())
+    (tmp_path / "robot.yaml").write_text(f"{HEAD}    pieces:\n{lines}{more}")
+    robot = load_robot(tmp_path / "robot.yaml")
+    assert isinstance(robot, ConcentricRobot)
+    return robot.tubes[0]
+
+
+def test_every_way_to_say_a_precurvature(tmp_path: Path) -> None:
+    (tmp_path / "bend.csv").write_text(
+        "arc_length_mm,curvature_x_per_m,curvature_y_per_m,twist_deg_per_mm\n0,1,0,0.1\n5,2,0,0.1\n10,5,0,0.1\n"
+    )
+    tube = load(
+        tmp_path,
+        "{length_mm: 10, radius_mm: 80}\n"
+        "{length_mm: 20, curvature_per_m: 5, plane_deg: 90}\n"
+        "{length_mm: 5, curvature_per_m: [3, 4], twist_deg_per_mm: 2}\n"
+        "{length_mm: 30, helix: {radius_mm: 10, pitch_mm: 40, handed: left}}\n"
+        "{table: bend.csv, plane_deg: 90}\n"
+        "{length_mm: 7}",
+    )
+    arc, turned, twisted, helix, table, straight = tube.pieces
+    assert arc.precurvature == (12.5, 0.0, 0.0)
+    assert turned.precurvature == pytest.approx((0.0, 5.0, 0.0))
+    assert twisted.precurvature == pytest.approx((3.0, 4.0, math.radians(2) * 1e3))
+    assert helix == Piece.helix(0.03, 0.01, 0.04, left=True)
+    assert table.precurvature[1](np.array([0.005, 0.01])) == pytest.approx([2.0, 5.0])
+    assert table.precurvature[2] == pytest.approx(math.radians(100))
+    assert straight.precurvature == (0.0, 0.0, 0.0)
+    assert tube.curved_length == pytest.approx(0.082)
+
+
+def test_stiffnesses_and_patterns(tmp_path: Path) -> None:
+    tube = load(
+        tmp_path,
+        "{length_mm: 10, radius_mm: 80, pattern: {bending_factor: 0.4, torsion_factor: 0.5, source: measured}}\n"
+        "{length_mm: 10, radius_mm: 80, bending_stiffness_N_mm2: 900, torsional_stiffness_N_mm2: 800}",
+        "    bending_stiffness_N_mm2: 1500\n    mass_per_length_g_per_m: 2.5\n",
+    )
+    assert tube.bending_stiffness == pytest.approx(1.5e-3)
+    assert tube.pieces[0].bending_stiffness == pytest.approx(0.6e-3)
+    assert tube.pieces[0].torsional_stiffness == pytest.approx(0.5 * tube.torsional_stiffness)
+    assert (tube.pieces[1].bending_stiffness, tube.pieces[1].torsional_stiffness) == pytest.approx((9e-4, 8e-4))
+    assert tube.mass_per_length == pytest.approx(2.5e-3)
+
+
+def test_one_arc_is_the_ordinary_tube(tmp_path: Path) -> None:
+    assert load(tmp_path, "{length_mm: 50, curvature_per_m: 10}") == Tube(1e-3, 0.8e-3, 0.02, 0.05, 10.0)
+
+
+def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
+    bending = Piece(0.0333, lambda s: (9 * math.cos(30 * s), 3.0, 5 * s), torsional_stiffness=lambda s: 1e-3 + 0.01 * s)
+    tube = Tube.of_pieces(1e-3, 0.7e-3, [bending, Piece.helix(0.1 / 3, 0.01, 0.03)], straight_length=0.1 / 3)
+    given = replace(tube, bending_stiffness=1.7e-3, mass_per_length=2e-3)
+    for one in (tube, given):
+        robot = ConcentricRobot((one,))
+        save_robot(robot, tmp_path / "saved.yaml")
+        back = load_robot(tmp_path / "saved.yaml")
+        assert back == robot
+        assert isinstance(back.tubes[0].pieces[0].precurvature[0], Series)
+        thick = [replace(t, outer_diameter=1.1e-3).bending_stiffness for t in (one, back.tubes[0])]
+        assert thick[0] == thick[1]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "more", "problem"),
+    [
+        ("{radius_mm: 80}", "", "pieces[0]: length_mm is missing"),
+        (
+            "{length_mm: 10, helix: {radius_mm: 0.3, pitch_mm: 0.5}}",
+            "",
+            "per m; its radius must exceed half the outer_diameter (0.0005 m)",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80}",
+            "    curved_length_mm: 12\n",
+            "curved_length_mm is 12; the lengths of the pieces add up to 10",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80, pattern: {bending_factor: 1.2, torsion_factor: 1, source: x}}",
+            "",
+            "pattern.bending_factor is 1.2; it must be less than or equal to 1",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80, pattern: {bending_factor: 0, torsion_factor: 1, source: x}}",
+            "",
+            "pattern.bending_factor is 0; it must be greater than 0",
+        ),
+        (
+            "{length_mm: 10, radius_mm: 80}",
+            "    bending_stiffness_N_mm2: 0.0016\n",
+            "bending_stiffness_N_mm2 is 0.0016; the cross-section and material give 1681, and it must be",
+        ),
+        ("{length_mm: 10, radius_mm: 80, curvature_per_m: 2}", "", "radius_mm and curvature_per_m are both given"),
+        ("{length_mm: 10, radius_mm: 80}", "    radius_mm: 80\n", "radius_mm and pieces are both given"),
+        ("{table: none.csv}", "", "none.csv: there is no such file"),
+        ("{table: fall.csv}", "", "arc_length_mm of a table is 4 in row 3, after 5; it must rise from row to row"),
+        ("{length_mm: 9, table: good.csv}", "", "length_mm is 9; the table ends at 5 mm, and they must agree"),
+        ("{table: short.csv}", "", "short.csv: column curvature_y_per_m is missing"),
+    ],
+)
+def test_what_is_wrong_has_its_sentence(tmp_path: Path, pieces: str, more: str, problem: str) -> None:
+    head = "arc_length_mm,curvature_x_per_m,curvature_y_per_m\n"
+    (tmp_path / "fall.csv").write_text(head + "0,1,0\n5,2,0\n4,5,0\n")
+    (tmp_path / "good.csv").write_text(head + "0,1,0\n5,2,0\n")
+    (tmp_path / "short.csv").write_text("arc_length_mm,curvature_x_per_m\n0,1\n5,2\n")
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, pieces, more)
+    assert problem in str(caught.value)
+
+
+def test_no_pieces_and_no_length(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(HEAD)
+    with pytest.raises(InputError, match=r"tubes\[0\].curved_length_mm is missing"):
+        load_robot(tmp_path / "robot.yaml")

@@ -1,0 +1,251 @@
+"""Pieces of tubes as YAML: what their keys are, and the way there and back."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo
+
+from ..errors import InputError
+from ..files.checked import Entry, Number, Positive
+from ..files.csv_file import read_csv
+from ..files.units import DEG, MM, PER_M, in_unit, shown, to_si
+from ..typing import Array
+from .pieces import Piece, check_table
+from .series import Quantity, Series, spline, times
+
+DEG_PER_MM = DEG / MM
+N_MM2 = Decimal("1e-6")
+
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
+"""Of that of the cross-section: what is given outside has a wrong unit."""
+
+COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
+"""Columns of a table of precurvature; `twist_deg_per_mm` may follow."""
+
+
+class SeriesEntry(Entry):
+    """A quantity that varies along the piece: Chebyshev coefficients on panels, as `save_robot` writes it."""
+
+    breaks_mm: list[Number] = Field(min_length=2, description="arc lengths at which the panels meet, from 0")
+    coefficients: list[list[Number]] = Field(min_length=1, description="of the Chebyshev polynomials of every panel")
+
+    def series(self, unit: Decimal) -> Series:
+        """The quantity in SI."""
+        breaks = tuple(to_si(s, MM) for s in self.breaks_mm)
+        return Series(breaks, tuple(tuple(to_si(c, unit) for c in panel) for panel in self.coefficients))
+
+
+def _kind(value: Any) -> str:
+    return (
+        "<list>" if isinstance(value, list) else "<mapping>" if isinstance(value, (dict, SeriesEntry)) else "<number>"
+    )
+
+
+Along = Annotated[
+    Annotated[Number, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
+    Discriminator(_kind),
+]
+"""A number, or a quantity that varies along the piece."""
+
+Stiffness = Annotated[
+    Annotated[Positive, Tag("<number>")] | Annotated[SeriesEntry, Tag("<mapping>")],
+    Discriminator(_kind),
+]
+
+Curvature = Annotated[
+    Annotated[Number, Tag("<number>")]
+    | Annotated[list[Along], Field(min_length=2, max_length=2), Tag("<list>")]
+    | Annotated[SeriesEntry, Tag("<mapping>")],
+    Discriminator(_kind),
+]
+"""Curvature about x, or about x and y."""
+
+
+class HelixEntry(Entry):
+    """A helix in space."""
+
+    radius_mm: Positive
+    pitch_mm: Positive = Field(description="advance along its axis per turn")
+    handed: Literal["left", "right"] = "right"
+
+
+Factor = Annotated[Positive, Field(le=1)]
+
+
+class PatternEntry(Entry):
+    """Slots cut into the wall: what they leave of the stiffnesses of the tube."""
+
+    bending_factor: Factor
+    torsion_factor: Factor
+    source: str = Field(description="where the factors are from: a measurement, a model of slotted tubes")
+
+
+def _load_table(value: object, info: ValidationInfo) -> tuple[Array, Array]:
+    """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
+    if not isinstance(value, str):
+        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
+    path = info.context["directory"] / value if info.context else value
+    table = read_csv(path)
+    wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
+    for name in COLUMNS:
+        if name not in table.columns:
+            raise InputError(f"{path}: column {name} is missing")
+    for name in table.columns:
+        if name not in wanted:
+            raise InputError(f"{path}: column {name} is not known; there may be {', '.join(wanted)}, twist_deg_per_mm")
+    s = table.numbers(COLUMNS[:1], MM)[:, 0]
+    u = np.zeros((len(s), 3))
+    u[:, :2] = table.numbers(COLUMNS[1:], PER_M)
+    if len(wanted) == 4:
+        u[:, 2] = table.numbers(wanted[3:], DEG_PER_MM)[:, 0]
+    table.check()
+    try:
+        check_table(s, u, "arc_length_mm", 1e-3)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return s, u
+
+
+Table = Annotated[
+    Any,
+    PlainValidator(_load_table, json_schema_input_type=str),
+    Field(description=f"path of a CSV file, relative to this file, with {', '.join(COLUMNS)} and twist_deg_per_mm"),
+]
+
+
+class PieceEntry(Entry):
+    """A piece of a tube: its length, its precurvature in one of several ways, and stiffnesses of its own."""
+
+    length_mm: Positive | None = Field(None, description="may be left out with a table")
+    radius_mm: Positive | None = None
+    curvature_per_m: Curvature | None = Field(None, description="about x, or [x, y]")
+    twist_deg_per_mm: Along | None = Field(None, description="natural twist: how fast the bend direction turns")
+    helix: HelixEntry | None = None
+    table: Table | None = None
+    plane_deg: Number | None = Field(None, description="by how much the bend direction is turned about the tube's axis")
+    bending_stiffness_N_mm2: Stiffness | None = None
+    torsional_stiffness_N_mm2: Stiffness | None = None
+    pattern: PatternEntry | None = None
+
+    def build(self, own: tuple[float, float]) -> Piece:
+        """The piece in SI, of a tube with stiffnesses `own`, N m^2."""
+        length = self._length()
+        x, y, z = self._precurvature()
+        if self.plane_deg is not None:
+            x, y = _turned(x, y, to_si(self.plane_deg, DEG))
+        bending, torsional = self._stiffness(own)
+        return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional)
+
+    def _length(self) -> float:
+        if self.table is None:
+            if self.length_mm is None:
+                raise InputError("length_mm is missing")
+            return to_si(self.length_mm, MM)
+        measured = float(self.table[0][-1])
+        if self.length_mm is not None and abs(to_si(self.length_mm, MM) - measured) > 1e-9:
+            raise InputError(
+                f"length_mm is {self.length_mm}; the table ends at {measured * 1e3:g} mm, and they must agree"
+            )
+        return measured
+
+    def _precurvature(self) -> tuple[Quantity, Quantity, Quantity]:
+        ways = ("radius_mm", "curvature_per_m", "helix", "table")
+        given = [name for name in ways if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise InputError(f"{given[0]} and {given[1]} are both given; a piece has one of {', '.join(ways)}")
+        if self.twist_deg_per_mm is not None and given and given[0] in ("helix", "table"):
+            raise InputError(f"twist_deg_per_mm and {given[0]} are both given; a {given[0]} has a twist of its own")
+        if self.helix is not None:
+            helix = self.helix
+            made = Piece.helix(
+                1.0, to_si(helix.radius_mm, MM), to_si(helix.pitch_mm, MM), left=helix.handed == "left"
+            ).precurvature
+            return made[0], made[1], made[2]
+        if self.table is not None:
+            s, u = self.table
+            x, y, z = (float(c[0]) if (c == c[0]).all() else spline(s, c) for c in u.T)
+            return x, y, z
+        twist = _quantity(self.twist_deg_per_mm, DEG_PER_MM) if self.twist_deg_per_mm is not None else 0.0
+        if self.radius_mm is not None:
+            return float(1 / (self.radius_mm * MM)), 0.0, twist
+        bend = self.curvature_per_m
+        if bend is None:
+            return 0.0, 0.0, twist
+        parts = bend if isinstance(bend, list) else [bend, Decimal(0)]
+        return _quantity(parts[0], PER_M), _quantity(parts[1], PER_M), twist
+
+    def _stiffness(self, own: tuple[float, float]) -> tuple[Quantity | None, Quantity | None]:
+        named = (self.bending_stiffness_N_mm2, self.torsional_stiffness_N_mm2)
+        if self.pattern is None:
+            bending, torsional = (None if part is None else _quantity(part, N_MM2) for part in named)
+            return bending, torsional
+        if named != (None, None):
+            raise InputError("pattern and a stiffness are both given; a piece has one or the other")
+        return own[0] * float(self.pattern.bending_factor), own[1] * float(self.pattern.torsion_factor)
+
+
+def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:
+    return entry.series(unit) if isinstance(entry, SeriesEntry) else to_si(entry, unit)
+
+
+def _turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
+    """A bend direction turned about z."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    if not isinstance(x, Series) and not isinstance(y, Series):
+        return cos * x - sin * y, sin * x + cos * y
+    return _sum(times(x, cos), times(y, -sin)), _sum(times(x, sin), times(y, cos))
+
+
+def _sum(a: Quantity, b: Quantity) -> Quantity:
+    """The sum of two quantities on the same panels, or of one and a number."""
+    if not isinstance(a, Series):
+        a, b = b, a
+    assert isinstance(a, Series)
+    other = b.coefficients if isinstance(b, Series) else ((b,),) * len(a.coefficients)
+    table = []
+    for one, more in zip(a.coefficients, other, strict=True):
+        row = np.zeros(max(len(one), len(more)))
+        row[: len(one)] += one
+        row[: len(more)] += more
+        table.append(tuple(row.tolist()))
+    return Series(a.breaks, tuple(table))
+
+
+def given_stiffness(name: str, value: Decimal, of_section: float) -> float:
+    """A stiffness (N mm^2) of a tube in SI; raises InputError where it can be none of that tube."""
+    stiffness = to_si(value, N_MM2)
+    if not LEAST_STIFFNESS * of_section <= stiffness <= MOST_STIFFNESS * of_section:
+        raise InputError(
+            f"{name} is {value}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
+            f"{LEAST_STIFFNESS:g} to {MOST_STIFFNESS:g} times that"
+        )
+    return stiffness
+
+
+def piece_to_dict(piece: Piece) -> dict[str, Any]:
+    """A piece with the keys and units of a robot file."""
+    x, y, z = piece.precurvature
+    data: dict[str, Any] = {
+        "length_mm": in_unit(piece.length, MM),
+        "curvature_per_m": [_written(x, PER_M), _written(y, PER_M)],
+    }
+    if z != 0.0:
+        data["twist_deg_per_mm"] = _written(z, DEG_PER_MM)
+    for name in ("bending_stiffness", "torsional_stiffness"):
+        own = getattr(piece, name)
+        if own is not None:
+            data[f"{name}_N_mm2"] = _written(own, N_MM2)
+    return data
+
+
+def _written(quantity: Quantity, unit: Decimal) -> Any:
+    if not isinstance(quantity, Series):
+        return in_unit(quantity, unit)
+    return {
+        "breaks_mm": [in_unit(s, MM) for s in quantity.breaks],
+        "coefficients": [[in_unit(c, unit) for c in panel] for panel in quantity.coefficients],
+    }
