@@ -38,6 +38,9 @@ CURVATURES: dict[str, Callable[[float], float]] = {
 }
 JUMPS = {"S": (0.05, 0.07), "variable": (), "turned plane": (0.06,)}
 
+SIDES = {"S": 1.0, "variable": -1.0, "turned plane": -1.0}
+"""To which side the drawing turns where the curvature is positive: on the whole it turns right."""
+
 
 def asked(name: str, side: float) -> np.ndarray:
     """(N, 2) points (m) of the bend that springs back to the tube, from the origin along x, by Runge and Kutta."""
@@ -56,7 +59,7 @@ def asked(name: str, side: float) -> np.ndarray:
             inside = min(max(s * shrunk, a + 1e-12), b - 1e-12)
             return [math.cos(y[2]), math.sin(y[2]), side * mold_curvature(CURVATURES[name](inside))]
 
-        steps = np.linspace(a, b, 200) / shrunk
+        steps = np.linspace(a, b, math.ceil((b - a) / 1e-4)) / shrunk
         walked = solve_ivp(rate, (steps[0], steps[-1]), [*at, heading], "DOP853", steps, rtol=1e-10, atol=1e-13).y
         at, heading = walked[:2, -1], walked[2, -1]
         points.append(walked[:2, 1:].T)
@@ -68,14 +71,20 @@ def placed(points: np.ndarray, start: np.ndarray, towards: np.ndarray) -> np.nda
     return start + points @ np.array([towards, [-towards[1], towards[0]]])
 
 
-def apart(points: np.ndarray, line: np.ndarray) -> float:
-    """Greatest distance (m) of points from a dense polyline."""
-    return max(float(np.linalg.norm(line - p, axis=1).min()) for p in points)
+def apart(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(N,) distances (m) of points from a polyline."""
+    line = line[np.concatenate([[True], np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-12])]
+    ways = np.diff(line, axis=0)
+    out = []
+    for p in points:
+        along = np.clip(np.sum((p - line[:-1]) * ways, axis=1) / np.sum(ways**2, axis=1), 0.0, 1.0)
+        out.append(np.linalg.norm(line[:-1] + along[:, None] * ways - p, axis=1).min())
+    return np.array(out)
 
 
 def on_arc(centre: np.ndarray, radius: float, first: float, sweep: float) -> np.ndarray:
-    """Points of an arc, 2 um apart at most."""
-    angle = first + np.linspace(0.0, sweep, max(2, math.ceil(radius * abs(sweep) / 4e-6)))
+    """Points of an arc, 50 um apart at most."""
+    angle = first + np.linspace(0.0, sweep, max(2, math.ceil(radius * abs(sweep) / 5e-5)))
     return centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
@@ -97,14 +106,14 @@ def test_the_drawing_holds_the_curve(made: tuple[str, Mold, Path]) -> None:
     for entity in bend:
         if entity.dxftype() == "LINE":
             ends = np.array([entity.dxf.start, entity.dxf.end])[:, :2] / 1e3
-            drawn.append(ends[0] + np.linspace(0, 1, 5000)[:, None] * (ends[1] - ends[0]))
+            drawn.append(ends[0] + np.linspace(0, 1, 100)[:, None] * (ends[1] - ends[0]))
             continue
         sweep = math.radians((entity.dxf.end_angle - entity.dxf.start_angle) % 360)
         centre = np.array(entity.dxf.center)[:2] / 1e3
         drawn.append(on_arc(centre, entity.dxf.radius / 1e3, math.radians(entity.dxf.start_angle), sweep))
     line = np.vstack(drawn)
-    off = min(apart(placed(asked(name, side), start, towards), line) for side in (1, -1))
-    assert off < 3e-6  # of which 2 are the spacing of the points
+    off = apart(placed(asked(name, SIDES[name]), start, towards)[::3], line)
+    assert off.max() < 1e-6
     # As long as the curve, so that every place along it is where it belongs.
     assert mold.grooves[0].bend_length == pytest.approx(TUBES[name].curved_length / (1 - BACK.shrinkage), abs=1e-6)
     arcs = [entity for entity in bend if entity.dxftype() == "ARC"]
@@ -118,11 +127,10 @@ def test_the_walls_of_the_solid_stand_beside_the_curve(made: tuple[str, Mold, Pa
     assert mesh.is_watertight
     floor = mesh.vertices[np.abs(mesh.vertices[:, 2] + groove.depth * 1e3) < 1e-4][:, :2] / 1e3
     start, towards = np.asarray(groove.centreline.lead_in.end), groove.centreline.lead_in.tangent(np.zeros(1))[0]
-    side = -1.0 if name != "S" else -1.0
-    line = placed(asked(name, side), start, towards)
-    near = np.array([np.linalg.norm(line - p, axis=1).min() for p in floor])
+    line = placed(asked(name, SIDES[name]), start, towards)
+    near = apart(floor, line)
     bend = near < groove.width
-    assert bend.sum() > 50
+    assert bend.sum() > 25
     assert np.abs(near[bend] - groove.width / 2).max() < 10e-6
 
 
@@ -133,7 +141,7 @@ def test_the_cutter_follows_the_curve(made: tuple[str, Mold, Path]) -> None:
     assert toolpath_deviation(mold, text) < 1e-6
     # By another reader: the two outermost ways stand half the room beside the curve.
     start, towards = np.asarray(groove.centreline.lead_in.end), groove.centreline.lead_in.tangent(np.zeros(1))[0]
-    line = placed(asked(name, -1.0), start, towards)
+    line = placed(asked(name, SIDES[name]), start, towards)
     room = (groove.width - groove.mill.diameter) / 2
     x = y = z = 0.0
     for word, rest in re.findall(r"^(G[0-3]) (.*)$", text, re.MULTILINE):
@@ -146,7 +154,7 @@ def test_the_cutter_follows_the_curve(made: tuple[str, Mold, Path]) -> None:
             middle = centre + np.linalg.norm(centre - [x, y]) * np.array(
                 [math.cos(first + turn / 2), math.sin(first + turn / 2)]
             )
-            away = float(np.linalg.norm(line - middle / 1e3, axis=1).min())
+            (away,) = apart(middle[None] / 1e3, line)
             assert away == pytest.approx(room, abs=1e-5)
         x, y = end
 
@@ -159,7 +167,7 @@ def test_what_comes_out_is_what_was_asked_for(name: str, back: Springback) -> No
     assert len(again.pieces) == len(tube.pieces)
     assert again.curved_length == pytest.approx(tube.curved_length, rel=1e-12)
     tips = [forward_kinematics(ConcentricRobot([t]), [0.3]).tip_position for t in (tube, again)]
-    assert np.linalg.norm(tips[0] - tips[1]) < 1e-10
+    assert np.linalg.norm(tips[0] - tips[1]) < 2e-9
 
 
 def test_another_spring_back_is_felt_piece_by_piece() -> None:
@@ -199,9 +207,9 @@ def test_what_no_plate_holds_is_refused() -> None:
     assert refused(helix) == "tube 1 is a space curve; a plate holds planar bends only: it takes a mandrel"
     planes = Tube.of_pieces(*DIAMETERS, [Piece(0.03, (10.0, 0.0, 0.0)), Piece(0.03, (0.0, 10.0, 0.0))])
     assert "space curve" in refused(planes)
-    # A pretzel: left by 250 deg, then right.
-    pretzel = Tube.of_pieces(*DIAMETERS, [Piece(0.11, 40.0), Piece(0.11, -40.0)])
-    assert "crosses itself: it bends through 504" in refused(pretzel)
+    # By 300 deg to one side, then to the other.
+    pretzel = Tube.of_pieces(*DIAMETERS, [Piece(0.131, 40.0), Piece(0.131, -40.0)])
+    assert "crosses itself: it bends through 600" in refused(pretzel)
     tight = Tube.of_pieces(*DIAMETERS, [Piece(0.02, 10.0), Piece(0.01, lambda s: 80 - 1000 * s)])
     assert "tube 1 is strained 6.4 %" in refused(tight)
     steep = replace(MoldSpec(), springback=Springback(0.1, slope=0.01))

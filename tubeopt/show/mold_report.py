@@ -123,11 +123,12 @@ _ROWS = {
 
 
 def groove_record(groove: Groove) -> dict[str, Any]:
-    """A groove as JSON."""
+    """A groove as JSON; of a bend of many curvatures radii and curvature are those of its tightest place."""
     return {
         "wanted_radius_mm": MM / abs(groove.tube.curvature) if groove.tube.curvature else math.inf,
         "mold_radius_mm": groove.radius * MM,
         "mold_curvature_per_m": groove.curvature,
+        "arcs": len(groove.centreline.bend),
         "bend_length_mm": groove.bend_length * MM,
         "bend_angle_deg": math.degrees(groove.bend_angle),
         "lead_in_mm": groove.centreline.lead_in.length * MM,

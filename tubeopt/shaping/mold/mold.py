@@ -375,6 +375,11 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
+        if any(piece.bending_stiffness or piece.torsional_stiffness for piece in groove.tube.pieces):
+            remarks.append(
+                f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
+                "are not drawn"
+            )
     return remarks
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,10 @@ HALVINGS = 8
 
 PLANAR = 1e-9
 """Part of the largest curvature that may point out of the plane of a planar bend."""
+
+
+_NODES = chebyshev.chebpts1(ORDER + 1)
+_INTERPOLATE = np.linalg.inv(chebyshev.chebvander(_NODES, ORDER))
 
 
 def tube_in_mold(tube: Tube, back: Springback) -> Tube:
@@ -75,11 +80,11 @@ def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float,
         breaks = _smooth_stretches(x, y, piece.length)
         own = x, y
 
-        def bent(k: int, s: Array) -> Array:
-            both = [values(q, s) for q in own]
-            return np.asarray(both[k] * np.array([gain(size) for size in np.hypot(*both)]))
+        def bent(quantity: Quantity, s: Array) -> Array:
+            sizes = np.hypot(values(own[0], s), values(own[1], s))
+            return np.asarray(values(quantity, s) * np.array([gain(size) for size in sizes]))
 
-        x, y = (_fitted(lambda s, k=k: bent(k, s), breaks) if isinstance(own[k], Series) or own[k] else 0.0 for k in (0, 1))
+        x, y = (0.0 if q == 0.0 else _fitted(partial(bent, q), breaks) for q in own)
     stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
     bending, torsional = (None if q is None else _stretched(q, factor) for q in stiffness)
     return Piece(
@@ -123,7 +128,7 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
     stack = [(a, b, 0) for a, b in zip(low[::-1], high[::-1], strict=True)]
     while stack:
         a, b, depth = stack.pop()
-        c = chebyshev.chebinterpolate(lambda t, a=a, b=b: function((a + b) / 2 + t * (b - a) / 2), ORDER)
+        c = _INTERPOLATE @ function((a + b) / 2 + _NODES * (b - a) / 2)
         if depth < HALVINGS and (np.abs(c[-3:]) > 1e-12 * scale).any():
             stack += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
             continue
@@ -169,12 +174,12 @@ def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
         raise InputError("the tube is a space curve; a groove in a plate holds planar bends only")
     if not tube.general:
         return [(tube.curved_length, np.array([tube.curvature]))]
-    out = []
+    out: list[tuple[float, Array]] = []
     for piece in tube.pieces:
         x, y, _ = piece.precurvature
         breaks = breaks_of([x, y], piece.length)
         panels = zip(np.diff(breaks), on_panels(x, breaks), on_panels(y, breaks), strict=True)
         for length, cx, cy in panels:
             both = chebyshev.chebadd(direction[0] * cx, direction[1] * cy)
-            out.append((float(length), np.asarray(both)))
+            out.append((float(length), np.asarray(both, dtype=float)))
     return out
