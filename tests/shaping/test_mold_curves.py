@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from tubeopt import InputError, Mold, MoldSpec, Piece, Tube, forward_kinematics, plan_mold, predict_tube
-from tubeopt import ConcentricRobot
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    Mold,
+    MoldSpec,
+    Piece,
+    Tube,
+    forward_kinematics,
+    plan_mold,
+    predict_tube,
+)
 from tubeopt.shaping import Springback, write_mold
 from tubeopt.shaping.mold.gcode import gcode, toolpath_deviation
 from tubeopt.show.plots.mold import plot_setup_sheet
@@ -25,7 +35,9 @@ pytest.importorskip("manifold3d")
 
 BACK = Springback(0.06, 1e-3, shrinkage=0.004)
 DIAMETERS = (1.6e-3, 1.2e-3)
-S_SHAPE = Tube.of_pieces(*DIAMETERS, [Piece(50e-3, 18.0), Piece(20e-3, 0.0), Piece(40e-3, -24.0)], straight_length=30e-3)
+S_SHAPE = Tube.of_pieces(
+    *DIAMETERS, [Piece(50e-3, 18.0), Piece(20e-3, 0.0), Piece(40e-3, -24.0)], straight_length=30e-3
+)
 VARIABLE = Tube.of_pieces(*DIAMETERS, [Piece(0.1, lambda s: 25 * math.sin(60 * s) + 4)], straight_length=10e-3)
 TURNED = Tube.of_pieces(
     *DIAMETERS, [Piece(0.06, lambda s: ((5 + 200 * s) * 0.6, (5 + 200 * s) * 0.8, 0.0)), Piece(0.03, (6.0, 8.0, 0.0))]
@@ -53,7 +65,7 @@ def asked(name: str, side: float) -> np.ndarray:
 
     at, heading, points = np.zeros(2), 0.0, [np.zeros((1, 2))]
     ends = [0.0, *JUMPS[name], length]
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
 
         def rate(s: float, y: np.ndarray, a: float = a, b: float = b) -> list[float]:
             inside = min(max(s * shrunk, a + 1e-12), b - 1e-12)

@@ -14,11 +14,13 @@ from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..runs.mold_file import load_mold_spec, load_springback, load_trials
 from ..shaping.mold.heat import HeatSpec
+from ..shaping.mold.mandrel import plan_mandrel
 from ..shaping.mold.materials import mold_material
 from ..shaping.mold.ranking import rank_mold_materials
 from ..shaping.mold.robot import plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import calibrate_springback
+from ..show.mandrel_report import MandrelReport
 from ..show.mold_report import CalibrationReport, MaterialsReport
 from ..show.report import can_be_saved, present, report
 from .options import JsonOption, OutOption, PlotOption, RobotArgument
@@ -75,6 +77,31 @@ def plan(
     numbers = _tube_numbers(tubes)
     can_be_saved(out)
     present(report(plan_robot_mold(made_of, spec, numbers)), out=out, as_json=as_json, plot=plot)
+
+
+@app.command(epilog="Example: tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results")
+def mandrel(
+    robot: RobotArgument,
+    tube: Annotated[int, typer.Option("--tube", metavar="N", help="Which tube of the robot, from 1.")] = 1,
+    mold: Annotated[
+        str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
+    ] = None,
+    springback: Annotated[
+        str | None, typer.Option(metavar="FILE.yaml", help="Spring-back from `tubeopt mold calibrate`.")
+    ] = None,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The mandrel for a tube that is a helix or another space curve: STL, table of rotation and feed, G-code."""
+    tubes = load_robot(robot).tubes
+    if not 1 <= tube <= len(tubes):
+        raise InputError(f"--tube is {tube}; it must lie in 1 to {len(tubes)}")
+    spec = MoldSpec() if mold is None else load_mold_spec(mold)
+    if springback is not None:
+        spec = replace(spec, springback=load_springback(springback))
+    can_be_saved(out)
+    present(MandrelReport(plan_mandrel(tubes[tube - 1], spec, number=tube)), out=out, as_json=as_json, plot=plot)
 
 
 def _tube_numbers(text: str | None) -> list[int] | None:

@@ -74,7 +74,7 @@ def _merged(panels: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A stretch whose curvature (1/m, positive turns left) is one polynomial: length (m), Chebyshev coefficients, start."""
+    """A stretch of length (m) and one polynomial of curvature (1/m, positive turns left): Chebyshev coefficients."""
 
     length: float
     coefficients: Array

@@ -272,6 +272,24 @@ def _polyline(curve: Centreline, sagitta: float) -> Array:
     return np.vstack([*parts, [curve.lead_out.end]])
 
 
+def clipped_area(corners: Array, size: Point) -> float:
+    """Area (m^2) of a polygon within [0, width] x [0, height] (Sutherland and Hodgman, Commun. ACM 17, 1974)."""
+    for axis in (0, 1):
+        for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
+            value = sign * corners[:, axis] - bound
+            kept = []
+            for k in range(len(corners)):
+                before, here = k - 1, k
+                if (value[before] < 0) != (value[here] < 0):
+                    part = value[before] / (value[before] - value[here])
+                    kept.append(corners[before] + part * (corners[here] - corners[before]))
+                if value[here] >= 0:
+                    kept.append(corners[here])
+            corners = np.array(kept)
+    x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+
 def _spaced(length: float, step: float) -> Array:
     return np.linspace(0.0, length, max(2, math.ceil(length / step) + 1))
 

@@ -15,6 +15,7 @@ import numpy as np
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array
+from .arcs import bend_of
 from .checks import (
     Check,
     choose_mill,
@@ -25,8 +26,7 @@ from .checks import (
     tube_checks,
     wall_check,
 )
-from .arcs import bend_of
-from .groove import Arc, Centreline, Point, polygon
+from .groove import Arc, Centreline, Point, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
@@ -225,9 +225,9 @@ def plan_mold(
         mold: material, fit, plate, cutters and so on; None takes the defaults of `MoldSpec`.
 
     Raises:
-        InputError: no tube, a tube without a curved part, a space curve (`plan_mandrel` winds it), one strained too far when pressed into its groove, end mills
-            wider than the groove or its bend, a plate too thin or too small, grooves that cross, no room for bolts, or
-            a curvature that no mold yields.
+        InputError: no tube, a tube without a curved part, a space curve (`plan_mandrel` winds it), one strained too
+            far when pressed into its groove, end mills wider than the groove or its bend, a plate too thin or too
+            small, grooves that cross, no room for bolts, or a curvature that no mold yields.
     """
     spec = MoldSpec() if mold is None else mold
     instance("mold", spec, MoldSpec)
@@ -284,7 +284,7 @@ def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[
 def groove_area(groove: Groove, size: Point) -> float:
     """Area (m^2) of a groove within the plate: width times length, less what a corner of the plate cuts off."""
     corners = polygon(groove.centreline.lengthened(groove.width + 1e-3), groove.width, 1e-9)
-    return _clipped_area(corners, size)
+    return clipped_area(corners, size)
 
 
 def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
@@ -381,21 +381,3 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 "are not drawn"
             )
     return remarks
-
-
-def _clipped_area(corners: Array, size: Point) -> float:
-    """Area (m^2) of a polygon within [0, width] x [0, height] (Sutherland and Hodgman, Commun. ACM 17, 1974)."""
-    for axis in (0, 1):
-        for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
-            value = sign * corners[:, axis] - bound
-            kept = []
-            for k in range(len(corners)):
-                before, here = k - 1, k
-                if (value[before] < 0) != (value[here] < 0):
-                    part = value[before] / (value[before] - value[here])
-                    kept.append(corners[before] + part * (corners[here] - corners[before]))
-                if value[here] >= 0:
-                    kept.append(corners[here])
-            corners = np.array(kept)
-    x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
-    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))

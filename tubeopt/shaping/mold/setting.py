@@ -1,4 +1,4 @@
-"""A tube as its mold holds it, and as it comes out: spring-back of every local curvature, shrinkage of the length (SI)."""
+"""A tube as its mold holds it, and as it comes out: spring-back of every curvature, shrinkage of the length (SI)."""
 
 from __future__ import annotations
 
@@ -60,9 +60,7 @@ def with_pieces(tube: Tube, pieces: Iterable[Piece]) -> Tube:
     """The tube with other pieces in place of its own."""
     chain = tuple(pieces)
     length = math.fsum(piece.length for piece in chain)
-    return replace(
-        tube, curved_length=length, curvature=max(piece.largest_curvature for piece in chain), pieces=chain
-    )
+    return replace(tube, curved_length=length, curvature=max(piece.largest_curvature for piece in chain), pieces=chain)
 
 
 def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float, *, even: bool) -> Piece:
@@ -108,7 +106,7 @@ def _stretched(quantity: Quantity, factor: float) -> Quantity:
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
-    """Arc lengths between which the size of the curvature is smooth: it has a corner where the bend changes its side."""
+    """Arc lengths between which the size of the curvature is smooth: it has a corner where the bend changes side."""
     breaks = breaks_of([x, y], length)
     found = set(breaks.tolist())
     for quantity in (x, y):
@@ -138,7 +136,7 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
 
 
 def bend_direction(tube: Tube) -> tuple[float, float] | None:
-    """The line of the cross-section (unit, in its right half) along which all precurvature lies; None of a space curve."""
+    """The line of the cross-section (unit, in its right half) along which all precurvature lies, or None."""
     if not tube.general:
         return 1.0, 0.0
     u = np.vstack([_sampled(piece) for piece in tube.pieces])
