@@ -195,11 +195,11 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
         x = x / np.linalg.norm(x)
         turned = bend.moved(np.vstack([x, np.cross(up, x), up]), np.zeros(3))
         rim = width / 2 + spec.groove.wall
-        # The leads end at the sides of the block.
+        # The leads end at the sides of the block, clear of its corners.
         low, high = turned.points.min(axis=0), turned.points.max(axis=0)
         inner = turned.points[turned.bend]
-        low[:2] = np.minimum(low[:2], inner.min(axis=0)[:2] - rim)
-        high[:2] = np.maximum(high[:2], inner.max(axis=0)[:2] + rim)
+        low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
+        low[1], high[1] = low[1] - rim, high[1] + rim
         ways = [_way_out(turned.points[k], sign * turned.tangents[k], low, high) for k, sign in ((0, -1), (-1, 1))]
         low[2] -= width / 2 + spec.groove.floor
         high[2] += width / 2

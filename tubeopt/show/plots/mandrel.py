@@ -50,13 +50,14 @@ def plot_mandrel(mandrel: Mandrel, path: str | PathLike[str] | None = None, *, t
         pitch = 2 * math.pi * abs(body.lead) * MM
         words = (
             f"turned: cylinder {2 * body.radius * MM:.2f} × {body.length * MM:.1f} mm\n"
-            f"groove {mandrel.width * MM:g} mm, radius {body.helix_radius * MM:.3f} mm, pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}"
+            f"groove {mandrel.width * MM:g} mm, radius {body.helix_radius * MM:.3f} mm, "
+            f"pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}-handed"
         )
     else:
         size = np.array(body.size) * MM
         side.plot(*(w.points[:, :2] * MM).T, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
         points = w.points[w.bend] * MM
-        drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", label="bend")
+        drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
         side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
         side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
         side.set_aspect("equal")
@@ -86,7 +87,7 @@ def _draw_space(axes: Axes, mandrel: Mandrel) -> None:
     axes.plot(*points.T, color=INK, lw=1.0, ls=(0, (4, 2)))
     axes.plot(*points[w.bend].T, color=tube_colour(mandrel.number - 1), lw=2.0)
     low, high = (np.array(f(np.vstack([points, _corners(mandrel)]), axis=0)) for f in (np.min, np.max))
-    axes.set_box_aspect(high - low)  # type: ignore[arg-type]
+    axes.set_box_aspect(high - low)
     axes.set_axis_off()
     axes.view_init(elev=25, azim=-60)  # type: ignore[attr-defined]
 
