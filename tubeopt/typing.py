@@ -1,9 +1,43 @@
-"""Names of array types."""
+"""Names of array types, and what every answer has."""
 
 from __future__ import annotations
+
+from enum import Enum
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+class Sentence(Enum):
+    """How a solve ended: members whose values are sentences, and who read as such."""
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+
+@runtime_checkable
+class Result(Protocol):
+    """What a solver or a question answers with.
+
+    Attributes:
+        value: what was asked for, SI: a place, joint values, a robot, duties; of a program what gives its values by
+            name.
+        status: how it ended; as text it is a sentence.
+        statistics: what it took: iterations, solves, seconds, as named numbers.
+    """
+
+    @property
+    def value(self) -> Any:
+        """What was asked for."""
+
+    @property
+    def status(self) -> Any:
+        """How it ended."""
+
+    @property
+    def statistics(self) -> Any:
+        """What it took."""

@@ -215,6 +215,21 @@ def test_eccentric_tubes_of_a_segment_share_an_unknown() -> None:
     np.testing.assert_allclose(solution.value(block.tip_position), found.tip_position, atol=1e-8)
 
 
+def test_margin_itself_can_be_maximised_close_to_1() -> None:
+    near = forward_kinematics(THESIS, [0.0, 1.0, 3.4])
+    problem = Problem()
+    margin = problem.variable("margin", guess=0.5, upper=0.98)
+    turn = problem.variable("turn", guess=3.4, lower=0.0, upper=np.pi + 1)
+    block = EquilibriumBlock(problem, near, rotations=[0.0, 1.0, turn])
+    block.margin_at_least(margin)
+    problem.maximize(margin - 0.001 * (turn - 3.4) ** 2)
+    solution = problem.solve()
+    assert near.margin < 0.75
+    assert solution.value("margin") == pytest.approx(0.98, abs=1e-6)
+    # The turn is the least that gives this margin: it binds.
+    assert block.equilibrium(solution).margin == pytest.approx(0.98, abs=1e-6)
+
+
 def test_meeting_breakpoints_are_told_and_reordered_by_hand() -> None:
     start, goal = [0.0, -0.02], [-0.03, -0.01]
     near = forward_kinematics(TWO_TUBE, [0.0, 1.0], start)

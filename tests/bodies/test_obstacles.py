@@ -8,6 +8,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
+from tubeopt.bodies.scene import scene_of
 
 BODIES: tuple[Obstacle, ...] = (
     Sphere((0.01, -0.02, 0.05), 0.013),
@@ -71,3 +72,18 @@ def test_bodies_that_are_none_are_refused() -> None:
 
 def test_they_are_hashable_and_equal_by_value() -> None:
     assert len({Sphere((0, 0, 0), 1), Sphere((0.0, 0.0, 0.0), 1.0)}) == 1
+
+
+def test_a_scene_knows_which_bodies_are_close() -> None:
+    random = np.random.default_rng(0)
+    points = random.normal(size=(40, 3)) * 0.03
+    spheres = [Sphere(tuple(c.tolist()), random.uniform(1e-3, 1e-2)) for c in random.normal(size=(80, 3)) * 0.1]
+    boxes = [Box(tuple(c.tolist()), tuple((c + 5e-3).tolist())) for c in random.normal(size=(20, 3)) * 0.1]
+    bodies = (*spheres, *boxes, HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0)))
+    close = scene_of(bodies).close(points, 0.01)
+    near = [body for body in bodies if body.signed_distance(points).min() < 0.01]
+    far = [body for body in bodies if body.signed_distance(points).min() > 0.03]
+    assert near
+    assert far
+    assert set(near) <= set(close)
+    assert not set(far) & set(close)

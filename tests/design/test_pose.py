@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +21,8 @@ Numbers = dict[str, Array]
 def pose_of(numbers: Numbers, guess: Twist | None = None) -> Pose:
     """A pose of tubes that are given by their stiffnesses and lengths alone."""
     n = len(numbers["rotations"])
-    tubes = [SimpleNamespace(**{name: float(numbers[name][i]) for name in PARAMETERS[2:]}) for i in range(n)]
-    for tube in tubes:
-        tube.length = tube.straight_length + tube.curved_length
-    return Pose(solve_pose(cast(list[Tube], tubes), numbers["rotations"], numbers["translations"], guess))
+    tubes = [Tube(1e-4, 0.0, **{name: float(numbers[name][i]) for name in PARAMETERS[2:]}) for i in range(n)]
+    return Pose(solve_pose(tubes, numbers["rotations"], numbers["translations"], guess))
 
 
 def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:

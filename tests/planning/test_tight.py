@@ -39,6 +39,12 @@ PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
 HOME = ([0.0] * 3, [0.0] * 3)
 
 
+def ends_of_a_way(robot: Robot) -> tuple[Equilibrium, Equilibrium]:
+    """Two equilibria that a straight way joins."""
+    shift = joint_space(robot).split(joint_space(robot).inside())[1]
+    return forward_kinematics(robot, np.zeros(3), shift), forward_kinematics(robot, [1.2, 0.9, 0.4], shift)
+
+
 def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> Obstacle:
     """A body beyond the tip at the goal, seen from the start, that the arm is clear of by 1 mm and `spare`."""
     tip, ahead = goal.tip_position, goal.tip_rotation[:, 2]
@@ -65,9 +71,7 @@ def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> O
 @pytest.mark.parametrize("spare", [3e-4, 1e-4, 5e-5, 1e-5])
 @pytest.mark.parametrize(("robot", "kind"), [(THESIS, "sphere"), (THESIS, "box"), (CRL, "capsule")])
 def test_places_that_are_barely_clear_are_planned_to(robot: Robot, kind: str, spare: float) -> None:
-    shift = joint_space(robot).split(joint_space(robot).inside())[1]
-    start = forward_kinematics(robot, np.zeros(3), shift)
-    goal = forward_kinematics(robot, [1.2, 0.9, 0.4], shift)
+    start, goal = ends_of_a_way(robot)
     body = body_at(goal, start, kind, spare)
     found = plan_trajectory(robot, start, goal, obstacles=[body], options=PLAIN)
     assert found.proved
@@ -79,8 +83,7 @@ def test_places_that_are_barely_clear_are_planned_to(robot: Robot, kind: str, sp
 @pytest.mark.parametrize("spare", [3e-4, 1e-5])
 def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
     """The plate itself is hardly clear of the wall, so that all arms are as close to it, and most of an arm at once."""
-    shift = joint_space(THESIS).split(joint_space(THESIS).inside())[1]
-    start, goal = (forward_kinematics(THESIS, q, shift) for q in (np.zeros(3), [1.2, 0.9, 0.4]))
+    start, goal = ends_of_a_way(THESIS)
     free, tight = (
         plan_trajectory(
             THESIS,
@@ -219,6 +222,18 @@ def test_time_limits_bound_the_whole_call() -> None:
                 THESIS, HOME, (goal, None), obstacles=obstacles, limits=limits, options=PlanOptions(time_limit=3.0)
             )
         assert time.perf_counter() - began <= 1.1 * 3.0 + 0.5
+
+
+def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
+    random = np.random.default_rng(0)
+    places = random.uniform([-0.1, -0.1, 0.02], [0.1, 0.1, 0.2], (100, 3))
+    bodies = [Sphere(tuple(place.tolist()), 2e-3) for place in places]
+    began = time.process_time()
+    options = PlanOptions(time_limit=60.0)
+    found = plan_trajectory(CRL, *ends_of_a_way(CRL), obstacles=bodies, options=options)
+    assert time.process_time() - began < 3.0
+    assert found.proved
+    assert found.statistics.smoothed == "length"
 
 
 def test_a_turn_that_must_snap_is_told_at_once() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tubeopt.runs.schema import schemas, write_schemas
+from tubeopt.runs.schema import PAGE, page, schemas, write_schemas
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -23,6 +23,10 @@ def test_the_files_are_in_step(name: str) -> None:
 def test_they_are_written_where_asked(tmp_path: Path) -> None:
     assert {path.name for path in write_schemas(tmp_path / "schema")} == set(schemas())
     assert json.loads((tmp_path / "schema" / "robot.schema.json").read_text())["title"] == "tubeopt robot"
+
+
+def test_the_page_is_in_step() -> None:
+    assert (CONFIGS.parent / PAGE).read_text(encoding="utf-8") == page(), "run `python -m tubeopt.runs.schema`"
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)

@@ -275,7 +275,7 @@ def test_what_makes_no_sense_is_refused() -> None:
     )
     with pytest.raises(InputError, match="mold material is 'wood'; it must be one of"):
         MoldSpec(material="wood")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="cold_length is -1"):
+    with pytest.raises(InputError, match="cold_length of the mold is -1"):
         MoldSpec(cold_length=-1.0)
     with pytest.raises(InputError, match="sliding_end is 'left'"):
         ClampSpec(sliding_end="left")

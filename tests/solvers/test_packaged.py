@@ -13,6 +13,8 @@ from tubeopt import forward_kinematics
 from tubeopt.solvers.compiled import binding, packaged
 from tubeopt.solvers.compiled import library as building
 
+CONCENTRIC = (3, False, False)
+
 
 @pytest.fixture
 def generations(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[packaged.Generation, ...]:
@@ -24,14 +26,14 @@ def generations(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[packag
 
 
 def test_a_processor_gets_the_best_that_it_runs(generations: tuple[packaged.Generation, ...], tmp_path: Path) -> None:
-    new, old = (generation.kernel(tmp_path, 3, False) for generation in generations)
-    assert packaged.packaged_kernel(3, False, ["wide"]) is None
+    new, old = (generation.kernel(tmp_path, CONCENTRIC) for generation in generations)
+    assert packaged.packaged_kernel(CONCENTRIC, ["wide"]) is None
     old.touch()
-    assert packaged.packaged_kernel(3, False, ["wide"]) == old
+    assert packaged.packaged_kernel(CONCENTRIC, ["wide"]) == old
     new.touch()
-    assert packaged.packaged_kernel(3, False, ["wide", "other"]) == new
-    assert packaged.packaged_kernel(3, False, ["other"]) == old
-    assert packaged.packaged_kernel(3, True, ["wide"]) is None
+    assert packaged.packaged_kernel(CONCENTRIC, ["wide", "other"]) == new
+    assert packaged.packaged_kernel(CONCENTRIC, ["other"]) == old
+    assert packaged.packaged_kernel((3, True, False), ["wide"]) is None
 
 
 def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path) -> None:
@@ -41,8 +43,10 @@ def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path
         path.write_text(text)
 
     kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
-    made = packaged.build_kernels({(1, False): "a", (2, True): "b"}, compile_to, tmp_path / "kernels", kinds)
-    assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so"]
+    made = packaged.build_kernels(
+        {(1, False, False): "a", (2, True, False): "b", (2, False, True): "c"}, compile_to, tmp_path / "kernels", kinds
+    )
+    assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "general-2-any.so"]
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -50,7 +54,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     generations: tuple[packaged.Generation, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
-    building.compile_to(building.source(3, False), generations[1].kernel(tmp_path, 3, False), ())
+    building.compile_to(building.source(3, False), generations[1].kernel(tmp_path, CONCENTRIC), ())
     monkeypatch.setattr(building, "_compiler", lambda: None)
     kernel = building.library.__wrapped__(3, False)
     assert kernel is not None

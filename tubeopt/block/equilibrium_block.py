@@ -26,6 +26,7 @@ from .given import LENGTHS, assembly_at, given_of, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
 from .model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from .outputs import Outputs
+from .problem_solution import ProblemSolution
 from .program import as_program
 from .sensitivity import add_jacobian, answers_of
 from .stability import add_certificate, add_margin
@@ -95,6 +96,10 @@ class EquilibriumBlock(Outputs):
         refinement: int | None = None,
         name: str = "",
     ) -> None:
+        if not hasattr(near, "robot"):
+            raise InputError(
+                f"near is a {type(near).__name__}; it must be an Equilibrium, solved by forward_kinematics"
+            )
         self.near, self.robot, self.program = near, near.robot, as_program(opti)
         self._given = given_of(near, rotations, translations, tubes or {})
         self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
@@ -254,12 +259,15 @@ class EquilibriumBlock(Outputs):
 
         Warns:
             OrderWarning: breakpoints meet at the solution, so that another order of them may be better; `reorder`
-                changes places.
+                changes places. Of a `Problem`, which tries that by itself, only where they still press on each other.
         """
         from .answer import confirmed
+        from .reordering import pressing
 
-        for text in self.meetings(solution):
-            warnings.warn(text, OrderWarning, stacklevel=2)
+        tried = isinstance(solution, ProblemSolution) and pressing(self, solution) is None
+        for text in () if tried else self.meetings(solution):
+            better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"
+            warnings.warn(f"{text}; {better}", OrderWarning, stacklevel=2)
         return confirmed(self, solution.value)
 
     def violations(self, solution: Any, *, tolerance: float = 1e-8, count: int = 5) -> tuple[Violation, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError, nearest
 from ..robots.assembly import Assembly
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
+from ..robots.tubes import must_be_plain
 from ..typing import Array
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def given_of(near: Equilibrium, rotations: Any, translations: Any, tubes: Mappin
             known = ", ".join(DIMENSIONS)
             raise InputError(f"tubes names {name!r}; it may name {known}{nearest(str(name), DIMENSIONS)}")
     robot = near.robot
+    must_be_plain(robot.tubes, "an equilibrium block")
     start = {"rotations": near.rotations, "translations": near.translations, **dimensions_of(robot.tubes)}
     wanted = {"rotations": rotations, "translations": translations, **tubes}
     values: dict[str, Any] = {}

@@ -61,8 +61,8 @@ def poses_of(model: Model) -> tuple[Array, Array]:
 
 
 def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
-    """Jacobi fields of tubes softened by `margin`: (2 n n (P - 1),) where the pieces but the first begin, and
-    (n n K P,) at the points, by columns."""
+    """Jacobi fields of tubes softened by `margin`, every piece from y = 1 where it ends: v / y (n n (P - 1),) where the
+    pieces but the first begin, and y (n n K P,) at the points, by columns."""
     n, degree = model.theta.shape[0], model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
@@ -73,7 +73,9 @@ def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
         columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
         own = -np.linalg.solve(np.array(matrix(margin, *piece)), columns)
         inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
-        fields = np.array(step(fields, inner, margin, *piece)[0])
-        out.append(fields.ravel(order="F"))
+        y, v = np.split(np.array(step(fields, inner, margin, *piece)[0]), 2)
+        ratio = v @ np.linalg.pinv(y)
+        fields = np.concatenate([np.eye(n), ratio])
+        out.append(ratio.ravel(order="F"))
         points.append(inner.ravel(order="F"))
     return np.concatenate([*reversed(out[:-1]), np.zeros(0)]), np.concatenate([*reversed(points)])

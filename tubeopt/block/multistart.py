@@ -11,9 +11,9 @@ import scipy
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError, nearest
+from ..solvers.settings import Ipopt
 from ..typing import Array
 from .answer import rebuilt
-from .ipopt import Ipopt
 from .problem_solution import Attempts, ProblemSolution
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
+from ..physics.strain import surface_strain
 from ..transcription import functions
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class Outputs:
         return list(functions.inside_function(self.model.grid)(q[:, k], p[:, k], x, *self.model.piece(k)))
 
     def _where_it_is(self, fraction: float) -> list[Any]:
-        """In the piece that holds it at the lengths of the moment: all pieces are asked, one is heard."""
+        """In the piece that holds it at the lengths of the moment, which is picked out of all."""
         model, pieces = self.model, self.model.n_pieces
         behind = ca.cumsum(model.lengths)
         start = behind - model.lengths
@@ -80,13 +81,17 @@ class Outputs:
         # The last piece that begins before it, but none without length.
         begun = ca.logic_and(start <= s, model.lengths > POINT)
         later = ca.DM.zeros(1)
-        heard = []
+        picked = []
         for k in reversed(range(pieces)):
-            heard.append(ca.logic_and(begun[k], ca.logic_not(later)))
+            picked.append(ca.logic_and(begun[k], ca.logic_not(later)))
             later = ca.logic_or(later, begun[k])
-        weight = ca.vertcat(*reversed(heard))
-        every = functions.inside_function(model.grid).map(pieces)(*model.poses, x.T, *model.arguments)
-        return [part @ weight for part in every]
+        weight = ca.vertcat(*reversed(picked))
+        n, degree = self.robot.n_tubes, model.grid.degree
+        every = [*model.poses, x.T, model.theta, model.twist, ca.reshape(model.inner, n * degree, pieces)]
+        every += [model.stiffness, model.moment, model.torsional_stiffness, model.lengths.T]
+        one = [part @ weight for part in every]
+        one[5] = ca.reshape(one[5], n, degree)
+        return list(functions.inside_function(model.grid)(*one, *model.place))
 
     def strain(self, tube: int) -> Any:
         """(points,) bending strain r |u - u*| / (1 - r |u*|) at the surface of a tube (0 is the innermost), at the
@@ -96,9 +101,9 @@ class Outputs:
         model, degree = self.model, self.model.grid.degree
         bend = model.mapped("bend")(*model.arguments, model.natural)[tube, :]
         radius = self.robot.tubes[tube].outer_diameter / 2
-        own = radius * ca.fabs(model.natural[tube, :])
-        factor = ca.reshape(ca.repmat(model.present[tube, :] * radius / (1 - own), degree, 1), 1, -1)
-        strain = ca.vec(factor * bend)
+        rows = (model.natural[tube, :], model.present[tube, :])
+        natural, there = (ca.reshape(ca.repmat(row, degree, 1), 1, -1) for row in rows)
+        strain = ca.vec(there * surface_strain(radius, bend, natural))
         if self._moving:
             return strain
         kept = np.flatnonzero(np.repeat(self.layout.present[tube], degree)).tolist()

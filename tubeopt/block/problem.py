@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, nearest
+from ..solvers.settings import Ipopt
 from ..typing import Array
-from .ipopt import Ipopt, ProblemStatus
 from .problem_solution import ProblemSolution, ProblemStatistics
+from .problem_status import ProblemStatus
 from .violation import violations_of, worst
 
 MENTIONED = 3

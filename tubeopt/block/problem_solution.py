@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError, nearest
 from ..typing import Array
-from .ipopt import ProblemStatus
+from .problem_status import ProblemStatus
 from .violation import Violation
 
 if TYPE_CHECKING:

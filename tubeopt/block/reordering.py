@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
-from .ipopt import Ipopt, ProblemStatus
+from ..solvers.settings import Ipopt
 from .problem_solution import ProblemSolution
+from .problem_status import ProblemStatus
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -24,10 +25,10 @@ def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: i
     best, at, seconds, count = solution, _layouts(problem), solution.statistics.seconds, 0
     seen = {_arrangement(problem)}
     while count < limit:
-        pressing = [(block, row) for block in problem.blocks if (row := _pressing(block, best)) is not None]
-        if not pressing:
+        pressed = [(block, row) for block in problem.blocks if (row := pressing(block, best)) is not None]
+        if not pressed:
             break
-        for block, row in pressing:
+        for block, row in pressed:
             block.reorder(best, row)
         if _arrangement(problem) in seen:
             _restore(problem, at)
@@ -70,7 +71,7 @@ def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) 
     return first
 
 
-def _pressing(block: EquilibriumBlock, solution: ProblemSolution) -> int | None:
+def pressing(block: EquilibriumBlock, solution: ProblemSolution) -> int | None:
     """The row of a block whose closed gap presses most, None where none does."""
     rows = block.closed(solution)
     if not rows:
@@ -78,8 +79,8 @@ def _pressing(block: EquilibriumBlock, solution: ProblemSolution) -> int | None:
     # In the scale of the solver: at a strict optimum a multiplier is large where its gap is small.
     gaps = solution.value(block.model.gaps) / block._reach
     forces = solution.multipliers[f"{block._label}order of breakpoints"] * block._reach
-    pressing = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
-    return max(pressing, key=lambda row: float(abs(forces[row])), default=None)
+    pressed = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
+    return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
 
 def _begin_at(problem: Problem, solution: ProblemSolution) -> None:

@@ -26,52 +26,45 @@ def _checked(name: str, margin: Any) -> Any:
 
 
 def add_margin(block: EquilibriumBlock, margin: Any) -> None:
-    """Jacobi's condition on tubes softened by `margin`: y = 1, w = 0 at the tip, det y >= 0 where pieces begin and
-    det(y - |beta| v) >= 0 at the plate."""
+    """Jacobi's condition on tubes softened by `margin`, for their fields y, v from y = 1, v = 0 at the tip: det y >= 0
+    where pieces begin and det(y - |beta| v) >= 0 at the plate.
+
+    Only the ratio v / y is handed on from piece to piece, and every piece begins with y = 1 anew: fields grow by many
+    orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces.
+    """
     floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
-    pieces, reach = model.n_pieces, block._reach
-    degree = model.grid.degree
-    own = np.concatenate([np.ones((n, n)), np.full((n, n), 1 / reach)]).ravel(order="F")
-    scale = np.tile(own, pieces - 1)
+    pieces, reach, degree = model.n_pieces, block._reach, model.grid.degree
     count = f" {len(block._margins) + 1}" if block._margins else ""
     label = f"{block._label}Jacobi fields"
-    flat = block.program.variable(f"{label}{count}", 2 * n * n * (pieces - 1), scale=scale)
+    flat = block.program.variable(f"{label}{count}", n * n * (pieces - 1), scale=1 / reach)
     inside = block.program.variable(f"{label} inside{count}", n * n * degree * pieces)
-    tip = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n, n))
-    after = ca.horzcat(ca.reshape(flat, 2 * n, n * (pieces - 1)), tip)
+    ratio = ca.reshape(flat, n, n * (pieces - 1))
+    after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
     points = ca.reshape(inside, n, n * degree * pieces)
     before, defect = model.mapped("fields")(after, points, ca.repmat(floor, 1, pieces), *model.arguments)
     start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
     for column, value in zip((flat, inside), fields_of(block._begin, start), strict=True):
         block.program.set_guess(column, value)
-    between = ca.vec(ca.reshape(flat, 2 * n, n * (pieces - 1)) - before[:, n:])
-    words = [
-        f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}"
-        for k in range(pieces - 1)
-        for c in range(n)
-        for r in range(2 * n)
-    ]
+    y, v = (ca.horzsplit(before[rows, :], n) for rows in (slice(0, n), slice(n, 2 * n)))
+    gaps = [own @ y[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
+    words = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
-    block._demand(name, between, upper=0.0, scale=scale, entries=words)
+    block._demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=words)
     words = [
         f"Jacobi field {c + 1}, tube {i + 1}, piece {k + 1}, point {x + 1}"
-        for k in range(pieces)
-        for c in range(n)
-        for x in range(degree)
-        for i in range(n)
+        for k, c, x, i in np.ndindex(pieces, n, degree, n)
     ]
     block._demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
     det = functions.determinant_function(n)
-    held = before[:n, :n] - ca.repmat(model.transmission, 1, n) * before[n:, :n]
-    dets = [det(before[:n, n * k : n * (k + 1)]) for k in range(pieces)]
+    held = y[0] - ca.repmat(model.transmission, 1, n) * v[0]
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
-    block._demand(f"margin{count}", ca.vertcat(*dets, det(held)), entries=places)
+    block._demand(f"margin{count}", ca.vertcat(*(det(each) for each in y), det(held)), entries=places)
     block._margins.append(((flat, inside), floor))
 
 
 def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
     """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
-    `mechanics.certificate`, with the pieces of the block in place of sections."""
+    `physics.certificate`, with the pieces of the block in place of sections."""
     floor, model = _checked("margin", margin), block.model
     if model.place:
         raise InputError("the robot is eccentric; this certificate holds for concentric tubes")

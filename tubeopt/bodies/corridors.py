@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, positive
 from ..typing import Array
-from .obstacles import Capsule, Point3, _greater, _points, _triple
+from .obstacles import Capsule, Point3, as_points, greater, triple
 from .scene import Scene
 from .triangles import Triangles
 
@@ -48,7 +48,7 @@ class Corridor:
             raise InputError(
                 f"centreline of the corridor is {self.centreline!r}; it must be a table of points"
             ) from None
-        points = tuple(_triple(f"point {k + 1} of the centreline", p) for k, p in enumerate(rows))
+        points = tuple(triple(f"point {k + 1} of the centreline", p) for k, p in enumerate(rows))
         if len(points) < 2:
             raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
         object.__setattr__(self, "centreline", points)
@@ -63,7 +63,7 @@ class Corridor:
         """Smooth signed distance from the wall, m; positive inside the vessel."""
         inside = -self._parts[0].distance(x, y, z)
         for part in self._parts[1:]:
-            inside = _greater(inside, -part.distance(x, y, z))
+            inside = greater(inside, -part.distance(x, y, z))
         return inside
 
     @cached_property
@@ -72,12 +72,12 @@ class Corridor:
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3) from the wall, m; positive inside the vessel."""
-        array = _points(points)
+        array = as_points(points)
         return -self._inside.nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors towards the centreline."""
-        array = _points(points)
+        array = as_points(points)
         nearest = np.argmin([part.signed_distance(array) for part in self._parts], axis=0)
         towards = np.array([-part.gradient(array) for part in self._parts])
         return np.asarray(np.take_along_axis(towards, nearest[None, ..., None], axis=0)[0])
@@ -133,7 +133,7 @@ class MeshObstacle:
 
         A distance changes by no more than its point moves, so that the table in `grid` tells it to within a cell.
         """
-        array = _points(points)
+        array = as_points(points)
         flat = array.reshape(-1, 3)
         bound, cell = self._bound(flat)
         near = bound <= max(float(bound.min(initial=np.inf)), 0.0) + 2 * cell
@@ -167,7 +167,7 @@ class MeshObstacle:
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
-        array = _points(points)
+        array = as_points(points)
         flat = array.reshape(-1, 3)
         nearest, _, face = self._mesh.nearest.on_surface(flat)
         away = (flat - nearest) * np.where(self.signed_distance(flat) < 0, -1.0, 1.0)[:, None]

@@ -49,7 +49,7 @@ def _root(square: Any) -> Any:
     return (square + SMOOTH**2) ** 0.5
 
 
-def _greater(a: Any, b: Any) -> Any:
+def greater(a: Any, b: Any) -> Any:
     return (a + b + _root((a - b) ** 2)) / 2
 
 
@@ -59,14 +59,14 @@ def _unit(vectors: Array, otherwise: Array) -> Array:
     return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise)
 
 
-def _points(points: ArrayLike) -> Array:
+def as_points(points: ArrayLike) -> Array:
     array = np.asarray(points, dtype=float)
     if array.shape[-1:] != (3,):
         raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
     return array
 
 
-def _triple(name: str, value: ArrayLike) -> Point3:
+def triple(name: str, value: ArrayLike) -> Point3:
     x, y, z = vector(name, value, 3, "x, y, z").tolist()
     return x, y, z
 
@@ -87,7 +87,7 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", _triple("centre of the sphere", self.centre))
+        object.__setattr__(self, "centre", triple("centre of the sphere", self.centre))
         object.__setattr__(self, "radius", positive("radius of the sphere", self.radius))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
@@ -113,11 +113,11 @@ class Sphere:
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return self.distances(_points(points), np.array(self.numbers()))
+        return self.distances(as_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the centre."""
-        return _unit(_points(points) - self.centre, np.array([0.0, 0.0, 1.0]))
+        return _unit(as_points(points) - self.centre, np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", _triple("start of the capsule", self.start))
-        object.__setattr__(self, "end", _triple("end of the capsule", self.end))
+        object.__setattr__(self, "start", triple("start of the capsule", self.start))
+        object.__setattr__(self, "end", triple("end of the capsule", self.end))
         object.__setattr__(self, "radius", positive("radius of the capsule", self.radius))
 
     def _axis(self) -> tuple[Point3, float]:
@@ -153,8 +153,8 @@ class Capsule:
             return _root(a**2 + b**2 + c**2) - self.radius
         # The fraction along the axis, held between 0 and 1; in metres while it is rounded off.
         length = square**0.5
-        along = _greater((a * u + b * v + c * w) / length, 0.0)
-        t = -_greater(-along, -length) / length
+        along = greater((a * u + b * v + c * w) / length, 0.0)
+        t = -greater(-along, -length) / length
         return _root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
 
     def balls(self) -> Balls:
@@ -185,14 +185,14 @@ class Capsule:
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return self.distances(_points(points), np.array(self.numbers()))
+        return self.distances(as_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the axis; on it, one square to it."""
         axis = np.array(self._axis()[0])
         aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         length = float(np.linalg.norm(aside))
-        away = self._from_axis(_points(points), np.array(self.numbers()))
+        away = self._from_axis(as_points(points), np.array(self.numbers()))
         return _unit(away, aside / length if length else np.array([0.0, 0.0, 1.0]))
 
 
@@ -212,8 +212,8 @@ class HalfSpace:
     normal: Point3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", _triple("point of the half-space", self.point))
-        normal = np.array(_triple("normal of the half-space", self.normal))
+        object.__setattr__(self, "point", triple("point of the half-space", self.point))
+        normal = np.array(triple("normal of the half-space", self.normal))
         length = float(np.linalg.norm(normal))
         if length == 0:
             raise InputError("normal of the half-space is (0, 0, 0); it must have a direction")
@@ -226,11 +226,11 @@ class HalfSpace:
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return np.asarray((_points(points) - self.point) @ np.array(self.normal))
+        return np.asarray((as_points(points) - self.point) @ np.array(self.normal))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) the normal."""
-        return np.broadcast_to(np.array(self.normal), _points(points).shape).copy()
+        return np.broadcast_to(np.array(self.normal), as_points(points).shape).copy()
 
 
 @dataclass(frozen=True)
@@ -248,8 +248,8 @@ class Box:
     high: Point3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "low", _triple("low corner of the box", self.low))
-        object.__setattr__(self, "high", _triple("high corner of the box", self.high))
+        object.__setattr__(self, "low", triple("low corner of the box", self.low))
+        object.__setattr__(self, "high", triple("high corner of the box", self.high))
         for axis, a, b in zip("xyz", self.low, self.high, strict=True):
             if not a < b:
                 raise InputError(f"corners of the box are {a:g} and {b:g} m along {axis}; low must be less than high")
@@ -260,9 +260,9 @@ class Box:
             _root((value - (a + b) / 2) ** 2) - (b - a) / 2
             for value, a, b in zip((x, y, z), self.low, self.high, strict=True)
         ]
-        outside = [_greater(each, 0.0) for each in beyond]
-        inside = _greater(_greater(beyond[0], beyond[1]), beyond[2])
-        return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - _greater(-inside, 0.0)
+        outside = [greater(each, 0.0) for each in beyond]
+        inside = greater(greater(beyond[0], beyond[1]), beyond[2])
+        return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
 
     def balls(self) -> Balls:
         """The one through its corners."""
@@ -289,11 +289,11 @@ class Box:
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
-        return self.distances(_points(points), np.array(self.numbers()))
+        return self.distances(as_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
-        beyond, side = self._beyond(_points(points), np.array(self.numbers()))
+        beyond, side = self._beyond(as_points(points), np.array(self.numbers()))
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], _unit(outside, np.array([0.0, 0.0, 1.0])), nearest)
@@ -301,7 +301,7 @@ class Box:
 
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
-    array = _points(points)
+    array = as_points(points)
     if len(obstacles) > FEW:
         return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
     distance = np.full(array.shape[:-1], np.inf)

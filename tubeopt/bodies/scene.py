@@ -41,6 +41,7 @@ class Layer:
 class Crowd:
     """Many bodies of one kind."""
 
+    bodies: tuple[Any, ...]
     kind: Any
     table: Array
     layers: tuple[Layer, ...]
@@ -58,7 +59,7 @@ class Crowd:
             layers.append(
                 Layer(scipy.spatial.cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max()))
             )
-        return Crowd(type(bodies[0]), np.array([body.numbers() for body in bodies]), tuple(layers))
+        return Crowd(tuple(bodies), type(bodies[0]), np.array([body.numbers() for body in bodies]), tuple(layers))
 
     def nearest(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
@@ -76,6 +77,14 @@ class Crowd:
                 self._ask(layer, out, points, np.repeat(rows, count), np.concatenate(found).astype(int))
         return out
 
+    def close(self, points: Array, reach: float) -> set[int]:
+        """Numbers of all bodies, and maybe of others, that come closer than `reach` to some of points (N, 3)."""
+        found: set[int] = set()
+        for layer in self.layers:
+            near = layer.tree.query_ball_point(points, reach + layer.largest)
+            found.update(layer.owner[np.unique(np.concatenate(near).astype(int))].tolist())
+        return found
+
     def _told(self, layer: Layer) -> bool:
         """Whether the nearest centre is that of the nearest body: all of them are balls of one size."""
         return bool(getattr(self.kind, "ROUND", False)) and float(layer.radius.min()) == layer.largest
@@ -90,6 +99,14 @@ class Scene:
     """Bodies with signed distances, as one."""
 
     bodies: tuple[Any, ...]
+
+    def close(self, points: Array, reach: float) -> tuple[Any, ...]:
+        """All bodies, and maybe others, that come closer than `reach` to some of points (N, 3)."""
+        crowds, rest = self._parts
+        known = {id(body) for body in rest if (body.signed_distance(points) < reach).any()}
+        for crowd in crowds:
+            known |= {id(crowd.bodies[k]) for k in crowd.close(points, reach)}
+        return tuple(body for body in self.bodies if id(body) in known)
 
     @cached_property
     def _parts(self) -> tuple[list[Crowd], list[Any]]:

@@ -9,20 +9,19 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import InputError, positive
+from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
-from ..runs.mold_file import load_mold_spec, load_springback, load_trials
+from ..runs.mold_file import load_mold_spec, load_trials
+from ..runs.mold_study import MoldStudy, Ranking
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import plan_mandrel
-from ..shaping.mold.materials import mold_material
 from ..shaping.mold.ranking import rank_mold_materials
-from ..shaping.mold.robot import plan_robot_mold
-from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import calibrate_springback
-from ..show.mandrel_report import MandrelReport
-from ..show.mold_report import CalibrationReport, MaterialsReport
-from ..show.report import can_be_saved, present, report
+from ..show.report import can_be_saved, present
+from ..show.reports import report
+from .flags import ask, asks
 from .options import JsonOption, OutOption, PlotOption, RobotArgument
 
 
@@ -39,44 +38,12 @@ class _PlanByDefault(TyperGroup):
 
 app = typer.Typer(cls=_PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
 
-TubesOption = Annotated[
-    str | None,
-    typer.Option("--tubes", metavar="N,..", help="Which tubes, from 1; by default every different curved one."),
-]
-
 
 @app.command(epilog="Example: tubeopt mold plan configs/robots/thesis_etr.yaml --out results")
-def plan(
-    robot: RobotArgument,
-    mold: Annotated[
-        str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
-    ] = None,
-    tubes: TubesOption = None,
-    material: Annotated[
-        str | None, typer.Option(help="steel, mdf, glass_mica or calcium_silicate; by default that of the mold file.")
-    ] = None,
-    springback: Annotated[
-        str | None, typer.Option(metavar="FILE.yaml", help="Spring-back from `tubeopt mold calibrate`.")
-    ] = None,
-    cold_length_mm: Annotated[
-        float | None, typer.Option(help="From a clamp to where the tube is hot; by default estimated.")
-    ] = None,
-    plot: PlotOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@asks(MoldStudy)
+def plan(study: MoldStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet."""
-    made_of = load_robot(robot)
-    spec = MoldSpec() if mold is None else load_mold_spec(mold)
-    if material is not None:
-        spec = replace(spec, material=mold_material(material))
-    if springback is not None:
-        spec = replace(spec, springback=load_springback(springback))
-    if cold_length_mm is not None:
-        spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / 1e3)
-    numbers = _tube_numbers(tubes)
-    can_be_saved(out)
-    present(report(plan_robot_mold(made_of, spec, numbers)), out=out, as_json=as_json, plot=plot)
+    present(report(ask(study, "planning the mold", out)), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results")
@@ -86,32 +53,17 @@ def mandrel(
     mold: Annotated[
         str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
     ] = None,
-    springback: Annotated[
-        str | None, typer.Option(metavar="FILE.yaml", help="Spring-back from `tubeopt mold calibrate`.")
-    ] = None,
     plot: PlotOption = False,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """The mandrel for a tube that is a helix or another space curve: STL, table of rotation and feed, G-code."""
+    """The mandrel for a helix or another space curve: STL, table of rotation and feed, G-code for a 4th axis."""
     tubes = load_robot(robot).tubes
     if not 1 <= tube <= len(tubes):
         raise InputError(f"--tube is {tube}; it must lie in 1 to {len(tubes)}")
-    spec = MoldSpec() if mold is None else load_mold_spec(mold)
-    if springback is not None:
-        spec = replace(spec, springback=load_springback(springback))
     can_be_saved(out)
-    present(MandrelReport(plan_mandrel(tubes[tube - 1], spec, number=tube)), out=out, as_json=as_json, plot=plot)
-
-
-def _tube_numbers(text: str | None) -> list[int] | None:
-    """`1,3` as numbers; raises InputError for anything else."""
-    if text is None:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() for part in parts):
-        raise InputError(f"--tubes is {text!r}; it must be numbers from 1, with commas between")
-    return [int(part) for part in parts]
+    spec = None if mold is None else load_mold_spec(mold)
+    present(report(plan_mandrel(tubes[tube - 1], spec, number=tube)), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold calibrate configs/molds/example_trials.csv --out results")
@@ -131,7 +83,7 @@ def calibrate(
     can_be_saved(out)
     read = load_trials(trials)
     answer = calibrate_springback(read.mold_radius, read.obtained_radius, model=model)
-    present(CalibrationReport(answer), out=out, as_json=as_json, plot=plot)
+    present(report(answer), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1")
@@ -157,8 +109,9 @@ def materials(
         wanted = tubes[tube - 1]
     else:
         sizes = (outer_diameter_mm, inner_diameter_mm, curved_length_mm)
-        outer, inner, length = (value / 1e3 for value in sizes)
+        outer, inner, length = (value / TO_MM for value in sizes)
         wanted = Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)
     heat = replace(HeatSpec(), set_temperature=set_degc + ZERO_CELSIUS, hold_time=positive("--hold-s", hold_s))
     can_be_saved(out)
-    present(MaterialsReport(rank_mold_materials(wanted, heat), wanted, heat), out=out, as_json=as_json, plot=plot)
+    answer = Ranking(rank_mold_materials(wanted, heat), wanted, heat)
+    present(report(answer), out=out, as_json=as_json, plot=plot)

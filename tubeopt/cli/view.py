@@ -23,7 +23,7 @@ from ..runs.study_file import ForwardKinematicsStudy, load_study
 from ..show.report import can_be_saved, has_display, to_text
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
-from ..show.viewer.reel import Waypoints, load_waypoints, paced
+from ..show.viewer.playback import Waypoints, load_waypoints, paced
 from .options import JsonOption, OutOption, RobotArgument
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..equilibrium.result import Equilibrium
 from ..transcription.buffered import Buffered
-from ..transcription.explicit import explicit_arm, explicit_parameters
+from ..transcription.explicit import explicit_arm, explicit_parameters, explicit_size
 from ..typing import Array, Mask
 from .joints import JointSpace
 
@@ -94,7 +94,7 @@ class Chart:
     @cached_property
     def size(self) -> int:
         """Operations that one equilibrium takes."""
-        return int(explicit_arm(self.space.robot.n_tubes, self.eccentric).n_instructions())
+        return explicit_size(self.space.robot.n_tubes, self.eccentric)
 
     def of(self, equilibrium: Equilibrium) -> Array:
         """The point of an equilibrium."""

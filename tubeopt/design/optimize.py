@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
-from ..typing import Array
+from ..typing import Array, Sentence
 from .checks import whole
 from .collocation import check_collocation
 from .exchange import carry, certified_at, check_rounds, robot_at, violations
@@ -37,6 +38,22 @@ class Dimension:
     before: float
     after: float
     bound: str
+
+
+class DesignStatus(Sentence):
+    """What became of a design; every value reads as a sentence."""
+
+    KEPT = "the design keeps all that was demanded"
+    BROKEN = "a design was found, but looked at again it does not keep all that was demanded"
+
+
+@dataclass(frozen=True)
+class DesignStatistics:
+    """What a design took: starts, rounds in which worst cases were added, seconds."""
+
+    starts: int
+    rounds: int
+    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +89,21 @@ class DesignSolution:
     added: Added
     verification: Verification
     seconds: float
+
+    @property
+    def value(self) -> ConcentricRobot:
+        """The robot."""
+        return self.robot
+
+    @property
+    def status(self) -> DesignStatus:
+        """Whether it keeps what was demanded when it is looked at again."""
+        return DesignStatus.KEPT if self.verification.kept else DesignStatus.BROKEN
+
+    @property
+    def statistics(self) -> DesignStatistics:
+        """What it took."""
+        return DesignStatistics(self.ranking.starts, self.rounds, self.seconds)
 
     @property
     def attempt(self) -> Attempt:
@@ -126,18 +158,14 @@ def optimize_design(
     if choice("method", method, METHODS) == "collocation":
         check_collocation(task)
     began = time.perf_counter()
-    program = compile_task(task) if begin is None else _recompiled(task, begin)
-    if begin is not None:
-        ranking = rank([solve(program, begin.x, report, method)])
+    search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
+    added = None if begin is None else begin.program.added
+    if begin is None:
+        ranking = search(compile_task(task), starts=starts)
     else:
-        ranking = multistart(
-            program, starts=starts, seed=seed, workers=workers, progress=progress, report=report, method=method
-        )
+        ranking = rank([solve(_recompiled(task, begin), begin.x, report, method)])
     if not ranking.designs and starts < RETRIES:
-        ranking = multistart(
-            compile_task(task, program.added), starts=RETRIES, seed=seed, workers=workers, progress=progress,
-            report=report, method=method,
-        )  # fmt: skip
+        ranking = search(compile_task(task, added), starts=RETRIES)
     if not ranking.designs:
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)

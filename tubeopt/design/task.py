@@ -10,6 +10,7 @@ import numpy as np
 from ..block.own import OwnObjective, OwnRequirement
 from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
+from ..robots.tubes import must_follow_section
 from ..typing import Array
 from .checks import items
 from .objectives import KINDS, AnyObjective, Objective, key_of
@@ -57,6 +58,7 @@ class DesignTask:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
+        must_follow_section(self.robot.tubes, "a design")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):

@@ -73,8 +73,8 @@ class JointPath:
         """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""
         rates = np.split(self.end - self.start, 2)[1]
         assembly = self.robot.assembly(np.split(self.start, 2)[1])
-        points = np.concatenate([assembly.transition, assembly.end, [0.0]])
-        speeds = np.concatenate([rates, rates, [0.0]])
+        points = np.array([*assembly.breakpoints, 0.0])
+        speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
         gap, closing = points[:, None] - points, speeds - speeds[:, None]
         moving = np.abs(closing) > ROUND_OFF
         times = gap[moving] / closing[moving]

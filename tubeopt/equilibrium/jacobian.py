@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SolveError
+from ..robots.robot import is_general
 from ..typing import Array
 from .derivatives import Derivatives
+from .general_derivatives import general_columns
 from .result import Equilibrium
 from .state import arm_of_equilibrium, problem_of
 
@@ -72,12 +74,15 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
     Args:
         wrt: any of "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
             "torsional_stiffness"; n columns each. Lengths change with the translations held: a longer straight part
-            is a longer transmission.
+            is a longer transmission. Of a tube made of pieces the curvature bends all of them in proportion, and a
+            stiffness makes all of it stiffer; its curved length is the sum of its pieces and no parameter.
         side: 1 for breakpoints that move towards the tip, -1 for those that move towards the plate.
 
     Raises:
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
+    if is_general(equilibrium.robot):
+        return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))
     of = derivatives_of(equilibrium, wrt, side=side)
     return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)

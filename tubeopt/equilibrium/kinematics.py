@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, choice, positive, vector
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
+from ..robots.tubes import must_be_plain
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
+from ..solvers.settings import NEWTON, Ipopt, Newton
 from ..transcription import arm as arms
 from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
 from ..typing import Array
@@ -41,6 +44,28 @@ from .verification import verify_equilibrium
 
 METHODS = ("newton", "ipopt", "energy")
 
+
+@dataclass(frozen=True)
+class Method:
+    """One of METHODS with the settings of its solver."""
+
+    name: str
+    newton: Newton = NEWTON
+    ipopt: Ipopt | None = None
+
+
+NAMED = {name: Method(name) for name in METHODS}
+
+
+def _method(given: str | Newton | Ipopt) -> Method:
+    """Behind a name or the settings of a solver; raises InputError where it is neither."""
+    if isinstance(given, Newton):
+        return Method("newton", newton=given)
+    if isinstance(given, Ipopt):
+        return Method("ipopt", ipopt=given)
+    return NAMED[choice("method", given, METHODS)]
+
+
 FINEST = 6
 """Most times that the pieces of the mesh are halved."""
 
@@ -56,7 +81,7 @@ def forward_kinematics(
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
-    method: str = "newton",
+    method: str | Newton | Ipopt = "newton",
     guess: Equilibrium | None = None,
     tolerance: float = 1e-8,
     verify: bool = False,
@@ -71,7 +96,8 @@ def forward_kinematics(
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
         method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
-            nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only).
+            nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
+            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`.
         tolerance: wanted accuracy of theta(s), rad; the mesh is refined until the estimate is below.
         verify: also re-integrate adaptively and report the difference in `.verification`.
         discretisation: collocation family and degree.
@@ -87,21 +113,23 @@ def forward_kinematics(
     check_turn("rotations", alpha)
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
-    choice("method", method, METHODS)
+    by = _method(method)
     positive("tolerance", tolerance)
+    if method != "newton" and is_general(robot):
+        must_be_plain(robot.tubes, f"method {method!r}")
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
-    if method == "newton" and discretisation == DEFAULT_DISCRETISATION:
+    if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
         quick = _compiled(robot, alpha, shift, guess, began)
         if quick is not None and _error(quick) <= tolerance:
             return verify_equilibrium(quick) if verify else quick
     if guess is None:
-        solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, method)
+        solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, by)
     else:
         solution, start = follow_branch(robot, guess, alpha, shift, discretisation), "guess"
-        if method != "newton":
-            solution = _resolve(solution.problem, alpha, solution.arm, method)
-    equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (method, start, began))
+        if by.name != "newton":
+            solution = _resolve(solution.problem, alpha, solution.arm, by)
+    equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
 
 
@@ -118,7 +146,7 @@ def _to_tolerance(
     shift: tuple[float, ...],
     discretisation: Discretisation,
     tolerance: float,
-    how: tuple[str, str, float],
+    how: tuple[Method, str, float],
 ) -> Equilibrium:
     """The equilibrium on the first mesh whose estimated error is small enough; `how` is method, start, and when begun.
 
@@ -128,7 +156,7 @@ def _to_tolerance(
     method, start, began = how
     before, finest = np.inf, max(FINEST, discretisation.refinement)
     for level in range(discretisation.refinement, finest + 1):
-        equilibrium = to_equilibrium(robot, solution, shift, (method, start, time.perf_counter() - began))
+        equilibrium = to_equilibrium(robot, solution, shift, (method.name, start, time.perf_counter() - began))
         error = _error(equilibrium)
         if error <= tolerance:
             return equilibrium
@@ -159,7 +187,8 @@ def _compiled(
         turn = rotations - guess.rotations
         if guess.margin <= 0 or not _small(turn, translations - guess.translations, float(guess.arc_length[-1])):
             return None
-        start = Start(guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation, turn)
+        arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
+        start = Start(*arm, turn, guess.translations)
     answer = solve_compiled(robot, rotations, translations, start)
     if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
         return None
@@ -181,7 +210,7 @@ def _small(turn: Array, shift: Array, length: float) -> bool:
     return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
 
 
-def _cold(problem: ReducedProblem, rotations: Array, method: str) -> tuple[Solution, str]:
+def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[Solution, str]:
     """A stable equilibrium from tubes without torsion, else by way of home."""
     failure = ""
     try:
@@ -194,7 +223,7 @@ def _cold(problem: ReducedProblem, rotations: Array, method: str) -> tuple[Solut
     solution = _from_home(problem, rotations)
     if solution.margin <= 0 or not solution.result.converged:
         raise SolveError(f"no stable equilibrium was found: the best has margin {solution.margin:.3g}{failure}")
-    if method != "newton":
+    if method.name != "newton":
         solution = _resolve(problem, rotations, solution.arm, method)
     return solution, "the way from home"
 
@@ -206,26 +235,28 @@ def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
     return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
 
 
-def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: str) -> Solution:
-    """Solve from a guess by the named method; raises SolveError where it does not converge."""
-    if method == "newton":
+def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: Method) -> Solution:
+    """Solve from a guess by a method; raises SolveError where it does not converge."""
+    if method.name == "newton":
         z = _unknowns(problem, rotations, guess)
-        result = (_by_centreline if problem.assembly.eccentric else descend)(problem, rotations, z)
-    elif method == "energy" and problem.assembly.eccentric:
+        solve = _by_centreline if problem.assembly.eccentric else descend
+        result = solve(problem, rotations, z, settings=method.newton)
+    elif method.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
-        result = solve_ipopt(problem, rotations, guess, "energy" if method == "energy" else "equations")
+        formulation = "energy" if method.name == "energy" else "equations"
+        result = solve_ipopt(problem, rotations, guess, formulation, method.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
-def _by_centreline(problem: ReducedProblem, rotations: Array, z: Array) -> NewtonResult:
+def _by_centreline(problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON) -> NewtonResult:
     """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
     concentric = on_centreline(problem)
     theta = evaluate(problem, rotations, z).theta
-    start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta))
-    return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta))
+    start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta), settings=settings)
+    return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta), settings=settings)
 
 
 def _unknowns(problem: ReducedProblem, rotations: Array, guess: arms.Profile) -> Array:
@@ -252,16 +283,18 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
-def _refine(robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: str) -> Solution:
+def _refine(
+    robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: Method
+) -> Solution:
     """The same equilibrium on a finer mesh, started from the coarse one."""
     problem = reduced_problem(robot, shift, finer)
     theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
     z = to_unknowns(problem, coarse.rotations, theta)
-    result = newton(problem, coarse.rotations, z)
+    result = newton(problem, coarse.rotations, z, settings=method.newton)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one")
     solution = Solution(problem, coarse.rotations, result, margin(problem, result.state))
-    return solution if method == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
+    return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
 
 
 def one_step(

@@ -58,7 +58,7 @@ class AtWorst:
     def form(self, theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
         """y' V'' y (N,) and its gradient (N, 3n)."""
         count, n = theta.shape
-        _, form, slope = mapped(worst_function(n), count)(kb, m, y)
+        _, form, slope, _ = mapped(worst_function(n), count)(kb, m, y)
         return form[:, 0].copy(), np.concatenate([np.zeros((count, n)), slope.reshape(count, 2 * n)], axis=1)
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from os import PathLike
 from typing import TYPE_CHECKING
 
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 
 if TYPE_CHECKING:
     from .jacobian import Jacobian
 
 
-class Status(Enum):
+class Status(Sentence):
     """What became of a solve; every value reads as a sentence."""
 
     STABLE = "a stable equilibrium was found"
@@ -24,9 +23,6 @@ class Status(Enum):
     NOT_CONVERGED = "no equilibrium was found"
     BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
     MESH_TOO_COARSE = "the wanted tolerance was not reached on the finest mesh"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)
@@ -105,6 +101,11 @@ class Equilibrium:
     status: Status
     statistics: Statistics
     verification: Verification | None = None
+
+    @property
+    def value(self) -> Array:
+        """(3,) m, where the tip is: what forward kinematics is asked for."""
+        return self.tip_position
 
     @property
     def stable(self) -> bool:

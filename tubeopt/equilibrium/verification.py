@@ -1,7 +1,7 @@
 """A check of an equilibrium that shares nothing with the solver but the tubes: adaptive integration of the equations.
 
 From the solved values at the plate, torsion and shape are integrated to the tip by DOP853 (SciPy) with tolerance 1e-12,
-section by section, with the physics written out once more in NumPy.
+section by section, with the physics written out once more in NumPy; tubes made of pieces are read piece by piece.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 import scipy
 
 from ..robots.assembly import Assembly
+from ..robots.series import Quantity, Series
+from ..robots.tubes import stretches
 from ..typing import Array
 from .result import Equilibrium, Verification
 
@@ -23,11 +25,11 @@ def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     n = assembly.n_tubes
     state = _base(equilibrium, assembly)
-    base = state[:n] - assembly.transmission * state[n : 2 * n] - equilibrium.rotations
+    base = state[:n] - _transmitted(equilibrium, assembly, state[n : 2 * n]) - equilibrium.rotations
     worst, loose = 0.0, 0.0
     for k in range(assembly.n_sections):
         stop = assembly.start[k] + assembly.length[k]
-        state = _integrated(assembly, k, stop, state)
+        state = _integrated(equilibrium, assembly, k, stop, state)
         solved = equilibrium.rotation[:, np.argmin(np.abs(equilibrium.arc_length - stop))]
         worst = max(worst, float(np.abs(state[:n] - solved).max()))
         ends = np.abs(assembly.end - stop) < 1e-12
@@ -55,21 +57,108 @@ def point_at(equilibrium: Equilibrium, arc_length: float) -> tuple[Array, Array]
         stop = min(assembly.start[k] + assembly.length[k], arc_length)
         if k and stop <= assembly.start[k]:
             break
-        state = _integrated(assembly, k, stop, state)
-        u = _curvature(assembly, k, state[: assembly.n_tubes])
+        state = _integrated(equilibrium, assembly, k, stop, state)
+        theta = state[: assembly.n_tubes]
+        if assembly.general:
+            u = _Pieces(equilibrium, assembly, k).curvature(stop, theta)
+        else:
+            u = _curvature(assembly, k, theta)
     return state[-3:], u
 
 
+class _Pieces:
+    """A section of tubes made of pieces: what each tube is there, read from its pieces alone."""
+
+    def __init__(self, equilibrium: Equilibrium, assembly: Assembly, section: int) -> None:
+        middle = assembly.start[section] + assembly.length[section] / 2
+        self.parts: list[tuple[float, tuple[Quantity, ...]] | None] = []
+        for i, tube in enumerate(equilibrium.robot.tubes):
+            begin, found = -float(assembly.transmission[i]), None
+            for length, (x, y, z), kb, kt in stretches(tube):
+                if begin <= middle < begin + length:
+                    found = begin, (kb, kt, x, y, z)
+                begin += length
+            self.parts.append(found)
+
+    def _each(self, s: float) -> Array:
+        """(5, n) kb, kt, u*; kt 1 and 0 else where a tube has ended."""
+        columns = [
+            [0.0, 1.0, 0.0, 0.0, 0.0] if part is None else [_value(q, s - part[0]) for q in part[1]]
+            for part in self.parts
+        ]
+        return np.array(columns).T
+
+    def torque(self, s: float, torsion: Array) -> Array:
+        """kt (theta' - u*_z) (n,)."""
+        _, kt, _, _, z = self._each(s)
+        return np.asarray(kt * (torsion - z))
+
+    def curvature(self, s: float, theta: Array) -> Array:
+        """u (2,)."""
+        kb, _, x, y, _ = self._each(s)
+        return _plane((kb * (x + 1j * y) * np.exp(1j * theta)).sum() / kb.sum())
+
+    def rates(self, s: float, state: Array) -> Array:
+        """(theta, t, R, p)' at an arc length."""
+        n = len(self.parts)
+        theta, torque, frame = state[:n], state[n : 2 * n], state[2 * n : 2 * n + 9].reshape(3, 3)
+        kb, kt, x, y, z = self._each(s)
+        pull = kb * (x + 1j * y) * np.exp(1j * theta)
+        u = pull.sum() / kb.sum()
+        there = np.array([part is not None for part in self.parts])
+        hat = np.array([[0, 0, u.imag], [0, 0, -u.real], [-u.imag, u.real, 0]])
+        return np.concatenate([(z + torque / kt) * there, (np.conj(u) * pull).imag, (frame @ hat).ravel(), frame[:, 2]])
+
+
+def _plane(u: complex) -> Array:
+    return np.array([u.real, u.imag])
+
+
+def _transmitted(equilibrium: Equilibrium, assembly: Assembly, twist: Array) -> Array:
+    """(n,) turn of the tubes between where they are held and the plate, rad."""
+    if not assembly.general:
+        return np.asarray(assembly.transmission * twist)
+    out = np.zeros(assembly.n_tubes)
+    for i, tube in enumerate(equilibrium.robot.tubes):
+        begin, held = 0.0, float(assembly.transmission[i])
+        for length, (_, _, z), _, kt in stretches(tube):
+            stop = min(begin + length, held)
+            if stop > begin:
+                out[i] += scipy.integrate.quad(
+                    lambda x, z=z, kt=kt, t=twist[i]: _value(z, x) + t / _value(kt, x),
+                    0,
+                    stop - begin,
+                    epsrel=TOLERANCE,
+                )[0]
+            begin += length
+    return out
+
+
+def _rate(twist: Quantity, stiffness: Quantity, torque: float, x: float) -> float:
+    """theta' at an arc length of a piece."""
+    return _value(twist, x) + torque / _value(stiffness, x)
+
+
+def _value(quantity: Quantity, x: float) -> float:
+    """A quantity at an arc length of its piece."""
+    return float(quantity(x)) if isinstance(quantity, Series) else quantity
+
+
 def _base(equilibrium: Equilibrium, assembly: Assembly) -> Array:
-    """(theta, w, R, p) at the plate."""
+    """(theta, w, R, p) at the plate; with tubes made of pieces w is the torque."""
     theta, torsion = equilibrium.rotation[:, 0], equilibrium.torsion[:, 0]
+    if assembly.general:
+        here = _Pieces(equilibrium, assembly, 0) if assembly.n_sections else None
+        torque = torsion if here is None else here.torque(0.0, torsion)
+        return np.concatenate([theta, torque, np.eye(3).ravel(), np.zeros(3)])
     return np.concatenate([theta, torsion / _stretch(assembly, 0, theta), np.eye(3).ravel(), np.zeros(3)])
 
 
-def _integrated(assembly: Assembly, section: int, stop: float, state: Array) -> Array:
+def _integrated(equilibrium: Equilibrium, assembly: Assembly, section: int, stop: float, state: Array) -> Array:
     """The state at an arc length on a section, from that at its beginning."""
+    pieces = _Pieces(equilibrium, assembly, section) if assembly.general else None
     run = scipy.integrate.solve_ivp(
-        lambda s, y: _right_hand_side(assembly, section, y),
+        lambda s, y: _right_hand_side(assembly, section, y) if pieces is None else pieces.rates(s, y),
         (assembly.start[section], stop),
         state,
         method="DOP853",

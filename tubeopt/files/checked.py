@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+)
 
 from ..errors import InputError, nearest
 from .units import decimal, shown
@@ -28,6 +36,30 @@ class Entry(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: bool = False) -> PlainValidator:
+    """Mark a key as the path of a file, relative to the one that it stands in; its value is what is read from there.
+
+    Args:
+        read: path -> what the file holds.
+        what: what the path must be of.
+        kind: what may be given as it is, by a sweep, which has read or changed it.
+        of_robot: whether `read` takes the robot too, whose key stands before.
+    """
+
+    def load(value: object, info: ValidationInfo) -> Any:
+        if kind is not None and isinstance(value, kind):
+            return value
+        if not isinstance(value, str):
+            raise ValueError(f"is {shown(value)}; it must be the path of {what}")
+        path = info.context["directory"] / value if info.context else value
+        if not of_robot:
+            return read(path)
+        robot = info.data.get("robot")  # absent where the robot itself has problems
+        return None if robot is None else read(path, robot)
+
+    return PlainValidator(load, json_schema_input_type=str)
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, positive
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 from .goal import OBJECTIVES
 
 METHODS = ("auto", "gauss_newton", "nlp")
 """How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""
 
 
-class InverseStatus(Enum):
+class InverseStatus(Sentence):
     """What became of a target; every value reads as a sentence."""
 
     REACHED = "the target is reached by a stable equilibrium"
     CLOSEST = "the target was reached from no start; this is the closest pose that was found"
     TIMED_OUT = "the time ran out before the target was reached; this is the closest pose that was found till then"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)
@@ -100,6 +96,11 @@ class InverseSolution:
     def margin(self) -> float:
         """Stability margin of the equilibrium."""
         return self.equilibrium.margin
+
+    @property
+    def value(self) -> tuple[Array, Array]:
+        """The joint values: rotations (n,), rad, and translations (n,), m."""
+        return self.rotations, self.translations
 
     @property
     def reached(self) -> bool:

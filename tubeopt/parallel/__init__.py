@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from .executors import Failure, Outcome, common_data, each, executor
+from .common import common_data
+from .executors import Failure, Outcome, each, executor
 
 __all__ = ["Failure", "Outcome", "common_data", "each", "executor"]

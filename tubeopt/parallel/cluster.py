@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..errors import InputError
-from .executors import unpacked, using
+from .common import unpacked, using
 
 try:
     from distributed import Client as _Client

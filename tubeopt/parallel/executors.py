@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 import time
@@ -16,12 +15,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_end
 from typing import Any, Generic, TypeVar
 
 from ..errors import InputError, SolveError
+from .common import COMMON, NotLoadedError, common_data, packed, unpacked, using
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -97,7 +96,7 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
     if scheduler is not None:
         from .cluster import cluster_executor
 
-        with cluster_executor(scheduler, _packed(common)) as pool:
+        with cluster_executor(scheduler, packed(common)) as pool:
             yield pool
         return
     count = number_of_workers(workers)
@@ -123,59 +122,7 @@ def _processes(count: int, common: object) -> ProcessPoolExecutor:
         context.set_forkserver_preload(["__main__", "tubeopt"])
     else:
         context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, context, _begin, (_packed(common),))
-
-
-_common: ContextVar[Any] = ContextVar("common data of the run to which the task of this thread belongs")
-
-
-class NotLoadedError(InputError):
-    """Common data arrived at a worker that cannot load them, since it does not know their module."""
-
-
-@dataclass(frozen=True)
-class _NotLoaded:
-    reason: str
-
-
-def unpacked(packed: bytes) -> Any:
-    """Common data in a worker; where they cannot be loaded, what `common_data` will say about that."""
-    try:
-        return pickle.loads(packed)
-    except Exception as error:
-        return _NotLoaded(str(error) or type(error).__name__)
-
-
-def common_data() -> Any:
-    """What `executor` was given as `common`; for functions that run in its workers.
-
-    Raises:
-        NotLoadedError: the worker cannot load them.
-    """
-    common = _common.get()
-    if isinstance(common, _NotLoaded):
-        raise NotLoadedError(
-            f"the function cannot be loaded by the workers ({common.reason}); it must be of a module they can import"
-        )
-    return common
-
-
-@contextmanager
-def using(common: object) -> Iterator[None]:
-    """Let `common` be the common data of this thread inside of the block; for executors."""
-    token = _common.set(common)
-    try:
-        yield
-    finally:
-        _common.reset(token)
-
-
-def _packed(common: object) -> bytes:
-    try:
-        return pickle.dumps(common)
-    except Exception as error:
-        what = getattr(common, "__qualname__", type(common).__name__)
-        raise InputError(f"{what} cannot be sent to other processes: {error}") from None
+    return ProcessPoolExecutor(count, context, _begin, (packed(common),))
 
 
 def _begin(packed: bytes) -> None:
@@ -184,7 +131,7 @@ def _begin(packed: bytes) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-    _common.set(unpacked(packed))
+    COMMON.set(unpacked(packed))
 
 
 def _end_with(sentinel: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..bodies.corridors import MeshObstacle
+from ..bodies.scene import scene_of
 from ..control.clock import Clock
 from ..control.task import Task
 from ..equilibrium.result import Equilibrium
@@ -39,7 +40,7 @@ REFINEMENTS = 3
 """Times that knots are added where the motion between them is not allowed."""
 
 LARGEST = 150_000
-"""Operations of one equilibrium beyond which derivatives take too long to be built: robots of about six tubes."""
+"""Operations of one equilibrium beyond which its derivatives take too long: robots of about six tubes."""
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
@@ -56,9 +57,12 @@ ROOM = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 
 
-BUILDING, PER_BODY, PER_CELL = 6e-5, 1e-2, 1.5e-4
-"""Seconds that it takes at most on most machines to build the program, which nothing can cut short: per operation of an
-equilibrium, per obstacle, and per cell of the grid about a mesh."""
+BUILDING, PER_BODY, PER_CELL = 5e-5, 5e-2, 1.5e-4
+"""Seconds that it takes at most on most machines to build the program, which nothing can cut short, and to begin to
+solve it: per operation of an equilibrium, per obstacle, and per cell of the grid about a mesh."""
+
+NEAR = 0.1
+"""Distance, as a share of the longest tube, of knots from bodies up to which they may matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +75,7 @@ class Smoothed:
 
 
 def building(task: Task) -> float:
-    """Seconds of work that it may take to build the program of a task."""
+    """Seconds of work that it may take to build the program of a task and to begin to solve it."""
     cells = sum(body.grid[1].size for body in task.obstacles if isinstance(body, MeshObstacle))
     return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_CELL * cells
 
@@ -123,15 +127,16 @@ def smooth(
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
     the clock is over. `extra` is an own cost, of which the mean along the path counts beside the objective."""
     clock = clock or Clock(20.0)
-    if task.chart.size > LARGEST or clock.left < clock.crowding * building(task):
-        return None
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     z = resample(task, points, INTERVALS + 1)
     share = np.full(INTERVALS, 1 / INTERVALS)
     iterations = 0
     room = np.array([task.margin_room + EXTRA, task.clearance_room])
     for _ in range(REFINEMENTS + 1):
-        solved = _solve(task, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
+        near = _near(task, z)
+        if task.chart.size > LARGEST or clock.left < clock.crowding * building(near):
+            return None
+        solved = _solve(near, z, share, limits, (objective, own), (float(room[0]), float(room[1])), clock)
         if solved is None:
             return None
         motion, found, count = solved
@@ -144,6 +149,15 @@ def smooth(
         z, share = _split(found, share, bad)
         room += 1.5 * short
     return None
+
+
+def _near(task: Task, z: Array) -> Task:
+    """The same with the bodies alone that the arm may meet near knots (K, m)."""
+    if not task.obstacles:
+        return task
+    reach = NEAR * task.chart.space.length + task.clearance + float(task.chart.radius.max())
+    points = task.chart.arms(z, 0.0).fine()[1]
+    return replace(task, obstacles=scene_of(task.obstacles).close(points.reshape(-1, 3), reach))
 
 
 def path_cost(extra: OwnObjective, n: int) -> Expression:

@@ -71,6 +71,11 @@ class Trajectory:
     deviation: Array | None = None
 
     @property
+    def value(self) -> tuple[Array, Array]:
+        """The joint values over time: rotations (T, n), rad, and translations (T, n), m."""
+        return self.rotations, self.translations
+
+    @property
     def proved(self) -> bool:
         """Whether all of it is proved; else the time limit was reached before the proof was finished."""
         return self.proof.holds

@@ -79,6 +79,13 @@ class Assembly:
         return _breakpoints(self.transition, self.end, self.lengthwise, -self.transmission)
 
     @property
+    def breakpoint_tubes(self) -> list[int]:
+        """Of which tube each of the breakpoints is."""
+        each = list(range(self.n_tubes))
+        cuts = () if self.lengthwise is None else self.lengthwise.cuts
+        return [*each, *each, *(i for i, own in enumerate(cuts) for _ in own)]
+
+    @property
     def n_sections(self) -> int:
         """Number of sections m."""
         return len(self.length)
@@ -92,6 +99,12 @@ class Assembly:
     def eccentric(self) -> bool:
         """Whether any tube runs off the centreline."""
         return bool(self.offset.any())
+
+    @property
+    def across(self) -> Array:
+        """(n, 2) m: where each tube runs beside the centreline, d (cos phi, sin phi)."""
+        angle = self.offset_angle
+        return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
     @property
     def coupled(self) -> Mask:
@@ -176,8 +189,13 @@ class _OfPieces:
             "question takes tubes of one constant curvature only"
         )
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self._refuse()
+
     __array__ = __getitem__ = __mul__ = __rmul__ = __add__ = __radd__ = __sub__ = __rsub__ = _refuse
-    __truediv__ = __rtruediv__ = __neg__ = __abs__ = __len__ = __iter__ = __pow__ = tolist = copy = _refuse
+    __truediv__ = __rtruediv__ = __neg__ = __abs__ = __len__ = __iter__ = __pow__ = _refuse
 
 
 def _numbers(tubes: Sequence[Tube], name: str) -> Array:

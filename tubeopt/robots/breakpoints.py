@@ -29,9 +29,9 @@ class Breakpoint:
     end: bool
 
     def __str__(self) -> str:
-        names = " and ".join(str(i + 1) for i in self.tubes)
         what = "end" if self.end else "transition"
-        return f"the {what} of tube {names}" if len(self.tubes) == 1 else f"the {what}s of tubes {names}"
+        first, last = self.tubes[0] + 1, self.tubes[-1] + 1
+        return f"the {what} of tube {first}" if first == last else f"the common {what} of tubes {first} to {last}"
 
 
 @dataclass(frozen=True, eq=False)

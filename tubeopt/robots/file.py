@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Number, Positive, check_kind
+from ..files.checked import NotNegative, Number, Positive, check_kind
+from ..files.fields import Part
 from ..files.units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
 from .concentric import ConcentricRobot
@@ -25,19 +26,6 @@ from .materials import NITINOL, ZERO_CELSIUS, Material, ThermalData
 from .piece_file import N_MM2, PieceEntry, given_stiffness, piece_to_dict
 from .robot import Robot
 from .tubes import OfCrossSection, Tube
-
-
-class Part(Entry):
-    """An entry that describes an object of the library, and is valid where that object can be built."""
-
-    def build(self) -> Any:
-        """The object, in SI."""
-        raise NotImplementedError
-
-    @model_validator(mode="after")
-    def _buildable(self) -> Self:
-        self.build()
-        return self
 
 
 def _percent(strain: float) -> Decimal:

@@ -45,15 +45,18 @@ class Lengthwise:
         breaks: (n, B + 1) arc lengths from the held end where panels meet, m; inf behind the last.
         coefficients: (n, B, 6, D) of the Chebyshev polynomials of QUANTITIES.
         bent: (n, B) whether there is any bending precurvature.
+        direction: (n, B) angle of that in the tube's own frame, rad, where it stays in one plane; else inf.
         detail: (n, B) polynomial degree that matters, per length of the panel, 1/m.
         twist: (n, B) largest |u*_z|, 1/m.
-        cuts: per tube, where its pieces begin and end, from the held end, m.
+        cuts: per tube, where its pieces begin and end and where its precurvature changes sides, so that |u*_xy| has a
+            kink, from the held end, m.
         compliance: (n, B + 1) int ds / GJ from the held end to each break, 1/(N m).
     """
 
     breaks: Array
     coefficients: Array
     bent: Mask
+    direction: Array
     detail: Array
     twist: Array
     cuts: tuple[tuple[float, ...], ...]
@@ -86,13 +89,24 @@ class Lengthwise:
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
 
+    def rates(self, place: Array, inside: Array) -> Array:
+        """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
+        panel, tube = self.panel(inside), np.arange(self.n_tubes)
+        low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
+        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
+        table = self.coefficients[tube, panel]
+        degree = table.shape[-1] - 1
+        slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
+        basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
+        return np.asarray(((table @ basis[..., None])[..., 0] * (2 / (high - low))[..., None]).transpose(2, 0, 1))
+
     def compliant(self, place: Array) -> Array:
         """(n,) int ds / GJ of each tube from its held end to an arc length (n,), 1/(N m)."""
         tube = np.arange(self.n_tubes)
         panel = self.panel(place[None])[0]
         low = self.breaks[tube, panel]
         high = np.clip(place, low, self.breaks[tube, panel + 1])
-        nodes, weights = _gauss()
+        nodes, weights = gauss_rule()
         s = low + (high - low) * nodes[:, None]
         rate = 1 / self.values(s, np.broadcast_to((low + high) / 2, s.shape))[1]
         return np.asarray(self.compliance[tube, panel] + (high - low) * (weights @ rate))
@@ -112,7 +126,8 @@ class Lengthwise:
 
 
 @lru_cache(maxsize=1)
-def _gauss() -> tuple[Array, Array]:
+def gauss_rule() -> tuple[Array, Array]:
+    """Nodes and weights (QUADRATURE,) on 0 to 1."""
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     return (x + 1) / 2, w / 2
 
@@ -125,6 +140,7 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     width = max(2, *(len(c) for own, _ in panels for _, _, table in own for c in table))
     breaks, table = np.full((n, most + 1), np.inf), np.zeros((n, most, len(QUANTITIES), width))
     bent, detail, twist = np.zeros((n, most), dtype=bool), np.zeros((n, most)), np.zeros((n, most))
+    direction = np.zeros((n, most))
     compliance = np.zeros((n, most + 1))
     for i, (own, _) in enumerate(panels):
         breaks[i, 0] = 0.0
@@ -133,13 +149,39 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
             for q, coefficients in enumerate(channels):
                 table[i, k, q, : len(coefficients)] = coefficients
             bent[i, k] = any(np.any(c) for c in channels[2:4])
+            direction[i, k] = _direction(channels[2], channels[3])
             detail[i, k] = max(_degree(c) for c in channels[:5]) / (high - low)
             twist[i, k] = float(np.abs(channels[4]).sum())
-            nodes, weights = _gauss()
+            nodes, weights = gauss_rule()
             rate = chebyshev.chebval(2 * nodes - 1, channels[1])
             compliance[i, k + 1] = compliance[i, k] + (high - low) * float(weights @ (1 / rate))
     cuts = tuple(tuple(cut) for _, cut in panels)
-    return Lengthwise(breaks, table, bent, detail, twist, cuts, compliance)
+    return Lengthwise(breaks, table, bent, direction, detail, twist, cuts, compliance)
+
+
+def _direction(x: Array, y: Array) -> float:
+    """The direction of (x, y) whose coefficients are in proportion, -pi/2 to pi/2; inf where they are not."""
+    if not np.any(y):
+        return 0.0
+    size = max(len(x), len(y))
+    a, b = (np.pad(c, (0, size - len(c))) for c in (x, y))
+    k = int(np.argmax(np.hypot(a, b)))
+    angle = float(np.arctan2(b[k], a[k]))
+    across = np.cos(angle) * b - np.sin(angle) * a
+    return angle if np.abs(across).max() <= 1e-15 * float(np.hypot(a, b)[k]) else float("inf")
+
+
+def _zeros(x: Array, y: Array) -> list[float]:
+    """Where in -1 .. 1 a bend in one plane changes sides, ends left out."""
+    angle = _direction(x, y)
+    if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
+        return []
+    size = max(len(x), len(y))
+    bend = sum(f * np.pad(c, (0, size - len(c))) for f, c in ((np.cos(angle), x), (np.sin(angle), y)))
+    bend = chebyshev.chebtrim(bend, 1e-14 * float(np.abs(bend).max()))
+    roots = chebyshev.chebroots(bend) if len(bend) > 1 else np.zeros(0)
+    real = roots.real[np.abs(roots.imag) < 1e-9]
+    return sorted(real[np.abs(real) < 1 - 1e-9].tolist())
 
 
 def _degree(coefficients: Array) -> int:
@@ -161,6 +203,7 @@ def _panels(tube: Tube) -> tuple[list[tuple[float, float, list[Array]]], list[fl
             turned = chebyshev.chebint(channels[4], lbnd=-1, scl=half)
             turned[0] += wound
             wound = float(chebyshev.chebval(1.0, turned))
+            cuts += [start + breaks[k] + half * (x + 1) for x in _zeros(channels[2], channels[3])]
             out.append((start + breaks[k], start + breaks[k + 1], [*channels, turned]))
         start += length
         cuts.append(start)

@@ -11,11 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly, make_interp_spline
 
 from ..errors import InputError
 from ..typing import Array
@@ -69,12 +70,13 @@ class Series:
 
     def __call__(self, arc_length: ArrayLike) -> Array:
         """Values at arc lengths (any shape), m; those outside are of the nearest end."""
-        s = np.clip(np.asarray(arc_length, dtype=float), 0.0, self.length)
+        shape = np.shape(arc_length)
+        s = np.clip(np.asarray(arc_length, dtype=float).ravel(), 0.0, self.length)
         panel = np.clip(np.searchsorted(self.breaks, s, side="right") - 1, 0, len(self.coefficients) - 1)
         low, high = np.array(self.breaks)[panel], np.array(self.breaks)[panel + 1]
         x = (2 * s - low - high) / (high - low)
         table = padded(self.coefficients)
-        return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1))
+        return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1).reshape(shape))
 
     def times(self, factor: float) -> Series:
         """The quantity multiplied by a number."""
@@ -142,13 +144,13 @@ def spline(arc_length: Array, values: Array) -> Series:
     """The spline of degree 5 through values (k,) at rising arc lengths (k,) from 0, four times continuously
     differentiable, without knots at the two points next to either end; the polynomial through six points or fewer."""
     degree = min(5, len(arc_length) - 1)
-    through = PPoly.from_spline(make_interp_spline(arc_length, values, k=degree))
+    through = scipy.interpolate.PPoly.from_spline(scipy.interpolate.make_interp_spline(arc_length, values, k=degree))
     # The knots outside, and those that are there several times, make pieces without length.
     inside = np.flatnonzero((np.diff(through.x) > 0) & (through.x[:-1] >= arc_length[0]))
-    return _of_polynomials(PPoly(through.c[:, inside], through.x[[*inside, inside[-1] + 1]]))
+    return _of_polynomials(scipy.interpolate.PPoly(through.c[:, inside], through.x[[*inside, inside[-1] + 1]]))
 
 
-def _of_polynomials(polynomials: PPoly) -> Series:
+def _of_polynomials(polynomials: Any) -> Series:
     """Exactly the same polynomials in Chebyshev's."""
     breaks, degree = np.asarray(polynomials.x), polynomials.c.shape[0] - 1
     nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import InputError, finite, instance, positive
+from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
 from .series import Quantity, times
@@ -179,8 +180,7 @@ class Tube:
     @property
     def straightened_strain(self) -> float:
         """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa)."""
-        bend = self.outer_diameter / 2 * abs(self.curvature)
-        return bend / (1 - bend)
+        return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))
 
 
 def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
@@ -188,6 +188,16 @@ def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
     for i, tube in enumerate(tubes, start=1):
         if tube.general:
             raise InputError(f"tube {i} is made of pieces; {what} takes tubes of one constant curvature only")
+
+
+def must_follow_section(tubes: Iterable[Tube], what: str) -> None:
+    """Raise InputError where a tube is made of pieces, or has a stiffness that its cross-section does not give it."""
+    every = list(tubes)
+    must_be_plain(every, what)
+    for i, tube in enumerate(every, start=1):
+        for name in ("bending_stiffness", "torsional_stiffness"):
+            if not isinstance(getattr(tube, name), OfCrossSection):
+                raise InputError(f"{name} of tube {i} is given; {what} takes that of material and cross-section only")
 
 
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:

@@ -7,9 +7,9 @@ from decimal import Decimal
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
-from ..files.checked import Entry, Number
+from ..files.checked import Entry, Number, in_file
 from ..files.units import DEG, MM, decimal, shown, to_si
 from ..robots.file import AnyRobot, load_robot
 from ..typing import Array
@@ -18,17 +18,9 @@ Progress = Callable[[int, int], object]
 """Called with how much is done, and how much there is, 0 where nobody knows."""
 
 
-def _load(value: object, info: ValidationInfo) -> AnyRobot:
-    if isinstance(value, AnyRobot):  # of a sweep, which has loaded or changed it
-        return value
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a robot file")
-    return load_robot(info.context["directory"] / value if info.context else value)
-
-
 RobotPath = Annotated[
     AnyRobot,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_robot, "a robot file", kind=AnyRobot),
     Field(description="path of the robot file, relative to this file"),
 ]
 """A robot, given as the path of its file."""
@@ -44,6 +36,10 @@ def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
 
 OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
 """A number for every tube of the study's robot, inner to outer."""
+
+
+TURNED = Field(None, description="rotation of every tube, inner to outer; by default all 0")
+SHIFTED = Field(None, description="translation of every tube, inner to outer; by default home")
 
 
 def _whole(value: object) -> int:

@@ -29,8 +29,9 @@ from ..design import (
 )
 from ..design.requirements import Requirement
 from ..files.checked import Entry, NotNegative, Number, Positive
+from ..files.fields import Part
 from ..files.units import DEG, MM, PER_M, PERCENT, to_si
-from ..robots.file import Part, Range
+from ..robots.file import Range
 from .base import Whole
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]

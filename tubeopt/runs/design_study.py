@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..design import (
     DesignSolution,
@@ -24,23 +24,16 @@ from ..design.exchange import certified_at
 from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Number
-from ..files.units import MM, shown, to_si
+from ..files.checked import Entry, NotNegative, Number, in_file
+from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
 from .base import Progress, RobotPath, Study, Whole
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
 from .stock_file import load_stock
 
-
-def _load(value: object, info: ValidationInfo) -> tuple[StockTube, ...]:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a stock list")
-    return load_stock(info.context["directory"] / value if info.context else value)
-
-
 StockPath = Annotated[
     tuple[StockTube, ...],
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_stock, "a stock list"),
     Field(description="path of the stock list, relative to this file"),
 ]
 """Sizes of tubes, given as the path of their file."""

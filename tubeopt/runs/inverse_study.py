@@ -7,37 +7,23 @@ from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive
-from ..files.units import MM, shown, to_si
+from ..files.checked import NotNegative, Positive, in_file
+from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Triple, obstacles_beside, point
+from .obstacle_file import Triple, load_obstacles, point
 from .target_file import Targets, load_joints, load_targets
 
-
-def _targets(value: object, info: ValidationInfo) -> Targets:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    return load_targets(info.context["directory"] / value if info.context else value)
-
-
-def _joints(value: object, info: ValidationInfo) -> tuple[Array, Array] | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a YAML file with rotations_deg, translations_mm")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_joints(info.context["directory"] / value if info.context else value, robot)
-
-
-Joints = Annotated[tuple[Array, Array], PlainValidator(_joints, json_schema_input_type=str)]
+Joints = Annotated[
+    tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of_robot=True)
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,27 +67,43 @@ class InverseStudy(Study):
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: Triple | None = Field(None, description="position of the tip")
-    direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
-    targets: Annotated[Targets, PlainValidator(_targets, json_schema_input_type=str)] | None = Field(
-        None, description="path of a CSV file of targets, in place of target_mm, relative to this file"
+    target_mm: Triple | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    direction: Triple | None = Field(
+        None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )
-    start: Joints | None = Field(None, description="path of a YAML file with the joint values where the robot is")
+    targets: Annotated[Targets, in_file(load_targets, "a CSV file")] | None = Field(
+        None,
+        description="many targets: a CSV file with columns x_mm, y_mm, z_mm[, direction_x, ...]",
+        examples=["TARGETS.csv"],
+    )
+    start: Joints | None = Field(
+        None,
+        description="where the robot is: a YAML file with rotations_deg, translations_mm",
+        examples=["JOINTS.yaml"],
+    )
     reference_deg: OnePerTube | None = Field(None, description="rotations to stay close to")
     reference_mm: OnePerTube | None = Field(None, description="translations to stay close to")
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
-    objective: Literal["nearest", "margin", "curvature"] | None = Field(None, description="what is best")
-    direction_weight: Positive | None = Field(None, description="make the direction a cost of this weight")
-    obstacles: Annotated[tuple[Obstacle, ...], PlainValidator(obstacles_beside, json_schema_input_type=str)] | None = (
-        Field(None, description="path of a YAML file of obstacles, relative to this file")
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
+    objective: Literal["nearest", "margin", "curvature"] | None = Field(
+        None, description="what is best: nearest (to the start), margin or curvature", examples=["WHAT"]
+    )
+    direction_weight: Positive | None = Field(
+        None, description="make the direction a cost of this weight", examples=["W"]
+    )
+    obstacles: Annotated[tuple[Obstacle, ...], in_file(load_obstacles, "a YAML file of obstacles")] | None = Field(
+        None,
+        description="bodies that the whole arm keeps away from: a YAML file",
+        examples=["OBSTACLES.yaml"],
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
-    method: Literal["auto", "gauss_newton", "nlp"] = "auto"
+    method: Literal["auto", "gauss_newton", "nlp"] = Field(
+        "auto", description="how to solve: auto, gauss_newton or nlp"
+    )
     starts: Annotated[Whole, Field(ge=1)] = Field(48, description="most starting configurations")
-    all: bool = Field(False, description="all distinct answers, not only the best")
-    closest: bool = Field(False, description="where the target is out of reach, the closest pose instead of an error")
-    follow: bool = Field(False, description="solve each target of a table from the last, on its branch")
-    reachable: bool = Field(True, description="find a way without a snap to every answer, or say that none was found")
+    all: bool = Field(False, description="all distinct postures for the target, the best first")
+    closest: bool = Field(False, description="where the target is out of reach, the closest pose")
+    follow: bool = Field(False, description="solve each target of a table from the last one, on its branch")
+    reachable: bool = Field(True, description="find a way without a snap, from the start or home, or say none")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

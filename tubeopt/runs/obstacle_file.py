@@ -5,14 +5,14 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, ValidationInfo
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from ..files.checked import Entry, Number, Positive, check
+from ..files.checked import Entry, Number, Positive, check, in_file
+from ..files.fields import Part
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
-from ..robots.file import Part
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
@@ -86,17 +86,11 @@ class CorridorEntry(Part):
         return Corridor(tuple(point(row) for row in self.centreline_mm), to_si(self.radius_mm, MM))
 
 
-def _mesh(value: object, info: ValidationInfo) -> MeshObstacle:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a mesh file in mm")
-    return load_mesh(info.context["directory"] / value if info.context else value)
-
-
 class MeshEntry(Part):
     """A body bounded by the closed surface in a mesh file, in mm."""
 
     kind: Literal["mesh"]
-    file: Annotated[MeshObstacle, PlainValidator(_mesh, json_schema_input_type=str)]
+    file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")]
 
     def build(self) -> MeshObstacle:
         """The obstacle in SI."""
@@ -139,10 +133,3 @@ def load_obstacles(path: str) -> tuple[Obstacle, ...]:
         InputError: no such file, not YAML, or keys or values that make no obstacles: one line for every problem.
     """
     return tuple(entry.build() for entry in check(ObstacleFile, load_yaml(path), path).obstacles)
-
-
-def obstacles_beside(value: object, info: ValidationInfo) -> tuple[Obstacle, ...]:
-    """Obstacles of a study, given as the path of their file."""
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a YAML file of obstacles")
-    return load_obstacles(str(info.context["directory"] / value) if info.context else value)

@@ -1,11 +1,10 @@
-"""JSON Schemas of robot and study files, for editors: `python -m tubeopt.runs.schema [DIRECTORY]`."""
+"""JSON Schemas of all files, for editors, and the page of the docs about them: `python -m tubeopt.runs.schema`."""
 
 from __future__ import annotations
 
 import functools
 import json
 import operator
-import sys
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
@@ -37,6 +36,8 @@ class _Numbers(GenerateJsonSchema):
         return number
 
     def encode_default(self, dft: Any) -> Any:
+        if isinstance(dft, list):
+            return [self.encode_default(each) for each in dft]
         return float(dft) if isinstance(dft, Decimal) else super().encode_default(dft)
 
     def field_title_should_be_set(self, schema: Any) -> bool:
@@ -63,6 +64,64 @@ def schemas() -> dict[str, str]:
     }
 
 
+PAGE = "docs/files.md"
+
+INTRODUCTION = """# Files
+
+What the keys of a file may be. A key ends in the unit of its number; one without a default must be given. Editors
+complete the keys by the schemas in `configs/schema/`; messages name a wrong key with the one that was probably meant.
+
+This page is written by `python -m tubeopt.runs.schema` from the models that files are checked against.
+"""
+
+
+def page() -> str:
+    """The page of the docs about files, as Markdown: a table of keys for every mapping in them."""
+    lines = [INTRODUCTION]
+    told: set[str] = set()
+    for name, text in schemas().items():
+        schema = json.loads(text)
+        lines += [f"## {schema['title'].removeprefix('tubeopt ').capitalize()} (`{name}`)", ""]
+        parts = [("", schema)] if "properties" in schema else []
+        for title, part in [*parts, *schema.get("$defs", {}).items()]:
+            if "properties" in part and title not in told:
+                told |= {title} if title else set()
+                lines += [f"### {_title(title)}", ""] if title else []
+                lines += [part.get("description", "").split("\n\n")[0].replace("\n", " "), ""]
+                lines += ["| key | by default | |", "|---|---|---|"]
+                required = part.get("required", ())
+                lines += [_row(key, value, key in required) for key, value in part["properties"].items()]
+                lines.append("")
+    return "\n".join(lines)
+
+
+def _title(name: str) -> str:
+    """The name of a model as the page calls it."""
+    return name.rpartition("__")[2].removesuffix("Entry")
+
+
+def _row(key: str, value: dict[str, Any], required: bool) -> str:
+    default = value.get("default")
+    shown = "" if required or default is None else f"`{json.dumps(default)}`"
+    words = [value.get("description", ""), _allowed(value)]
+    return f"| `{key}` | {shown} | {'; '.join(word for word in words if word)} |"
+
+
+def _allowed(value: dict[str, Any]) -> str:
+    """What a key may be: its words, the bounds of its number, or the mapping that it is."""
+    if "const" in value:
+        return str(value["const"])
+    if "enum" in value:
+        return " or ".join(str(word) for word in value["enum"])
+    if "$ref" in value:
+        return f"a {_title(value['$ref'].rpartition('/')[2])}"
+    signs = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
+    found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
+    inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]
+    inner += [_allowed(value["items"])] if isinstance(value.get("items"), dict) else []
+    return ", ".join(found) or " or ".join(word for word in inner if word)
+
+
 def write_schemas(directory: str | Path = "configs/schema") -> list[Path]:
     """Write the schemas into `directory` and return their paths; raises InputError where that cannot be."""
     paths = []
@@ -73,5 +132,6 @@ def write_schemas(directory: str | Path = "configs/schema") -> list[Path]:
 
 
 if __name__ == "__main__":
-    for path in write_schemas(*sys.argv[1:2]):
+    write_text(PAGE, page())
+    for path in (PAGE, *write_schemas()):
         print(path)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..equilibrium.result import Equilibrium
-from ..files.units import shown
+from ..files.checked import in_file
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
@@ -26,9 +26,7 @@ from ..stability import (
     worst_certificate,
 )
 from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-
-HOME = Field(None, description="one per tube; home where not given")
+from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +44,10 @@ class EquilibriaStudy(Study):
 
     kind: Literal["equilibria"]
     robot: RobotPath
-    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
-    translations_mm: OnePerTube | None = HOME
+    rotations_deg: OnePerTube | None = Field(
+        None, description="rotation of every tube, inner to outer; by default all 0"
+    )
+    translations_mm: OnePerTube | None = SHIFTED
 
     def run(self, progress: Progress | None = None) -> Equilibria:
         """The equilibria; raises SolveError where one is missing."""
@@ -78,10 +78,10 @@ class SnapStudy(Study):
 
     kind: Literal["snap"]
     robot: RobotPath
-    from_deg: OnePerTube | None = Field(None, description="rotations, one per tube; all 0 where not given")
-    to_deg: OnePerTube | None = Field(None, description="rotations, one per tube; those of the start where not given")
-    from_mm: OnePerTube | None = Field(None, description="translations, one per tube; home where not given")
-    to_mm: OnePerTube | None = Field(None, description="translations, one per tube; those of the start where not given")
+    from_deg: OnePerTube | None = Field(None, description="rotations to start from; by default 0")
+    to_deg: OnePerTube | None = Field(None, description="rotations to turn to; by default those of the start")
+    from_mm: OnePerTube | None = Field(None, description="translations to start from; by default home")
+    to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         alpha = radians(self.from_deg, np.zeros(self.robot.n_tubes))
@@ -107,15 +107,6 @@ class SnapStudy(Study):
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
-def _waypoints(value: object, info: ValidationInfo) -> Waypoints | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_waypoints(info.context["directory"] / value if info.context else value, robot)
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What a robot does along waypoints."""
@@ -131,7 +122,7 @@ class FollowStudy(Study):
     robot: RobotPath
     path: Annotated[
         Waypoints,
-        PlainValidator(_waypoints, json_schema_input_type=str),
+        in_file(load_waypoints, "a CSV file", of_robot=True),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
 
@@ -148,11 +139,15 @@ class FollowStudy(Study):
 
 @dataclass(frozen=True, eq=False)
 class Certification:
-    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for."""
+    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
+
+    robot_file: what the commands that repeat it name.
+    """
 
     robot: Robot
     verdict: Verdict
     box: WorstCertificate | None
+    robot_file: str = "ROBOT.yaml"
 
 
 class CertifyStudy(Study):
@@ -160,10 +155,10 @@ class CertifyStudy(Study):
 
     kind: Literal["certify"]
     robot: RobotPath
-    translations_mm: OnePerTube | None = HOME
-    box: bool = Field(False, description="over all translations that the robot's limits allow")
-    lower_mm: OnePerTube | None = Field(None, description="least translations of the box, in place of the limits")
-    upper_mm: OnePerTube | None = Field(None, description="largest translations of the box, in place of the limits")
+    translations_mm: OnePerTube | None = SHIFTED
+    box: bool = Field(False, description="for all translations that the robot's limits allow")
+    lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
+    upper_mm: OnePerTube | None = Field(None, description="largest translations of a box, in place of the limits")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -212,10 +207,14 @@ class StabilityMapStudy(Study):
 
     kind: Literal["stability_map"]
     robot: RobotPath
-    translations_mm: OnePerTube | None = HOME
-    tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field([1, 2], description="that turn; 1 is innermost")
-    samples: Annotated[Whole, Field(ge=2)] = Field(60, description="points per axis")
-    directions: Annotated[Whole, Field(ge=4)] = Field(180, description="in which the snap boundary is sought")
+    translations_mm: OnePerTube | None = SHIFTED
+    tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field(
+        [1, 2], description="the two tubes that turn; 1 is the innermost", examples=["I,J"]
+    )
+    samples: Annotated[Whole, Field(ge=2)] = Field(60, description="points per axis, from -180 to 180 deg")
+    directions: Annotated[Whole, Field(ge=4)] = Field(
+        180, description="directions in which the snap boundary is computed"
+    )
     workers: Annotated[Whole, Field(ge=1)] = Field(2, description="processes that share the work")
 
     def run(self, progress: Progress | None = None) -> RobotMap:

@@ -10,9 +10,10 @@ from pydantic import Field
 from ..design import StockTube
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, check_kind
+from ..files.fields import Part
 from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml
-from ..robots.file import MaterialChoice, Part
+from ..robots.file import MaterialChoice
 from ..robots.materials import NITINOL
 
 

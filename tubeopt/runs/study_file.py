@@ -33,10 +33,14 @@ class ForwardKinematicsStudy(Study):
 
     kind: Literal["forward_kinematics"]
     robot: RobotPath
-    rotations_deg: OnePerTube | None = Field(None, description="one per tube; all 0 where not given")
-    translations_mm: OnePerTube | None = Field(None, description="one per tube; home where not given")
-    method: Literal["newton", "ipopt", "energy"] = "newton"
-    tolerance_rad: Positive = Decimal("1e-8")
+    rotations_deg: OnePerTube | None = Field(
+        None, description="rotation of every tube, inner to outer; by default all 0"
+    )
+    translations_mm: OnePerTube | None = Field(
+        None, description="translation of every tube, inner to outer; by default home"
+    )
+    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
+    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
     verify: bool = Field(False, description="compare with an adaptive re-integration")
 
     def run(self, progress: Progress | None = None) -> Equilibrium:

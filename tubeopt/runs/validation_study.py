@@ -5,27 +5,17 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated, Literal
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive
-from ..files.units import MM, shown, to_si
+from ..files.checked import Number, Positive, in_file
+from ..files.units import MM, to_si
 from ..validation import BasePose, Fit, Measurements, Validation, choose_parameters, fit, validate
 from .base import Progress, RobotPath, Study, Whole
 from .measurement_file import load_measurements
 
-
-def _load(value: object, info: ValidationInfo) -> Measurements | None:
-    if not isinstance(value, str):
-        raise ValueError(f"is {shown(value)}; it must be the path of a CSV file")
-    robot = info.data.get("robot")
-    if robot is None:  # it has problems itself
-        return None
-    return load_measurements(info.context["directory"] / value if info.context else value, robot)
-
-
 MeasurementsPath = Annotated[
     Measurements,
-    PlainValidator(_load, json_schema_input_type=str),
+    in_file(load_measurements, "a CSV file", of_robot=True),
     Field(description="path of the CSV file of measured tips, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
@@ -41,13 +31,19 @@ class ValidationStudy(Study):
     robot: RobotPath
     measurements: MeasurementsPath
     registration: Literal["rigid", "base-axis", "none"] = Field(
-        "rigid", description="how the device's frame is brought to the plate's"
+        "rigid", description="how the device's frame is brought to the plate's: rigid, base-axis or none"
     )
-    base_position_mm: Triple | None = Field(None, description="for base-axis: plate centre in the device's frame")
-    base_axis: Triple | None = Field(None, description="for base-axis: the plate's z in the device's frame")
-    fit: list[str] = Field([], description="parameters to estimate: curvature, curvature_2, nu, rotation_1, ...")
-    folds: Whole = Field(5, description="of the cross-validation; 0 for none")
-    confidence: Positive = Field(Decimal("0.95"), lt=1, description="of the intervals")
+    base_position_mm: Triple | None = Field(
+        None, description="for base-axis: the plate's centre as the device sees it", examples=["X,Y,Z"]
+    )
+    base_axis: Triple | None = Field(
+        None, description="for base-axis: direction of the plate's z in its frame", examples=["X,Y,Z"]
+    )
+    fit: list[str] = Field(
+        [], description="estimate these: curvature, curvature_2, nu, rotation_1, ...", examples=["NAME,.."]
+    )
+    folds: Whole = Field(5, description="folds of the cross-validation of a fit; 0 for none")
+    confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:

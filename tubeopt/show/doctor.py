@@ -5,24 +5,22 @@ from __future__ import annotations
 import os
 import platform
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
 from .. import __version__
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
+from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
-from .report import two_columns
+from .quantities import Quantity, line
+from .report import Report, report
 
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
 
@@ -63,43 +61,55 @@ class Doctor:
     missing: dict[str, tuple[str, ...]]
     test: SelfTest
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        return asdict(self) | {"cache": str(self.cache)}
 
-    def table(self) -> Group:
-        """The answer for a person."""
-        versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
-        extras = [f"{name}: all there" for name, lacks in self.missing.items() if not lacks]
-        hints = [
-            Text(f"extra {name} lacks {', '.join(lacks)}: pip install 'tubeopt[{name}]'")
-            for name, lacks in self.missing.items()
-            if lacks
-        ]
-        t = self.test
-        verdict = "passed" if t.passed else "FAILED"
-        rows = [
-            ("versions", versions),
-            ("system", self.system),
-            ("compiled kernel", self.kernel),
-            ("threads", ", ".join(f"{k}={v}" for k, v in self.threads.items()) or "as the libraries choose"),
-            ("cache", f"{self.cache}, {self.cache_bytes / 1e6:.1f} MB"),
-            ("extras", ", ".join(extras) or "none"),
-            (
-                "self-test",
-                f"{verdict}: off by {t.difference:.0e} m from a re-integration; {1e6 * t.seconds:.0f} us",
-            ),
-        ]
-        table: Table = two_columns("tubeopt", rows)
-        return Group(table, *hints)
+def _extra(name: str, lacks: tuple[str, ...]) -> str:
+    return f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" if lacks else f"{name} is there"
 
-    def save(self, directory: Path) -> list[Path]:
-        """Nothing to save."""
-        return []
 
-    def draw(self, directory: Path) -> list[Path]:
-        """No picture."""
-        return []
+def _verdict(a: Doctor) -> str:
+    words = "passed" if a.test.passed else "FAILED"
+    off, took = a.test.difference * TO_MM, a.test.seconds * 1e6
+    return f"{words}: off by {off:.0e} mm from a re-integration; {took:.0f} us a solve"
+
+
+DOCTOR: tuple[Quantity[Doctor], ...] = (
+    Quantity("versions", "versions", words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
+    Quantity("system", "system", words="{system}"),
+    Quantity("kernel", "compiled kernel", words="{kernel}"),
+    Quantity(
+        "threads",
+        "variables that set threads",
+        label="threads",
+        words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose",
+    ),
+    Quantity("cache", "cache", lambda a: str(a.cache), words="{cache}, {cache_bytes} bytes"),
+    Quantity("cache_bytes", "size of the cache, bytes"),
+    Quantity(
+        "missing",
+        "what each extra lacks",
+        lambda a: {name: list(lacks) for name, lacks in a.missing.items()},
+        label="extras",
+        words=lambda a: "; ".join(_extra(name, lacks) for name, lacks in a.missing.items()),
+    ),
+    Quantity("passed", "whether the self-test passed", lambda a: a.test.passed),
+    Quantity("difference_mm", "how far the tip is from that of a re-integration", lambda a: a.test.difference),
+    Quantity("solve_us", "one solve of two tubes, microseconds", lambda a: 1e6 * a.test.seconds),
+    line("self-test", _verdict),
+)
+
+
+class DoctorReport(Report[Doctor]):
+    """What is said about an installation."""
+
+    command = "doctor"
+    quantities = DOCTOR
+
+    def title(self) -> str:
+        """What the table is headed by."""
+        return f"tubeopt {__version__}"
+
+
+report.register(Doctor, DoctorReport)
 
 
 def examine() -> Doctor:

@@ -3,98 +3,74 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Group
-from rich.text import Text
 
-from ..files.files import write_text
+from ..robots.tubes import Tube
 from ..shaping.mold.checks import pressing_strain
-from ..shaping.mold.mandrel import Cylinder, Mandrel, predict_wound_tube
+from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
 from ..shaping.mold.mandrel_files import write_mandrel
-from .report import to_text, two_columns
+from .quantities import Quantity
+from .report import Report, remarks, report, two_columns
 
-MM = 1e3
+
+def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
+    """What is said of a turned mandrel only."""
+    return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
 
 
-@dataclass(frozen=True)
-class MandrelReport:
-    """The mandrel for one tube of a robot."""
+def _off_it() -> tuple[Quantity[Tube], ...]:
+    return (Quantity("curvature_per_m", "its largest curvature"), Quantity("curved_length_mm", "its curved part"))
 
-    mandrel: Mandrel
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        m, body = self.mandrel, self.mandrel.body
-        predicted = predict_wound_tube(m)
-        shape: dict[str, Any]
-        if isinstance(body, Cylinder):
-            shape = {
-                "made": "turned",
-                "diameter_mm": 2 * body.radius * MM,
-                "length_mm": body.length * MM,
-                "helix_radius_mm": body.helix_radius * MM,
-                "pitch_mm": 2 * math.pi * abs(body.lead) * MM,
-                "handed": "left" if body.lead < 0 else "right",
-            }
-        else:
-            shape = {"made": "printed", "size_mm": [x * MM for x in body.size]}
-        return {
-            "tube": m.number,
-            **shape,
-            "groove_width_mm": m.width * MM,
-            "bend_length_mm": m.held.curved_length * MM,
-            "largest_curvature_per_m": m.held.curvature,
-            "strain_percent": 100 * pressing_strain(m.tube, m.held.curvature),
-            "cold_length_mm": m.cold.length * MM,
-            "free_length_mm": m.free_length * MM,
-            "stock_length_mm": m.stock_length * MM,
-            "predicted": {
-                "largest_curvature_per_m": predicted.curvature,
-                "curved_length_mm": predicted.curved_length * MM,
-            },
-            "remarks": list(m.remarks),
-        }
+MANDREL: tuple[Quantity[Mandrel], ...] = (
+    Quantity("tube", "which tube of the robot, from 1", lambda m: m.number),
+    Quantity("made", "turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
+             words="{made}"),
+    Quantity("diameter_mm", "cylinder, diameter", _turned(lambda b: 2 * b.radius), form=".4f", optional=True),
+    Quantity("length_mm", "cylinder, length", _turned(lambda b: b.length), form=".4g", optional=True),
+    Quantity("helix_radius_mm", "helix, radius", _turned(lambda b: b.helix_radius), form=".4f", optional=True),
+    Quantity("pitch_mm", "helix, pitch", _turned(lambda b: 2 * math.pi * abs(b.lead)), form=".4f", optional=True),
+    Quantity("handed", "helix, handed", _turned(lambda b: "left" if b.lead < 0 else "right"), optional=True),
+    Quantity("size_mm", "block", lambda m: m.body.size if isinstance(m.body, Block) else None, form=".4g",
+             optional=True),
+    Quantity("width_mm", "groove, width", form=".4g"),
+    Quantity("bend_length_mm", "bend, length", lambda m: m.held.curved_length, form=".5g"),
+    Quantity("curvature_per_m", "largest curvature of the groove", lambda m: m.held.curvature, form=".5g"),
+    Quantity("strain_percent", "strain when wound in", lambda m: pressing_strain(m.tube, m.held.curvature), form=".3g"),
+    Quantity("cold_length_mm", "cold end from the clamp", lambda m: m.cold.length, form=".4g"),
+    Quantity("free_length_mm", "tube between the clamps", form=".4g"),
+    Quantity("stock_length_mm", "cut the tube to", form=".4g"),
+    Quantity("predicted", "what comes off it", predict_wound_tube, of=_off_it()),
+    Quantity("remarks", "what to beware of", lambda m: list(m.remarks)),
+)  # fmt: skip
+
+
+@report.register(Mandrel)
+class MandrelReport(Report[Mandrel]):
+    """What is said and saved about the mandrel for one tube of a robot."""
+
+    command = "mold mandrel"
+    quantities = MANDREL
+    file = "mandrel.json"
+
+    def title(self) -> str:
+        """Which tube."""
+        return f"mandrel of tube {self.answer.number}"
 
     def table(self) -> Group:
         """The numbers for the workshop, then the remarks."""
-        rows = []
-        for key, value in self.record().items():
-            if isinstance(value, (dict, tuple)) or key in ("tube", "remarks"):
-                continue
-            shown = " x ".join(f"{x:.4g}" for x in value) if isinstance(value, list) else value
-            rows.append((_WORDS[key], f"{shown:.5g}" if isinstance(shown, float) else str(shown)))
-        lines = [Text(f"remark: {line}", style="yellow") for line in self.mandrel.remarks]
-        return Group(two_columns(f"mandrel of tube {self.mandrel.number}", rows), *lines)
+        return Group(two_columns(self.title(), self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write mandrel.json, mandrel.stl, and of a turned one mandrel.csv and mandrel.nc."""
-        write_text(directory / "mandrel.json", to_text(self.record()))
-        return [directory / "mandrel.json", *write_mandrel(self.mandrel, directory)]
+        return [self.save_record(directory), *write_mandrel(self.answer, directory)]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write mandrel.png."""
         from .plots.mandrel import plot_mandrel
 
-        plot_mandrel(self.mandrel, directory / "mandrel.png")
-        return [directory / "mandrel.png"]
-
-
-_WORDS = {
-    "made": "made",
-    "diameter_mm": "cylinder, diameter (mm)",
-    "length_mm": "cylinder, length (mm)",
-    "helix_radius_mm": "helix, radius (mm)",
-    "pitch_mm": "helix, pitch (mm)",
-    "handed": "helix, handed",
-    "size_mm": "block (mm)",
-    "groove_width_mm": "groove, width (mm)",
-    "bend_length_mm": "bend, length (mm)",
-    "largest_curvature_per_m": "largest curvature (1/m)",
-    "strain_percent": "strain when wound (%)",
-    "cold_length_mm": "cold end from the clamp (mm)",
-    "free_length_mm": "from clamp to clamp (mm)",
-    "stock_length_mm": "cut the tube to (mm)",
-}
+        return self.drawn(directory, {"mandrel.png": plot_mandrel})

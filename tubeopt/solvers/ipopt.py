@@ -15,10 +15,11 @@ from ..transcription.nlp import Builder, Nlp
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 from .newton import NewtonResult
+from .settings import Ipopt
 
 
 @lru_cache(maxsize=64)
-def _problem(structure: Structure, formulation: str) -> tuple[Nlp, Any, Any]:
+def _problem(structure: Structure, formulation: str, settings: Ipopt | None = None) -> tuple[Nlp, Any, Any]:
     """The program, its IPOPT solver, and the functions from a guess to x and from x to theta at the points."""
     builder = Builder()
     given = parameters(builder, structure)
@@ -27,24 +28,29 @@ def _problem(structure: Structure, formulation: str) -> tuple[Nlp, Any, Any]:
     else:
         rotation = add_energy(builder, structure, given)
     nlp = builder.build()
-    solver = nlp.ipopt(formulation)
+    solver = nlp.ipopt(formulation, **(settings.options(warm=False) if settings else {}))
     read = ca.Function("read", [nlp.x, nlp.p], [ca.densify(rotation)])
     return nlp, solver, read
 
 
 def solve_ipopt(
-    problem: ReducedProblem, rotations: Array, guess: Profile, formulation: str = "equations"
+    problem: ReducedProblem,
+    rotations: Array,
+    guess: Profile,
+    formulation: str = "equations",
+    settings: Ipopt | None = None,
 ) -> NewtonResult:
     """Solve the collocated problem from the torsion `guess`.
 
     Args:
         formulation: "equations" (no objective, the equations as constraints) or "energy" (least elastic energy).
+        settings: None are those of `transcription.nlp`.
 
     Raises:
         SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
     """
     structure = structure_of(problem)
-    nlp, solver, read = _problem(structure, formulation)
+    nlp, solver, read = _problem(structure, formulation, settings)
     p = parameter_values(problem, rotations)
     x = start_values(structure, problem, guess, formulation)
     result = solver(x0=x / nlp.scale, p=p, **nlp.bounds)

@@ -13,17 +13,7 @@ import scipy
 
 from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from ..typing import Array
-
-LAST_STEP = 1e-6
-"""A Newton step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
-
-ROUND_OFF = 1e-12
-"""Residual or step (rad) that is close to round-off; nothing below tells of convergence."""
-
-LONGEST_STEP = 1.0
-"""Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
-
-MOST_ITERATIONS = 60
+from .settings import NEWTON, Newton
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +26,12 @@ class NewtonResult:
     contraction: float
 
 
-def newton(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int = 20) -> NewtonResult:
-    """Full Newton steps from z (U,); stops early where they grow instead of shrinking."""
+def newton(
+    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
+) -> NewtonResult:
+    """Full Newton steps from z (U,), by default as many as in `settings`; stops early where they grow instead of
+    shrinking."""
+    iterations = settings.iterations if iterations is None else iterations
     state = evaluate(problem, rotations, z)
     last, contraction = np.inf, 0.0
     for iteration in range(1, iterations + 1):
@@ -46,28 +40,32 @@ def newton(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: i
         if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = evaluate(problem, rotations, state.z + step)
-        if size <= LAST_STEP and (size <= ROUND_OFF or residual(problem, state) <= ROUND_OFF):
+        close = settings.round_off
+        if size <= settings.last_step and (size <= close or residual(problem, state) <= close):
             return NewtonResult(state, True, iteration, contraction)
-        if size > LAST_STEP:
+        if size > settings.last_step:
             contraction = max(contraction, size / last)
         last = size
     return NewtonResult(state, False, iterations, contraction)
 
 
-def descend(problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int = MOST_ITERATIONS) -> NewtonResult:
+def descend(
+    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
+) -> NewtonResult:
     """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
     """
+    iterations = settings.descent_iterations if iterations is None else iterations
     state = evaluate(problem, rotations, z)
     for iteration in range(1, iterations + 1):
         step = _downhill(state)
         size = _turn(problem, step)
-        if size <= LAST_STEP:
+        if size <= settings.last_step:
             # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
-            last = newton(problem, rotations, state.z, iterations=4)
+            last = newton(problem, rotations, state.z, iterations=4, settings=settings)
             return NewtonResult(last.state, last.converged, iteration, 0.0)
-        step *= min(1.0, LONGEST_STEP / size)
+        step *= min(1.0, settings.longest_step / size)
         slope = float(state.gradient @ step)
         for _ in range(40):
             trial = evaluate(problem, rotations, state.z + step)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import vector
-from ..physics.certificate import PARAMETERS, Pattern, certificate_function
+from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
+from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
@@ -28,8 +29,8 @@ class Certificate:
         margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
             nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
-        gradient: of the margin with respect to `mechanics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
-            the eigenvalue is double, so that the margin has no derivative.
+        gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
+            the eigenvalue is double, so that the margin has no derivative, and with tubes made of pieces.
         pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
             for tubes off the centreline, of which three take it together.
         section: (start, end) of the section where it takes most, m.
@@ -54,7 +55,11 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise.
+    conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
+    that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
+    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
+    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
+    off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
@@ -68,7 +73,17 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
     """
     shift = _shift(robot, translations)
     assembly = robot.assembly(shift)
-    return proof(assembly)[0] if assembly.eccentric else worst_case(_problem(robot, shift))[0]
+    if assembly.eccentric:
+        return proof(assembly)[0]
+    value = worst_case(_problem(robot, shift))[0]
+    return value - _unresolved(robot, shift, value) if assembly.general else value
+
+
+def _unresolved(robot: Robot, shift: Array, value: float) -> float:
+    """By how much the certificate changes with pieces of the mesh half as long: more than what these leave out of
+    couplings that vary along tubes made of pieces."""
+    finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
+    return abs(worst_case(finer)[0] - value)
 
 
 def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
@@ -79,13 +94,11 @@ def _problem(robot: Robot, shift: Array) -> ReducedProblem:
     return reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
 
 
-def pair_couplings(problem: ReducedProblem) -> Array:
-    """(N, n, n) |c_ij| at the collocation points."""
-    pull = np.abs(problem.moment)
-    pairs = pull[:, :, None] * pull[:, None, :] / problem.stiffness.sum(1)[:, None, None]
-    diagonal = np.arange(pull.shape[1])
-    pairs[:, diagonal, diagonal] = 0.0
-    return np.asarray(pairs)
+def _at_worst(problem: ReducedProblem) -> tuple[Array, Array]:
+    """(N, n, n) V'' at the collocation points at rotations that are worst for every pair of tubes, and |c_ij|."""
+    count, n = problem.moment.shape
+    found = mapped(worst_function(n), count)(problem.stiffness, problem.moment, np.zeros((count, n)))
+    return found[0].reshape(count, n, n).copy(), found[3].reshape(count, n, n).copy()
 
 
 def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
@@ -94,10 +107,8 @@ def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
     y = np.zeros((count, n))
     if not problem.size:
         return 1.0, y, 1.0
-    pairs = pair_couplings(problem)
-    laplacian = pairs - np.eye(n) * pairs.sum(2)[:, :, None]
     second = np.zeros(problem.size**2)
-    second[problem.places] = laplacian.ravel()[problem.entries] * problem.entry_weight
+    second[problem.places] = _at_worst(problem)[0].ravel()[problem.entries] * problem.entry_weight
     values, vectors = np.linalg.eigh(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
@@ -114,10 +125,11 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         return _of_segments(robot, shift)
     problem = _problem(robot, shift)
     margin, y, following = worst_case(problem)
+    lost = _unresolved(robot, shift, margin) if is_general(robot) else 0.0
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
-    work = pair_couplings(problem) * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
+    work = _at_worst(problem)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
     share = work.sum(0) / (1 - margin)
     i, j = np.unravel_index(int(np.argmax(np.triu(share))), share.shape)
     mesh, assembly = problem.mesh, problem.assembly
@@ -126,8 +138,9 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     k = int(np.argmax(each))
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
-    gradient = _gradient(robot, problem, margin) if not double else {name: np.full(n, np.nan) for name in PARAMETERS}
-    return Certificate(margin, shift, gradient, (int(i), int(j)), span, share)
+    known = not double and not is_general(robot)
+    gradient = _gradient(robot, problem, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    return Certificate(margin - lost, shift, gradient, (int(i), int(j)), span, share)
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
@@ -143,7 +156,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """The order of breakpoints, as `mechanics.certificate.certificate_function` takes it. Of breakpoints that coincide
+    """The order of breakpoints, as `physics.certificate.certificate_function` takes it. Of breakpoints that coincide
     the first tube's is taken."""
     ends = []
     for stop in assembly.start + assembly.length:
@@ -155,7 +168,7 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
 
 
 def parameter_values(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Values of `mechanics.certificate.PARAMETERS` for a robot."""
+    """Values of `physics.certificate.PARAMETERS` for a robot."""
     values = {
         name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
     }

@@ -25,6 +25,9 @@ SAME = 1e-5
 CONVEX = 1e-6
 """Certificate above which there is one equilibrium: 0, and what round-off may add to it."""
 
+CONVEX_OF_PIECES = 1e-3
+"""The same of tubes made of pieces, whose couplings vary between the points of the mesh."""
+
 
 def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
@@ -55,7 +58,8 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
 
 def all_solutions(problem: ReducedProblem, rotations: Array) -> list[Solution]:
     """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
-    if not problem.assembly.eccentric and worst_case(problem)[0] > CONVEX:
+    surely = CONVEX if problem.here is None else CONVEX_OF_PIECES
+    if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:
             return [Solution(problem, rotations, result, margin(problem, result.state))]

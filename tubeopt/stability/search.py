@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult
 from ..transcription.reduced import Index, ReducedProblem, evaluate, margin
 from ..typing import Array, Mask
@@ -88,10 +88,11 @@ def search_snap(
 ) -> tuple[Found | None, Search]:
     """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
 
-    Two coupled tubes are decided: the snap is found if there is one, however far away. For more, a robot is turned
-    inside its joint limits along full turns of every tube; across the folds at which the sheet of stable equilibria
-    around its relaxed pose ends (see `stability.sheet`); and along other full turns and random directions, up to 720
-    deg where the limits allow it. Then it is turned beyond the limits, unless no unstable equilibrium is known.
+    Two coupled tubes, of one curvature each, are decided: the snap is found if there is one, however far away. For
+    more, a robot is turned inside its joint limits along full turns of every tube; across the folds at which the sheet
+    of stable equilibria around its relaxed pose ends (see `stability.sheet`); and along other full turns and random
+    directions, up to 720 deg where the limits allow it. Then it is turned beyond the limits, unless no unstable
+    equilibrium is known.
 
     Args:
         translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
@@ -100,6 +101,8 @@ def search_snap(
     search = Search(robot, translations, progress)
     if len(search.coupled) < 2:
         return None, search
+    if is_general(robot):
+        return _of_pieces(search), search
     if len(search.coupled) == 2:
         return _pair(search), search
     start, *_ = relaxed_rotations(robot, search.coupled)
@@ -108,6 +111,17 @@ def search_snap(
         if found is not None:
             return found, search
     return (_beyond(search, start, unstable) if len(unstable) else None), search
+
+
+def _of_pieces(search: Search) -> Found | None:
+    """A snap of tubes made of pieces on full turns from home, inside the joint limits: they have no relaxed pose, and
+    two of them need not be symmetric about one."""
+    low, high = np.array(search.robot.limits.rotations).T
+    start = np.clip(np.zeros(search.robot.n_tubes), low, high)
+    for end in itertools.chain(_turns(search, start), _others(search, start)):
+        if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
+            return found
+    return None
 
 
 def _within(search: Search, start: Array, unstable: Array) -> Found | None:

@@ -107,6 +107,9 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
     Lengths are linear in t between events, so one structure of sections serves up to `goal`.
     """
     problem = here.solution.problem
+    if problem.here is not None:
+        # No program of tubes made of pieces: the point is next to the fold as it is.
+        return here
     structure = structure_of(problem)
     nlp, solver, read = _program(structure)
     assembly, mesh = problem.assembly, problem.mesh

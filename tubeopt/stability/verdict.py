@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SolveError
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .certificate import Certificate, certify
 from .following import Snap
@@ -45,7 +45,8 @@ class Verdict:
     ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
     followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
     is known from its fold alone.
-    decided: whether no more than two tubes are coupled, so that the certificate is exact and the nearest snap is known.
+    decided: whether no more than two tubes, of one curvature each, are coupled, so that the certificate is exact and
+    the nearest snap is known.
     """
 
     robot: Robot
@@ -87,7 +88,8 @@ def judge(
     Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
     until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
     `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
-    below 0, and their snap is found wherever it is. For tubes off the centreline see `eccentric_verdict`.
+    below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
+    limits, and nothing of them is decided but what is proved. For tubes off the centreline see `eccentric_verdict`.
 
     Args:
         translations: (n,) m; default home.
@@ -109,9 +111,8 @@ def judge(
         return Verdict(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, progress)
-    verdict = Verdict(
-        robot, certificate, worst, ways=search.ways, failed=search.failed, decided=len(search.coupled) == 2
-    )
+    decided = len(search.coupled) == 2 and not is_general(robot)
+    verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
     if found is None:
         return verdict
     start, end = found.way

@@ -22,13 +22,15 @@ class Profile:
     theta = rotation + x h twist + h^2 int int M / kt + h int (g - 1) w.
 
     With tubes made of pieces, where kt varies: rotation is the elastic phi, `twist` the torque t = kt phi' and `moment`
-    M itself, and phi = rotation + h int t / kt, collocated.
+    M itself. With c the mean of 1 / kt on a piece, phi = rotation + c (x h twist + h^2 int int M) + h int (1 / kt - c)
+    t, of which the last is collocated.
 
     Attributes:
         rotation, twist: (P, n) theta and w where each piece begins.
         moment: (P, K, n) M / kt at the collocation points, 0 on pieces without.
         extra: (P, K, n) (g - 1) w there, or None for concentric tubes.
-        slope: (P, K, n) phi' there, with tubes made of pieces; else None.
+        slope: (P, K, n) (1 / kt - c) t there, with tubes made of pieces; else None.
+        compliance: (P, n) c, with tubes made of pieces; else None.
     """
 
     rotation: Array
@@ -36,6 +38,18 @@ class Profile:
     moment: Array
     extra: Array | None
     slope: Array | None = None
+    compliance: Array | None = None
+
+    def turned(self, h: Array, x: Array, bases: tuple[Array, Array]) -> Array:
+        """phi (P, X, n) at fractions x of pieces of lengths h, of tubes made of pieces, by the Lagrange basis (X, K)
+        integrated once and twice."""
+        assert self.slope is not None
+        assert self.compliance is not None
+        length = h[:, None, None]
+        even = x[:, None] * length * self.twist[:, None, :] + length**2 * (bases[1] @ self.moment)
+        return np.asarray(
+            self.rotation[:, None, :] + self.compliance[:, None] * even + length * (bases[0] @ self.slope)
+        )
 
 
 def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Profile:
@@ -78,10 +92,12 @@ def integrate_torque(problem: ReducedProblem, base: Array, moment: Array) -> Pro
     inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
     torque = -np.cumsum(gain[::-1], axis=0)[::-1]
-    slope = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * here.rate
-    turn = h * (t.weights @ slope)
+    inside = torque[:, None] + h[..., None] * (t.adjoint @ inner)
+    turn = h * (t.weights @ (inside * here.rate))
+    mean = np.einsum("k,pki->pi", t.weights, here.rate)
+    slope = inside * (here.rate - mean[:, None])
     start = base + here.transmission * (torque[0] if len(torque) else 0.0)
-    return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, None, slope)
+    return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, None, slope, mean)
 
 
 @lru_cache(maxsize=64)
@@ -93,7 +109,8 @@ def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) ->
     """theta (P, len(x), n), phi with tubes made of pieces, at fractions x of every piece."""
     t, h = problem.mesh.tableau, problem.mesh.length[:, None, None]
     if arm.slope is not None:
-        return np.asarray(arm.rotation[:, None, :] + h * (_basis(x, t.family, t.degree, 1) @ arm.slope))
+        bases = (_basis(x, t.family, t.degree, 1), _basis(x, t.family, t.degree, 2))
+        return arm.turned(problem.mesh.length, np.array(x), bases)
     theta = arm.rotation[:, None, :] + np.array(x)[:, None] * h * arm.twist[:, None, :]
     theta += h**2 * (_basis(x, t.family, t.degree, 2) @ arm.moment)
     if arm.extra is not None:
@@ -119,8 +136,11 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
     x = np.clip((arc_length - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
     h = mesh.length[piece][:, None]
     if arm.slope is not None:
+        assert arm.compliance is not None
         inner = np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=1), arm.slope[piece])
-        return np.asarray(arm.rotation[piece] + h * inner)
+        even = np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=2), arm.moment[piece])
+        even = arm.compliance[piece] * (x[:, None] * h * arm.twist[piece] + h**2 * even)
+        return np.asarray(arm.rotation[piece] + even + h * inner)
     theta = arm.rotation[piece] + x[:, None] * h * arm.twist[piece]
     theta += h**2 * np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=2), arm.moment[piece])
     if arm.extra is not None:

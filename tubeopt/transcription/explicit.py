@@ -6,7 +6,8 @@ equilibrium, stable or not, is one point (tip rotations, translations), and ever
 several equilibria have the same joint values, these points tell them apart; a continuous path of points is a branch.
 
 The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0:
-breakpoints are sorted by comparisons, so that one function serves every translation. The margin enters as in
+breakpoints are sorted by comparisons, so that one function serves every translation. One step is a function of its
+own, called for all of them: it is written out once, however many tubes and steps there are. The margin enters as in
 `inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
 their own equations.
 """
@@ -28,6 +29,9 @@ from ..typing import Array
 
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
+
+EXPANDED = 200_000
+"""Operations up to which all steps are written out, which is a tenth faster than calls; beyond, that takes seconds."""
 
 
 def explicit_parameters(robot: Robot) -> Array:
@@ -55,43 +59,63 @@ def explicit_arm(n: int, eccentric: bool, steps: int = STEPS) -> ca.Function:
     margin, all positive if and only if the equilibrium's own margin is larger; `points` (3, p) and `tangents` (3, p) of
     the centreline, plate to tip, and their `arc_length` (p,). Each of the 2n sections takes `steps` steps.
     """
-    tip, shift, margin, robot = (ca.SX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", 7 * n)))
-    parts = tuple(ca.vertsplit(robot, n))
-    kb, _, moment, straight, whole, _, _ = parts
-    transition, end = shift, shift - straight + whole
-    cuts = _sorted([ca.fmax(v, 0) for v in (*ca.vertsplit(transition), *ca.vertsplit(end))])
-    cuts = [ca.SX(0), *cuts]
-    march = _March(parts, margin, eccentric, tip, steps)
-    fields = []
-    for a, b in reversed(list(pairwise(cuts))):
-        middle = (a + b) / 2
-        present = middle < end
-        # The middle of a section without length, or with one of a rounding error, may lie at the end of all tubes:
-        # whichever it has, they must not divide by 0.
-        stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
-        march.section(b - a, stiffness, moment * present * (middle > transition))
-        fields.append(determinant(march.y))
-    transmission = ca.fmax(straight - shift, 0)
-    fields[-1] = determinant(march.y - ca.diag(transmission) @ march.v)
-    rotations = march.theta - transmission * march.twist
-    position, tangent, s = march.shape()
-    return ca.Function(
+    tip, shift, margin, robot = (ca.MX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", 7 * n)))
+    kb, kt, moment, straight, whole, *place = ca.vertsplit(robot, n)
+    length, *given, transmission = _sections(n)(shift, kb, moment, straight, whole)
+    columns = [ca.horzsplit(each) for each in (length, *given)]
+    step, fields = _step(n, eccentric), []
+    theta, w, y, v = tip, ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
+    bends: list[tuple[Any, Any]] = []
+    for whole_length, stiffness, pull in reversed(list(zip(*columns, strict=True))):
+        h = whole_length / steps
+        for _ in range(steps):
+            theta, w, y, v, bend = step(theta, w, y, v, h, stiffness, pull, kt, 1 - margin, *place)
+            bends.append((h, bend))
+        fields.append(_field(n)(y, v, ca.MX(ca.DM.zeros(n))))
+    fields[-1] = _field(n)(y, v, transmission)
+    shape = _shape(bends)
+    arm = ca.Function(
         "explicit_arm",
         [tip, shift, margin, robot],
-        [rotations, ca.vertcat(*fields), position, tangent, s],
+        [theta - transmission * w, ca.vertcat(*fields), *shape],
         ["tip", "translations", "margin", "robot"],
         ["rotations", "fields", "points", "tangents", "arc_length"],
-        {"cse": True},
     )
+    return arm.expand() if explicit_size(n, eccentric, steps) < EXPANDED else arm
 
 
 @lru_cache(maxsize=16)
 def explicit_joints(n: int, eccentric: bool) -> ca.Function:
     """The outputs `rotations` and `fields` of `explicit_arm` alone, which cost less without the shape."""
     arm = explicit_arm(n, eccentric)
-    inputs = [ca.SX.sym(arm.name_in(i), arm.size1_in(i)) for i in range(4)]
+    inputs = [ca.MX.sym(arm.name_in(i), arm.size1_in(i)) for i in range(4)]
     outputs: Any = arm(*inputs)
-    return ca.Function("explicit_joints", inputs, list(outputs[:2]), {"cse": True})
+    joints = ca.Function("explicit_joints", inputs, list(outputs[:2]))
+    return joints.expand() if explicit_size(n, eccentric) < EXPANDED else joints
+
+
+def explicit_size(n: int, eccentric: bool, steps: int = STEPS) -> int:
+    """Operations of `explicit_arm`, without building it."""
+    return 2 * n * steps * int(_step(n, eccentric).n_instructions())
+
+
+@lru_cache(maxsize=16)
+def _sections(n: int) -> ca.Function:
+    """(translations, kb, moment, straight and whole lengths (n,) each) -> by columns of the 2n sections their length,
+    stiffness and moment (n,); and the transmissions (n,)."""
+    shift, kb, moment, straight, whole = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
+    transition, end = shift, shift - straight + whole
+    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in (*ca.vertsplit(transition), *ca.vertsplit(end))])]
+    columns = []
+    for a, b in pairwise(cuts):
+        middle = (a + b) / 2
+        present = middle < end
+        # The middle of a section without length, or with one of a rounding error, may lie at the end of all tubes:
+        # whichever it has, they must not divide by 0.
+        stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
+        columns.append((b - a, stiffness, moment * present * (middle > transition)))
+    tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
+    return ca.Function("sections", [shift, kb, moment, straight, whole], [*tables, ca.fmax(straight - shift, 0)])
 
 
 def _sorted(values: list[Any]) -> list[Any]:
@@ -103,83 +127,98 @@ def _sorted(values: list[Any]) -> list[Any]:
     return out
 
 
-class _March:
-    """The state of the integration from tip to plate: theta, w, Jacobi fields, and the curvature met on the way."""
+@lru_cache(maxsize=16)
+def _field(n: int) -> ca.Function:
+    """(Y, V (n, n), transmission (n,)) -> det(Y - transmission V)."""
+    y, v, transmission = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n), ca.SX.sym("t", n)
+    return ca.Function("field", [y, v, transmission], [determinant(y - ca.diag(transmission) @ v)])
 
-    def __init__(self, robot: tuple[Any, ...], margin: Any, eccentric: bool, tip: Any, steps: int) -> None:
-        self.kt, self.softening, self.eccentric, self.count = robot[1], 1 - margin, eccentric, steps
-        self.place = robot[5:7] if eccentric else ()
-        n = tip.numel()
-        self.theta, self.twist = tip, ca.SX.zeros(n)
-        self.y, self.v = ca.SX.eye(n), ca.SX.zeros(n, n)
-        self.steps: list[tuple[Any, list[Any]]] = []
-        self.balance = section_functions(n, eccentric)["balance"]
-        self.bend = section_functions(n, eccentric)["curvature"]
 
-    def section(self, length: Any, stiffness: Any, moment: Any) -> None:
-        """Integrate over one section."""
-        h = length / self.count
-        given = (stiffness, moment, *self.place)
-        for _ in range(self.count):
-            far, far_rate = self.theta, self._turning(self.theta, self.twist, given)
-            (self._runge_kutta if self.eccentric else self._nystrom)(given, h)
-            near_rate = self._turning(self.theta, self.twist, given)
-            middle = (far + self.theta) / 2 + h / 8 * (near_rate - far_rate)
-            self.steps.append((h, [self.bend(theta, *given) for theta in (self.theta, middle, far)]))
+@lru_cache(maxsize=16)
+def _step(n: int, eccentric: bool) -> ca.Function:
+    """A step towards the plate: (theta, w, Jacobi fields y, v, its length, stiffness, moment, kt, softening, place) ->
+    (theta, w, y, v) after it, and the curvatures (2, 3) at its near end, in its middle and at its far end."""
+    theta, w, h, kb, m, kt, softening, *place = (
+        ca.SX.sym(k, 1 if k in ("h", "softening") else n)
+        for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "phi")
+    )
+    y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
+    given = (kb, m, *(place if eccentric else ()))
+    functions = section_functions(n, eccentric)
+    balance, bend = functions["balance"], functions["curvature"]
 
-    def _turning(self, theta: Any, w: Any, given: tuple[Any, ...]) -> Any:
-        """theta' at a cross-section."""
-        return self.balance(theta, *given)[3] * w if self.eccentric else w
+    def turning(theta: Any, w: Any) -> Any:
+        return balance(theta, *given)[3] * w if eccentric else w
 
-    def _gains(self, theta: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:
-        """w' (n,), and its derivative (n, n) with the tubes softened, of concentric tubes."""
-        moment, slope, *_ = self.balance(theta, *given)
-        return moment / self.kt, ca.diag(1 / (self.softening * self.kt)) @ slope
+    march = _runge_kutta if eccentric else _nystrom
+    near, near_w, *fields = march(balance, (theta, w, y, v), given, (kt, softening * kt), h)
+    middle = (theta + near) / 2 + h / 8 * (turning(near, near_w) - turning(theta, w))
+    bends = ca.horzcat(*(bend(at, *given) for at in (near, middle, theta)))
+    inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
+    return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(bends)], {"cse": True})
 
-    def _nystrom(self, given: tuple[Any, ...], h: Any) -> None:
-        """A step of theta'' = M / kt and of its Jacobi fields towards the plate, of order 4."""
-        theta, w, y, v = self.theta, self.twist, self.y, self.v
-        k1, slope = self._gains(theta, given)
-        f1 = slope @ y
-        k2, slope = self._gains(theta - h / 2 * w + h**2 / 8 * k1, given)
-        f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
-        k3, slope = self._gains(theta - h * w + h**2 / 2 * k2, given)
-        f3 = slope @ (y - h * v + h**2 / 2 * f2)
-        self.theta, self.twist = theta - h * w + h**2 / 6 * (k1 + 2 * k2), w - h / 6 * (k1 + 4 * k2 + k3)
-        self.y, self.v = y - h * v + h**2 / 6 * (f1 + 2 * f2), v - h / 6 * (f1 + 4 * f2 + f3)
 
-    def _runge_kutta(self, given: tuple[Any, ...], h: Any) -> None:
-        """A step of theta' = g w, w' = M / kt and of its Jacobi fields towards the plate, of order 4."""
+def _nystrom(balance: Any, state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any) -> list[Any]:
+    """A step of theta'' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
+    theta, w, y, v = state
 
-        def rates(theta: Any, w: Any, y: Any, v: Any) -> list[Any]:
-            moment, slope, _, stretch, stretching = self.balance(theta, *given)
-            turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
-            return [stretch * w, moment / self.kt, turned, ca.diag(1 / (self.softening * self.kt)) @ slope @ y]
+    def gains(theta: Any) -> tuple[Any, Any]:
+        moment, slope, *_ = balance(theta, *given)
+        return moment / kt[0], ca.diag(1 / kt[1]) @ slope
 
-        start = [self.theta, self.twist, self.y, self.v]
-        k = [rates(*start)]
-        for part in (0.5, 0.5, 1.0):
-            k.append(rates(*(a - part * h * b for a, b in zip(start, k[-1], strict=True))))
-        mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*k, strict=True)]
-        self.theta, self.twist, self.y, self.v = (a - h * b for a, b in zip(start, mean, strict=True))
+    k1, slope = gains(theta)
+    f1 = slope @ y
+    k2, slope = gains(theta - h / 2 * w + h**2 / 8 * k1)
+    f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
+    k3, slope = gains(theta - h * w + h**2 / 2 * k2)
+    f3 = slope @ (y - h * v + h**2 / 2 * f2)
+    return [
+        theta - h * w + h**2 / 6 * (k1 + 2 * k2),
+        w - h / 6 * (k1 + 4 * k2 + k3),
+        y - h * v + h**2 / 6 * (f1 + 2 * f2),
+        v - h / 6 * (f1 + 4 * f2 + f3),
+    ]
 
-    def shape(self) -> tuple[Any, Any, Any]:
-        """Positions and tangents (3, p), arc lengths (p,), plate to tip: Magnus steps of order 4 on SE(3)."""
-        frame, position, s = ca.SX.eye(3), ca.SX.zeros(3), ca.SX(0)
-        out = [(position, frame[:, 2], s)]
-        for h, (near, middle, far) in reversed(self.steps):
-            mean = h / 6 * (near + 4 * middle + far)
-            bracket = h**2 / 12
-            turn = ca.vertcat(mean, bracket * (near[0] * far[1] - near[1] * far[0]))
-            # The commutator of the twists (u, e3) at both ends: (u0 - u1) x e3.
-            change = near - far
-            move = ca.vertcat(bracket * change[1], -bracket * change[0], h)
-            rotation, step = exponential(turn, move)
-            position, frame, s = position + frame @ step, frame @ rotation, s + h
-            out.append((position, frame[:, 2], s))
-        # Zeros are entries as well: who reads the numbers takes them to be all there.
-        return (
-            ca.densify(ca.horzcat(*(p for p, _, _ in out))),
-            ca.densify(ca.horzcat(*(t for _, t, _ in out))),
-            ca.densify(ca.vertcat(*(a for *_, a in out))),
-        )
+
+def _runge_kutta(
+    balance: Any, state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+) -> list[Any]:
+    """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
+
+    def rates(theta: Any, w: Any, y: Any, v: Any) -> list[Any]:
+        moment, slope, _, stretch, stretching = balance(theta, *given)
+        turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
+        return [stretch * w, moment / kt[0], turned, ca.diag(1 / kt[1]) @ slope @ y]
+
+    k = [rates(*state)]
+    for part in (0.5, 0.5, 1.0):
+        k.append(rates(*(a - part * h * b for a, b in zip(state, k[-1], strict=True))))
+    mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*k, strict=True)]
+    return [a - h * b for a, b in zip(state, mean, strict=True)]
+
+
+def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:
+    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and bends of steps to the plate."""
+    frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+    out = [(position, frame[:, 2], s)]
+    for h, bend in reversed(bends):
+        frame, position = _carry()(frame, position, h, bend)
+        s = s + h
+        out.append((position, frame[:, 2], s))
+    positions, tangents, marks = zip(*out, strict=True)
+    return ca.horzcat(*positions), ca.horzcat(*tangents), ca.vertcat(*marks)
+
+
+@lru_cache(maxsize=1)
+def _carry() -> ca.Function:
+    """(frame, position, length, curvatures (2, 3)) -> frame and position after a Magnus step of order 4 on SE(3)."""
+    frame, position, h, bend = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("h"), ca.SX.sym("u", 2, 3)
+    near, middle, far = bend[:, 0], bend[:, 1], bend[:, 2]
+    mean = h / 6 * (near + 4 * middle + far)
+    bracket = h**2 / 12
+    turn = ca.vertcat(mean, bracket * (near[0] * far[1] - near[1] * far[0]))
+    # The commutator of the twists (u, e3) at both ends: (u0 - u1) x e3.
+    change = near - far
+    rotation, step = exponential(turn, ca.vertcat(bracket * change[1], -bracket * change[0], h))
+    out = [ca.densify(frame @ rotation), ca.densify(position + frame @ step)]
+    return ca.Function("carry", [frame, position, h, bend], out, {"cse": True})

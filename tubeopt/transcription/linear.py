@@ -270,12 +270,17 @@ def interpolation(x: Array, values: Array, slopes: Array) -> Array:
 def poses_inside(arm: Arm) -> tuple[Array, Array]:
     """Frames (P, K, 3, 3) and positions (P, K, 3) at the points: polynomials through the shape points of a piece, with
     the slopes R hat(u) and R e3 there (where it begins, u is another one's)."""
-    pieces, count, t = arm.n_pieces, 2 * len(ENDS) - 1, arm.tableau
+    return poses_at_points(arm.tableau, arm.length, (arm.frame, arm.position, arm.curvature))
+
+
+def poses_at_points(t: Tableau, length: Array, shape: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """`poses_inside` of pieces of lengths (P,), from frames, positions and curvatures at the shape points."""
+    pieces, count = len(length), 2 * len(ENDS) - 1
     index = shape_points(pieces)
-    frame, step = arm.frame[index], arm.length[:, None, None, None]
-    turning = (arm.curvature[index] @ _HAT).reshape(frame.shape)
+    frame, step = shape[0][index], length[:, None, None, None]
+    turning = (shape[2][index] @ _HAT).reshape(frame.shape)
     frames = np.concatenate([frame, step * (frame @ turning)[:, 1:]], 1)
-    places = np.concatenate([arm.position[index], step[..., 0] * frame[:, 1:, :, 2]], 1)
+    places = np.concatenate([shape[1][index], step[..., 0] * frame[:, 1:, :, 2]], 1)
     matrix = _hermite(t.family, t.degree)
     return (matrix @ frames.reshape(pieces, count, 9)).reshape(pieces, t.degree, 3, 3), matrix @ places
 

@@ -19,10 +19,10 @@ BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 
-TWIST_PER_PIECE = 0.7
+TWIST_PER_PIECE = 1.0
 """Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
 
-DETAIL_PER_PIECE = 6.0
+DETAIL_PER_PIECE = 4.0
 """Largest polynomial degree of precurvature and stiffness along a piece."""
 
 SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2

@@ -181,7 +181,7 @@ def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
     """The tubes of an assembly with pieces on a mesh."""
     assert assembly.lengthwise is not None
     sections = sections_at(assembly, mesh, mesh.tableau.nodes)
-    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, -1)
+    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
     return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
 
 
@@ -320,7 +320,7 @@ def pull_rate(problem: ReducedProblem) -> Array:
         return np.asarray(np.abs(problem.piece_moment).sum(1) / stiffness)
     here = problem.here.sections
     each = here.moment.sum(1) / np.maximum(here.stiffness.sum(1), 1e-300)
-    return np.asarray(each.reshape(len(problem.mesh.length), -1).max(1, initial=0.0))
+    return np.asarray(each.reshape(len(problem.mesh.length), problem.mesh.tableau.degree).max(1, initial=0.0))
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:

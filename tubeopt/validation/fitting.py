@@ -17,7 +17,7 @@ import scipy
 
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 from .comparison import Progress, Validation, validate
 from .errors import ErrorSummary
 from .identifiability import doubts, undetermined
@@ -45,6 +45,21 @@ class Estimate:
     low: float
     high: float
     held: bool
+
+
+class FitStatus(Sentence):
+    """What became of a fit; every value reads as a sentence."""
+
+    ESTIMATED = "all parameters were estimated"
+    HELD = "some parameters are not determined by the measurements and were held at their start"
+
+
+@dataclass(frozen=True)
+class FitStatistics:
+    """What a fit took: shapes that were solved; and of how many numbers it was made."""
+
+    evaluations: int
+    numbers: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +90,21 @@ class Fit:
     held_out_errors: Array | None
     remarks: tuple[str, ...]
     evaluations: int
+
+    @property
+    def value(self) -> Robot:
+        """The robot with the estimated parameters."""
+        return self.robot
+
+    @property
+    def status(self) -> FitStatus:
+        """Whether every parameter was estimated; `remarks` say which were not."""
+        return FitStatus.HELD if any(each.held for each in self.estimates) else FitStatus.ESTIMATED
+
+    @property
+    def statistics(self) -> FitStatistics:
+        """What it took."""
+        return FitStatistics(self.evaluations, self.after.predicted.size)
 
     @property
     def held_out(self) -> ErrorSummary | None:
@@ -115,7 +145,7 @@ def fit(
     chosen = choose_parameters(robot, measurements, parameters)
     _check(measurements, len(chosen) + FREEDOMS.get(registration, 0), folds, confidence)
     count = len(measurements)
-    counter = _Counter(progress, count * (3 + 6 * (len(chosen) + 1) + 3 * folds * (len(chosen) + 1)))
+    counter = _Counter(progress, count * (9 + 4 * folds))
     before = validate(robot, measurements, registration=registration, base=base, progress=counter.step)
     model = TipModel(robot, measurements, chosen, registration, base, counter.step)
     start = np.array([parameter.start for parameter in chosen])

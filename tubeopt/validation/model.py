@@ -7,17 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equilibrium.jacobian import derivatives_of
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
+from ..robots.breakpoints import dimensions_of
 from ..robots.robot import Robot
 from ..typing import Array
 from .comparison import Progress, predict
 from .measurements import Measurements
-from .parameters import Parameter, apply
+from .parameters import CommonRobot, Parameter, apply
 from .registration import BasePose, Registration, register
 
-STEP = 1e-5
-"""Step of the difference quotients, in units of a parameter's scale: tips are exact to round-off on a fixed mesh."""
+STEP = 1e-4
+"""Step, in units of a parameter's scale, of the parabolas that tell how the dimensions of the tubes change."""
+
+NUDGE = 1e-6
+"""Motion of the tips, m, in which the registration is told to follow."""
 
 
 class TipModel:
@@ -85,34 +90,59 @@ class TipModel:
             if first:
                 raise
             return np.full(3 * len(self.measurements), np.inf)
-        self.registration = register(self.measurements.tip_position, tips, self.method, base=self.base)
+        self.registration = self._register(tips)
         return self._difference(self.registration, tips)
 
     def jacobian(self, x: Array) -> Array:
-        """(3N, P) derivatives of `residuals`, the registration following along.
-
-        Difference quotients of the tips, in scaled steps towards the middle of each range.
-        """
-        base = self._difference(*self._register(self.tips(x)))
-        columns = []
-        for k, parameter in enumerate(self.varied):
-            inward = -1.0 if x[k] > (parameter.low + parameter.high) / 2 else 1.0
-            moved = np.array(x, dtype=float)
-            moved[k] += inward * STEP * parameter.scale
-            tips = np.array([shape.tip_position for shape in self._solve(moved)])
-            columns.append((self._difference(*self._register(tips)) - base) / (moved[k] - x[k]))
+        """(3N, P) derivatives of `residuals`, the registration, which is a closed form of the tips, following along."""
+        tips, columns = self.tips(x), []
+        for slope in np.moveaxis(self._tip_slopes(x), 2, 0):
+            moved = slope * (NUDGE / max(float(np.abs(slope).max()), 1e-300))
+            ends = [self._difference(self._register(tips + side * moved), tips + side * moved) for side in (1, -1)]
+            columns.append((ends[0] - ends[1]) * (float(np.abs(slope).max()) / (2 * NUDGE)))
         return np.array(columns).T
 
-    def _register(self, tips: Array) -> tuple[Registration, Array]:
-        return register(self.measurements.tip_position, tips, self.method, base=self.base), tips
+    def _tip_slopes(self, x: Array) -> Array:
+        """(N, 3, P) derivatives of the tips at x, by the implicit function theorem."""
+        assert self._shapes is not None
+        by_table, table = self._table_slopes(x), []
+        names = [name for name, part in by_table.items() if part.any()]
+        if not names:
+            return np.zeros((len(self._shapes), 3, len(self.free)))
+        change = np.concatenate([by_table[name] for name in names])
+        for shape in self._shapes:
+            table.append(derivatives_of(shape, names).tip_position @ change)
+        return np.array(table)
+
+    def _table_slopes(self, x: Array) -> dict[str, Array]:
+        """(n, P) change of the rotations and of every dimension of the tubes with x: parabolas inward."""
+        here, columns = self._table(x), []
+        for k, parameter in enumerate(self.varied):
+            step = np.zeros(len(x))
+            step[k] = STEP * parameter.scale * (-1.0 if x[k] > (parameter.low + parameter.high) / 2 else 1.0)
+            one, two = self._table(x + step), self._table(x + 2 * step)
+            columns.append({name: (4 * one[name] - two[name] - 3 * v) / (2 * step[k]) for name, v in here.items()})
+        return {name: np.column_stack([column[name] for column in columns]) for name in here}
+
+    def _table(self, x: Array) -> dict[str, Array]:
+        """Offsets of the rotations and dimensions of the tubes at x, (n,) each."""
+        robot, offsets = self._robot(x)
+        return {"rotations": offsets, **dimensions_of(robot.tubes)}
+
+    def _register(self, tips: Array) -> Registration:
+        return register(self.measurements.tip_position, tips, self.method, base=self.base)
 
     def _difference(self, registration: Registration, tips: Array) -> Array:
         registered = registration.apply(self.measurements.tip_position)
         return np.asarray(((registered - tips) @ registration.rotation).ravel())
 
     def _solve(self, x: Array) -> list[Equilibrium]:
-        values = np.array([parameter.start for parameter in self.parameters])
-        values[self.free] = x
-        robot, offsets = apply(self.robot, self.parameters, values)
+        robot, offsets = self._robot(x)
         turned = self.measurements.turned(offsets)
         return predict(robot, turned, guesses=self._shapes, progress=self.progress)
+
+    def _robot(self, x: Array) -> tuple[CommonRobot, Array]:
+        """The robot at x, and the offsets (n,) of its rotations."""
+        values = np.array([parameter.start for parameter in self.parameters])
+        values[self.free] = x
+        return apply(self.robot, self.parameters, values)

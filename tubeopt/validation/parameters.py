@@ -14,7 +14,7 @@ from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot
-from ..robots.tubes import Tube
+from ..robots.tubes import Tube, must_follow_section
 from ..typing import Array
 from .measurements import Measurements
 
@@ -98,6 +98,8 @@ def _parameter(robot: Robot, measurements: Measurements, name: str) -> Parameter
         what = "tubes" if count == robot.n_tubes else "different tubes"
         allowed = f"the number must be {first} to {count}" if first <= count else "it has no such parameter"
         raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
+    if kind in ("stiffness_ratio", "nu"):
+        must_follow_section(members(robot), f"a fit of {kind}")
     index = None if number is None else int(number) - 1
     unit, start, low, high, scale = _RANGES[kind](robot, measurements, index)
     return Parameter(name, kind, index, unit, start, low, high, scale)

@@ -11,7 +11,7 @@ import pytest
 from tests.examples import THESIS
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.reel import Waypoints
+from tubeopt.show.viewer.playback import Waypoints
 
 from .browser import CHROMIUM, FLAGS, Tab, served
 

@@ -15,7 +15,7 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.planning.file import load_trajectory
 from tubeopt.show.plots.mesh import Centreline
 from tubeopt.show.viewer import export, plots, words
-from tubeopt.show.viewer.reel import Waypoints, load_waypoints, make_reel, play_to, snaps_between, state_at
+from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
 from tubeopt.show.viewer.surfaces import Surface, between, margin_colour, obstacle_surface, plate_part, robot_parts
 from tubeopt.show.viewer.swept import swept_volume
@@ -120,19 +120,21 @@ def test_words_are_escaped() -> None:
 
 
 def test_a_trajectory_has_its_own_history() -> None:
-    reel = make_reel(THESIS, load_waypoints(ROOT / "configs" / "paths" / "turn_and_back.csv", THESIS))
-    assert reel.duration == pytest.approx(16.0)
-    assert len(reel.path.snaps) == 2
-    forth, back = state_at(reel, 200 / 45), state_at(reel, 16 - 200 / 45)
+    playback = make_playback(THESIS, load_waypoints(ROOT / "configs" / "paths" / "turn_and_back.csv", THESIS))
+    assert playback.duration == pytest.approx(16.0)
+    assert len(playback.path.snaps) == 2
+    forth, back = state_at(playback, 200 / 45), state_at(playback, 16 - 200 / 45)
     assert forth.rotations == pytest.approx(back.rotations)
     assert np.linalg.norm(forth.tip_position - back.tip_position) > 0.05
-    assert [len(snaps_between(reel, a, b)) for a, b in ((0, 4.7), (4.7, 4.8), (4.8, 16), (0, 16))] == [0, 1, 1, 2]
+    assert [len(snaps_between(playback, a, b)) for a, b in ((0, 4.7), (4.7, 4.8), (4.8, 16), (0, 16))] == [0, 1, 1, 2]
     session = open_session(THESIS)
-    assert len(play_to(session, reel, 5.0, since=4.0).log) == 1
-    assert not play_to(session, reel, 5.0).log
-    assert np.degrees(play_to(session, reel, 5.0).equilibrium.rotations[0]) == pytest.approx(225)
-    played = play_to(record(play_to(session, reel, 4.0), True), reel, 5.0, since=4.0)
-    assert [len(each.recording or ()) for each in (played, play_to(played, reel, 5.0), play_to(played, reel, 2.0))] == [
+    assert len(play_to(session, playback, 5.0, since=4.0).log) == 1
+    assert not play_to(session, playback, 5.0).log
+    assert np.degrees(play_to(session, playback, 5.0).equilibrium.rotations[0]) == pytest.approx(225)
+    played = play_to(record(play_to(session, playback, 4.0), True), playback, 5.0, since=4.0)
+    assert [
+        len(each.recording or ()) for each in (played, play_to(played, playback, 5.0), play_to(played, playback, 2.0))
+    ] == [
         2,
         3,
         1,
@@ -148,12 +150,12 @@ def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
     path = tmp_path / "recording.csv"
     path.write_text(export.recording_csv(session))
     assert load_trajectory(path, THESIS).start_tips is not None
-    reel = make_reel(THESIS, load_waypoints(path, THESIS))
-    end = reel.path.equilibria[-1]
+    playback = make_playback(THESIS, load_waypoints(path, THESIS))
+    end = playback.path.equilibria[-1]
     assert end.tip_position == pytest.approx(session.equilibrium.tip_position, abs=1e-9)
     alone = forward_kinematics(THESIS, end.rotations)
     assert np.linalg.norm(alone.tip_position - end.tip_position) > 0.03
-    assert reel.duration == pytest.approx(15 / 45)
+    assert playback.duration == pytest.approx(15 / 45)
     with pytest.raises(InputError, match="nothing is recorded"):
         export.recording_csv(open_session(THESIS))
 
@@ -177,14 +179,14 @@ def test_the_swept_volume_of_a_turn_is_that_of_its_body_of_revolution() -> None:
     """All tubes turned together sweep what the resting arc, turned about z, sweeps: by Pappus per piece of the arc."""
     angles = np.linspace(0.0, 2 * np.pi, 37)
     way = Waypoints(np.arange(37.0), np.tile(angles[:, None], (1, 2)), np.zeros((37, 2)))
-    reel = make_reel(TWO_TUBE, way)
-    swept = swept_volume(reel)
-    line = Centreline(reel.path.equilibria[0])
+    playback = make_playback(TWO_TUBE, way)
+    swept = swept_volume(playback)
+    line = Centreline(playback.path.equilibria[0])
     s = np.linspace(0, line.length, 2001)
     points, tangent = line.position(s), line.axes(s)[2]
     radius = np.hypot(points[:, 0], points[:, 1])
     outer = np.array([tube.outer_diameter for tube in TWO_TUBE.tubes])
-    ends = reel.path.equilibria[0].tube_end
+    ends = playback.path.equilibria[0].tube_end
     width = np.where(s[:, None] <= ends + 1e-9, outer, 0.0).max(1)
     # The sheet that the centreline sweeps is as thick as the arm, seen across it.
     expected = float(np.trapezoid(2 * np.pi * radius * width, s))

@@ -13,7 +13,7 @@ from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ...typing import Array
+from ...typing import Array, Sentence
 from .cures import Cure
 from .outcome import hold_slots, outcome_of, remarks
 from .rates import stored
@@ -29,6 +29,21 @@ draught, with radiation. Order of magnitude, assumed."""
 
 QUENCHED_DEGC = 100.0
 """Below this nothing happens to nitinol in seconds."""
+
+
+class HeatingStatus(Sentence):
+    """What became of a plan; every value reads as a sentence."""
+
+    HELD = "window, limits and ramp are kept"
+    MISSED = "the best schedule that was found does not keep all that was demanded"
+
+
+@dataclass(frozen=True)
+class HeatingStatistics:
+    """What a plan took: iterations of the optimal control problem in its last round, and slots of the schedule."""
+
+    iterations: int
+    slots: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +114,21 @@ class HeatingPlan:
     quench_time: float
     growth: float
     iterations: int
+
+    @property
+    def value(self) -> Counts:
+        """(T,) duties."""
+        return self.duty
+
+    @property
+    def status(self) -> HeatingStatus:
+        """Whether everything is kept; `verdict` says what is not."""
+        return HeatingStatus.HELD if self.feasible else HeatingStatus.MISSED
+
+    @property
+    def statistics(self) -> HeatingStatistics:
+        """What it took."""
+        return HeatingStatistics(self.iterations, len(self.time))
 
     @property
     def verdict(self) -> str:

@@ -7,15 +7,17 @@ Automation Letters 1 (2016); thesis, section 4.2.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
-from ...errors import InputError, finite, instance, numbers, positive
+from ...errors import InputError, finite, numbers
+from ...files.fields import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
+from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ..mold.materials import CALCIUM_SILICATE, MoldMaterial, mold_material
+from ..mold.materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""
@@ -42,42 +44,27 @@ OPEN_CIRCUIT = (
 """(state of charge, V) of a rested 12 V flooded lead-acid battery: Trojan Battery Company, User's Guide."""
 
 
-def _check(owner: str, what: Any, zero: tuple[str, ...] = ()) -> None:
-    """Make every float of a dataclass positive (not negative for `zero`), or raise InputError naming it."""
-    for item in fields(what):
-        value = getattr(what, item.name)
-        if isinstance(value, (int, float)) or item.type == "float":
-            checked = positive(f"{item.name} of the {owner}", value, zero=item.name in zero)
-            object.__setattr__(what, item.name, checked)
-
-
 @dataclass(frozen=True)
 class Battery:
     """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load.
-
-    Args:
-        capacity: C (1 A h = 3600 C).
-        state_of_charge: in (0, 1].
-        open_circuit: pairs (state of charge, V), both increasing; linear between them.
-        internal_resistance: ohm, at once.
-        sag_resistance: ohm, on top of it once the sag has built up.
-        sag_time: s, in which it does, to 63 %.
 
     Raises:
         InputError: a value is out of its range, or the table is not increasing.
     """
 
-    capacity: float = 60.0 * AMPERE_HOUR
-    state_of_charge: float = 1.0
-    open_circuit: tuple[tuple[float, float], ...] = OPEN_CIRCUIT
-    internal_resistance: float = 0.008
-    sag_resistance: float = 0.006
-    sag_time: float = 30.0
+    capacity: Annotated[float, unit("Ah"), POSITIVE, "charge that it holds"] = 60.0 * AMPERE_HOUR
+    state_of_charge: Annotated[float, unit("percent"), Range(above=0.0, most=1.0), "of the capacity"] = 1.0
+    open_circuit: Annotated[
+        tuple[tuple[float, float], ...],
+        unit("V"),
+        "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear between them",
+    ] = OPEN_CIRCUIT
+    internal_resistance: Annotated[float, unit("mohm"), POSITIVE, "at once"] = 0.008
+    sag_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "on top of it once the sag has built up"] = 0.006
+    sag_time: Annotated[float, unit("s"), POSITIVE, "in which it does, to 63 %"] = 30.0
 
     def __post_init__(self) -> None:
-        _check("battery", self, zero=("sag_resistance",))
-        if self.state_of_charge > 1:
-            raise InputError(f"state_of_charge of the battery is {self.state_of_charge:g}; it must be at most 1")
+        check_fields(self, "the battery")
         try:
             table = np.array(self.open_circuit, dtype=float)
         except (TypeError, ValueError):
@@ -111,26 +98,17 @@ class Battery:
 
 @dataclass(frozen=True)
 class Circuit:
-    """What lies between battery and tube, and what it bears.
+    """What lies between battery and tube, and what it bears."""
 
-    Args:
-        cable_resistance: of all cables, ohm.
-        contact_resistance: of both clamps on the tube together, ohm.
-        mosfet_resistance: R_DS(on), ohm.
-        pwm_frequency: Hz.
-        current_limit: of the mean current, A.
-        peak_limit: of the current while the MOSFET conducts, A.
-    """
-
-    cable_resistance: float = 0.005
-    contact_resistance: float = 0.004
-    mosfet_resistance: float = 0.002
-    pwm_frequency: float = 490.0
-    current_limit: float = 40.0
-    peak_limit: float = 200.0
+    cable_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "of all cables"] = 0.005
+    contact_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "of both clamps on the tube together"] = 0.004
+    mosfet_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "R_DS(on)"] = 0.002
+    pwm_frequency: Annotated[float, unit("Hz"), POSITIVE, "of the pulses"] = 490.0
+    current_limit: Annotated[float, unit("A"), POSITIVE, "of the mean current"] = 40.0
+    peak_limit: Annotated[float, unit("A"), POSITIVE, "of the current while the MOSFET conducts"] = 200.0
 
     def __post_init__(self) -> None:
-        _check("circuit", self, zero=("cable_resistance", "contact_resistance", "mosfet_resistance"))
+        check_fields(self, "the circuit")
 
     @property
     def resistance(self) -> float:
@@ -140,55 +118,45 @@ class Circuit:
 
 @dataclass(frozen=True)
 class Clamps:
-    """The two equal clamps, each a lump of metal that warms up.
+    """The two equal clamps, each a lump of metal that warms up."""
 
-    Args:
-        mass: of one, kg.
-        heat_capacity: J/(kg K).
-        area: of the surface of one that cools in air, m^2.
-        contact_conductance: between tube and clamp, W/(m^2 K).
-        grip: length of tube in each clamp, m.
-        clearance: bare tube between clamp and mold at each end, m.
-    """
-
-    mass: float = 0.05
-    heat_capacity: float = 896.0
-    area: float = 4e-3
-    contact_conductance: float = 3000.0
-    grip: float = 10e-3
-    clearance: float = 5e-3
+    mass: Annotated[float, unit("g"), POSITIVE, "of one"] = 0.05
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE, "of its metal"] = 896.0
+    area: Annotated[float, unit("cm2"), POSITIVE, "of the surface of one that cools in air"] = 4e-3
+    contact_conductance: Annotated[float, unit("W_per_m2_K"), POSITIVE, "between tube and clamp"] = 3000.0
+    grip: Annotated[float, unit("mm"), POSITIVE, "length of tube in each clamp"] = 10e-3
+    clearance: Annotated[float, unit("mm"), POSITIVE, "bare tube between clamp and mold at each end"] = 5e-3
 
     def __post_init__(self) -> None:
-        _check("clamps", self)
+        check_fields(self, "the clamps")
 
 
 @dataclass(frozen=True)
 class MoldBed:
-    """The mold as the tube's surroundings.
+    """The mold as the tube's surroundings."""
 
-    Args:
-        material: what it is made of, or its name.
-        width, thickness: of both plates together, m; as much material as surrounds the tube.
-        lead: straight tube in the mold on each side of the curved part, m.
-        gap: of air between tube and groove, m: what limits the heat that enters the mold at first.
-        leak_resistance: electrical, of the tube's surface against a mold that conducts, ohm m^2.
-        vents: fraction of the tube's surface that the top plate leaves open along the covered part: one number, or
-            several at equal distances from the end of the mold to its middle.
-    """
-
-    material: MoldMaterial = CALCIUM_SILICATE
-    width: float = 0.1
-    thickness: float = 25.4e-3
-    lead: float = 20e-3
-    gap: float = 50e-6
-    leak_resistance: float = 1e-6
-    vents: tuple[float, ...] = (0.0,)
+    material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "what it is made of, or its name"] = CALCIUM_SILICATE
+    width: Annotated[float, unit("mm"), POSITIVE, "of both plates together; as much material as surrounds it"] = 0.1
+    thickness: Annotated[float, unit("mm"), POSITIVE, "of both plates together"] = 25.4e-3
+    lead: Annotated[float, unit("mm"), POSITIVE, "straight tube in the mold on each side of the curved part"] = 20e-3
+    gap: Annotated[
+        float, unit("um"), POSITIVE, "of air between tube and groove: what limits the heat that enters at first"
+    ] = 50e-6
+    leak_resistance: Annotated[
+        float, unit("ohm_m2"), POSITIVE, "electrical, of the tube's surface against a mold that conducts"
+    ] = 1e-6
+    vents: Annotated[
+        tuple[float, ...],
+        unit("percent"),
+        NOT_NEGATIVE,
+        "part of the tube's surface that the top plate leaves open along the covered part: one number, or several at "
+        "equal distances from the end of the mold to its middle",
+    ] = (0.0,)
 
     def __post_init__(self) -> None:
-        _check("mold", self)
         if isinstance(self.material, str):
             object.__setattr__(self, "material", mold_material(self.material))
-        instance("material of the mold", self.material, MoldMaterial)
+        check_fields(self, "the mold")
         vents = numbers("vents of the mold", self.vents)
         if not vents or min(vents) < 0 or max(vents) > 0.5:
             raise InputError(f"vents of the mold are {list(vents)}; they must be fractions from 0 to 0.5")
@@ -204,42 +172,27 @@ class MoldBed:
 class Rig:
     """A battery-driven shape-setting rig, the same at both ends of the tube.
 
-    Args:
-        battery, circuit, clamps, mold: the parts.
-        ambient: temperature, K.
-        convection: heat transfer coefficient of bare surfaces in air, W/(m^2 K); None computes that of the tube.
-        loss_factor: scales all that the tube loses to mold and air; 1 uncalibrated.
-        resistivity_factor: scales the tube's resistivity; 1 uncalibrated.
-        tube: the tube that is usually heated on it, or None.
-        name: for headings.
-
     Raises:
         InputError: a part is missing, or a value is out of its range.
     """
 
-    battery: Battery = field(default_factory=Battery)
-    circuit: Circuit = field(default_factory=Circuit)
-    clamps: Clamps = field(default_factory=Clamps)
-    mold: MoldBed = field(default_factory=MoldBed)
-    ambient: float = 25.0 + ZERO_CELSIUS
-    convection: float | None = None
-    loss_factor: float = 1.0
-    resistivity_factor: float = 1.0
-    tube: Tube | None = None
-    name: str = ""
+    battery: Annotated[Battery, REQUIRED, "there is no rig without; {} for all defaults"] = field(
+        default_factory=Battery
+    )
+    circuit: Annotated[Circuit, "cables, contacts, MOSFET, and what they bear"] = field(default_factory=Circuit)
+    clamps: Annotated[Clamps, "the two equal clamps"] = field(default_factory=Clamps)
+    mold: Annotated[MoldBed, "the mold as the tube's surroundings"] = field(default_factory=MoldBed)
+    ambient: Annotated[float, unit("degC"), POSITIVE, "temperature around it"] = 25.0 + ZERO_CELSIUS
+    convection: Annotated[
+        float | None, unit("W_per_m2_K"), POSITIVE, "of bare surfaces in air; by default that of the tube is computed"
+    ] = None
+    loss_factor: Annotated[float, POSITIVE, "scales all that the tube loses to mold and air; 1 uncalibrated"] = 1.0
+    resistivity_factor: Annotated[float, POSITIVE, "scales the tube's resistivity; 1 uncalibrated"] = 1.0
+    tube: Annotated[Tube | None, Written(TubeEntry, tube_to_dict), "the tube that is usually heated on it"] = None
+    name: Annotated[str, "for headings"] = ""
 
     def __post_init__(self) -> None:
-        parts = {"battery": Battery, "circuit": Circuit, "clamps": Clamps, "mold": MoldBed}
-        for name, kind in parts.items():
-            value = getattr(self, name)
-            if not isinstance(value, kind):
-                raise InputError(f"{name} of the rig is {value!r}; it must be a {kind.__name__}, no rig works without")
-        for name in ("ambient", "loss_factor", "resistivity_factor"):
-            object.__setattr__(self, name, positive(f"{name} of the rig", getattr(self, name)))
-        if self.tube is not None:
-            instance("tube of the rig", self.tube, Tube)
-        if self.convection is not None:
-            object.__setattr__(self, "convection", positive("convection of the rig", self.convection))
+        check_fields(self, "the rig")
 
     def with_charge(self, state_of_charge: float) -> Rig:
         """The same rig with its battery at another state of charge."""

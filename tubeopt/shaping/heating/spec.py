@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from ...errors import InputError, choice, finite, positive
+from ...files.fields import POSITIVE, OneOf, Range, check_fields, key, unit
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
@@ -20,39 +21,48 @@ LONGEST = 1800.0
 class HeatingSpec:
     """The treatment that the curved part needs, and what the schedule must respect.
 
-    Args:
-        window_degC: least and greatest temperature of the whole curved part during the hold, degC.
-        hold_time: s; 1 to 1800.
-        limit_degC: no point of the tube may ever be hotter; None is the upper end of the window.
-        ramp: greatest rate of warming of any point outside of the clamps at any time, K/s, the duty taken for a mean
-            power; it can be kept where one count warms the cold tube by less.
-        objective: "time" (soonest done), "energy" (least charge), or "margin" (farthest from the window's ends).
-        longest_heating: of the time before the hold, s.
-        slot: time for which one duty is kept, s.
-        quench: "water" or "air", after the hold.
-        free: what of the rig may be chosen to even out the temperature: any of "clearance", "lead" and "vents".
-        lead_range, clearance_range: bounds of these where they are free, m.
-        most_vent: greatest fraction of the tube's surface that a vent may leave open where vents are free.
-
     Raises:
         InputError: an empty window, a window above the limit, or another value out of its range.
     """
 
-    window_degC: tuple[float, float] = (500.0, 550.0)
-    hold_time: float = 60.0
-    limit_degC: float | None = None
-    ramp: float = 20.0
-    objective: str = "time"
-    longest_heating: float = 120.0
-    slot: float = 0.5
-    quench: str = "water"
-    free: tuple[str, ...] = ()
-    lead_range: tuple[float, float] = (3e-3, 60e-3)
-    clearance_range: tuple[float, float] = (1e-3, 20e-3)
-    most_vent: float = 0.4
+    window_degC: Annotated[tuple[float, float], "of the whole curved part during the hold"] = (500.0, 550.0)
+    hold_time: Annotated[float, key("hold_s"), POSITIVE, "length of the hold, 1 to 1800 s"] = 60.0
+    limit_degC: Annotated[float | None, "for every point at all times; by default the window's end"] = None
+    ramp: Annotated[
+        float,
+        key("ramp_K_per_s"),
+        POSITIVE,
+        "greatest rate of warming of any point outside of the clamps, the duty taken for a mean power; it can be kept "
+        "where one count warms the cold tube by less",
+    ] = 20.0
+    objective: Annotated[
+        str,
+        OneOf(OBJECTIVES),
+        "what is best: time (soonest done), energy (least charge), margin (farthest from the window's ends)",
+    ] = "time"
+    longest_heating: Annotated[float, key("longest_s"), POSITIVE, "longest heating before the hold"] = 120.0
+    slot: Annotated[float, key("slot_s"), POSITIVE, "for how long a duty is kept"] = 0.5
+    quench: Annotated[str, OneOf(QUENCHES), "after the hold: water or air"] = "water"
+    free: Annotated[
+        tuple[str, ...], OneOf(FREE), "choose these of the rig to even out the temperature: clearance, lead, vents"
+    ] = ()
+    lead_range: Annotated[tuple[float, float], unit("mm"), POSITIVE, "bounds of the lead where it is free"] = (
+        3e-3,
+        60e-3,
+    )
+    clearance_range: Annotated[
+        tuple[float, float], unit("mm"), POSITIVE, "bounds of the clearance where it is free"
+    ] = (1e-3, 20e-3)
+    most_vent: Annotated[
+        float,
+        unit("percent"),
+        Range(above=0.0, most=0.5),
+        "greatest part of the tube's surface that a vent may leave open where vents are free",
+    ] = 0.4
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
+        check_fields(self)
         set_field(self, "window_degC", _pair("window_degC", self.window_degC))
         low, high = self.window_degC
         limit = high if self.limit_degC is None else finite("limit_degC", self.limit_degC)
@@ -63,8 +73,6 @@ class HeatingSpec:
             raise InputError(f"window_degC begins at {low:g} degC; it must begin at 50 degC or above")
         if limit > 1200:
             raise InputError(f"limit_degC is {limit:g} degC; it must be at most 1200 degC, where nitinol nearly melts")
-        for name in ("hold_time", "ramp", "longest_heating", "slot"):
-            set_field(self, name, positive(name, getattr(self, name)))
         if self.hold_time < 1:
             raise InputError(f"hold_time is {self.hold_time:g} s; it must be at least 1 s")
         for name in ("hold_time", "longest_heating"):
@@ -72,8 +80,6 @@ class HeatingSpec:
                 raise InputError(f"{name} is {getattr(self, name):g} s; it must be at most {LONGEST:g} s")
         if not 0.02 <= self.slot <= min(5.0, self.hold_time):
             raise InputError(f"slot is {self.slot:g} s; it must be 0.02 to 5 s, and not above the hold_time")
-        choice("objective", self.objective, OBJECTIVES)
-        choice("quench", self.quench, QUENCHES)
         wished: Any = self.free
         if isinstance(wished, str) or not isinstance(wished, Iterable):
             raise InputError(f"free is {wished!r}; it must be a list of any of {', '.join(FREE)}")
@@ -82,8 +88,6 @@ class HeatingSpec:
             pair = _pair(name, getattr(self, name))
             positive(name, pair[0])
             set_field(self, name, pair)
-        if not 0 < positive("most_vent", self.most_vent) <= 0.5:
-            raise InputError(f"most_vent is {self.most_vent:g}; it must be above 0 and at most 0.5")
 
     @property
     def hold_slots(self) -> int:

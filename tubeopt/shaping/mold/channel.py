@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...typing import Array
 from .stl import manifold
 from .winding import SAGITTA
-
-MM = 1e3
 
 
 def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: float) -> Any:
@@ -38,7 +37,7 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
     sides = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
     fan = np.column_stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)])
     faces = np.vstack([sides, grid[0][fan][:, ::-1], grid[-1][fan]])
-    corners = rings.reshape(-1, 3) * MM
+    corners = rings.reshape(-1, 3) * TO_MM
     if _volume(corners, faces) < 0:
         faces = faces[:, ::-1]
     library = manifold()

@@ -12,11 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
 
-from ...errors import InputError, positive
+from ...errors import InputError
+from ...files.fields import POSITIVE, check_fields, key, unit
 from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -35,32 +37,35 @@ Transform = Callable[[Array], Array]
 class HeatSpec:
     """The heating that a mold is laid out for.
 
-    Args:
-        set_temperature: K, of the curved part; by default the middle of the 500-550 degC that the maker of the thesis'
-            tubes recommends.
-        tolerance: K, by which the ends of the curved part may be colder.
-        hold_time: s, for which it is held.
-        ambient: K.
-        clamp_temperature: K, of the clamps at the end of the hold; they are massive, and None is ambient.
-        contact_conductance: W/(m^2 K) between tube and mold, over the tube's whole surface; by default that of a rig's
-            gap of air, assumed, calibrate.
-
     Raises:
         InputError: a number is out of its range, or the set temperature is not above ambient and clamps.
     """
 
-    set_temperature: float = 525.0 + ZERO_CELSIUS
-    tolerance: float = 25.0
-    hold_time: float = 60.0
-    ambient: float = AMBIENT
-    clamp_temperature: float | None = None
-    contact_conductance: float = round(gap_conductance(MoldBed.gap, AMBIENT), 1)
+    set_temperature: Annotated[
+        float,
+        key("set_degC"),
+        POSITIVE,
+        "of the curved part; by default the middle of what the maker of the thesis' tubes recommends, 500 to 550 degC",
+    ] = 525.0 + ZERO_CELSIUS
+    tolerance: Annotated[float, unit("K"), POSITIVE, "by which the ends of the curved part may be colder"] = 25.0
+    hold_time: Annotated[float, key("hold_s"), POSITIVE, "for which it is held"] = 60.0
+    ambient: Annotated[float, unit("degC"), POSITIVE, "temperature around the mold"] = AMBIENT
+    clamp_temperature: Annotated[
+        float | None,
+        key("clamp_degC"),
+        POSITIVE,
+        "of the clamps at the end of the hold; they are massive: by default ambient",
+    ] = None
+    contact_conductance: Annotated[
+        float,
+        unit("W_per_m2_K"),
+        POSITIVE,
+        "between tube and mold, over the tube's whole surface; by default that of a rig's gap of air, assumed: "
+        "calibrate it",
+    ] = round(gap_conductance(MoldBed.gap, AMBIENT), 1)
 
     def __post_init__(self) -> None:
-        for field in ("set_temperature", "tolerance", "hold_time", "ambient", "contact_conductance"):
-            object.__setattr__(self, field, positive(field, getattr(self, field)))
-        if self.clamp_temperature is not None:
-            object.__setattr__(self, "clamp_temperature", positive("clamp_temperature", self.clamp_temperature))
+        check_fields(self)
         for name, cold in (("ambient", self.ambient), ("clamp_temperature", self.clamps)):
             if self.set_temperature <= cold:
                 raise InputError(

@@ -17,8 +17,9 @@ import scipy
 
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write, write_text
+from ...files.units import TO_MM
 from ...typing import Array
-from .channel import MM, channel
+from .channel import channel
 from .mandrel import Cylinder, Mandrel
 from .stl import manifold, trimesh
 
@@ -80,7 +81,7 @@ def rotation_table(mandrel: Mandrel) -> Array:
 
 
 def _csv(mandrel: Mandrel) -> str:
-    table = rotation_table(mandrel) * np.array([MM, MM, 180 / math.pi, MM])
+    table = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
     rows = [",".join(f"{x:.5f}" for x in row) for row in table]
     return "\n".join([",".join(COLUMNS), *rows, ""])
 
@@ -91,10 +92,10 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
     assert isinstance(mandrel.body, Cylinder)
     outer = mandrel.body.radius
     passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
-    safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * MM:.4f}"
+    safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
     lines = [
-        f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * MM:.4f} mm, ball-nose end mill "
-        f"{mandrel.width * MM:g} mm)",
+        f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * TO_MM:.4f} mm, ball-nose end mill "
+        f"{mandrel.width * TO_MM:g} mm)",
         "(X from the chuck's end, Z from the axis, A of the tool about the work)",
         "G21 G90 G94",
         safe,
@@ -102,11 +103,16 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
     ]
     for k in range(1, passes + 1):
         tip = np.maximum(table[:, 3], outer - mandrel.width * k / passes)
-        x, a = table[0, 1] * MM, math.degrees(table[0, 2])
-        lines += [safe, f"G0 X{x:.4f} A{a:.5f}", f"G1 Z{tip[0] * MM:.4f} F{milling.plunge_feed * MM * 60:.1f}", "G93"]
+        x, a = table[0, 1] * TO_MM, math.degrees(table[0, 2])
+        lines += [
+            safe,
+            f"G0 X{x:.4f} A{a:.5f}",
+            f"G1 Z{tip[0] * TO_MM:.4f} F{milling.plunge_feed * TO_MM * 60:.1f}",
+            "G93",
+        ]
         for before, here, z in zip(table[:-1], table[1:], tip[1:], strict=True):
             rate = 60 * milling.feed / (here[0] - before[0])
-            lines.append(f"G1 X{here[1] * MM:.4f} A{math.degrees(here[2]):.5f} Z{z * MM:.4f} F{rate:.2f}")
+            lines.append(f"G1 X{here[1] * TO_MM:.4f} A{math.degrees(here[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
         lines.append("G94")
     return "\n".join([*lines, safe, "M5", "M30", ""])
 
@@ -122,7 +128,7 @@ def read_rotary(text: str) -> Array:
 
 def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
     """Refuse a table (mm, deg, mm) whose groove lies more than 10 um from the curve."""
-    feed, angle, tip = rows[:, 0] / MM, np.radians(rows[:, 1]), rows[:, 2] / MM + mandrel.width / 2
+    feed, angle, tip = rows[:, 0] / TO_MM, np.radians(rows[:, 1]), rows[:, 2] / TO_MM + mandrel.width / 2
     points = np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)])
     own = scipy.spatial.KDTree(points)
     bend = mandrel.winding.points[mandrel.winding.bend][1:]
@@ -150,7 +156,7 @@ def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str 
     mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:
         raise SolveError(f"{name or path}: the solid of the mandrel is not watertight")
-    corners = scipy.spatial.KDTree(np.asarray(mesh.vertices) / MM)
+    corners = scipy.spatial.KDTree(np.asarray(mesh.vertices) / TO_MM)
     near = corners.query(mandrel.winding.points[mandrel.winding.bend])[0]
     off = float(np.abs(near - mandrel.width / 2).max())
     if off > TOLERANCE:
@@ -161,12 +167,12 @@ def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str 
 def _solid(mandrel: Mandrel) -> Any:
     library, w, body = manifold().Manifold, mandrel.winding, mandrel.body
     if isinstance(body, Cylinder):
-        solid = library.cylinder(body.length * MM, body.radius * MM, -1.0, SIDES).rotate((0.0, 90.0, 0.0))
+        solid = library.cylinder(body.length * TO_MM, body.radius * TO_MM, -1.0, SIDES).rotate((0.0, 90.0, 0.0))
         radial = w.points * np.array([0.0, 1.0, 1.0])
         away = np.linalg.norm(radial, axis=1)
         heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
         return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2)
-    solid = library.cube(tuple(x * MM for x in body.size))
+    solid = library.cube(tuple(x * TO_MM for x in body.size))
     beyond = w.with_leads(
         -w.arc_length[0] + 10 * mandrel.width, w.arc_length[-1] - w.arc_length[w.bend][-1] + 10 * mandrel.width
     )

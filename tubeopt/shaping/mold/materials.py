@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from ...errors import InputError, choice, finite, positive
+from ...errors import InputError, choice, finite
+from ...files.fields import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
 from ...robots.materials import ZERO_CELSIUS
 
 INSULATING_RESISTIVITY = 1e3
@@ -18,39 +20,25 @@ PRICE_CLASSES = ("low", "moderate", "high")
 class MoldMaterial:
     """What a mold is made of, with constants at the temperatures of shape setting where the sources give them.
 
-    Args:
-        name: how it is called in files and on the command line.
-        conductivity: W/(m K).
-        density: kg/m^3.
-        heat_capacity: J/(kg K).
-        limit_temperature: K; above it the mold's surface chars, scales or softens.
-        failure: what happens above the limit, in a few words.
-        resistivity: electrical, ohm m.
-        emissivity: total, in (0, 1].
-        price_class: low, moderate or high.
-        source: where the numbers are from.
-
     Raises:
         InputError: a constant is not positive, or the price class is unknown.
     """
 
-    name: str
-    conductivity: float
-    density: float
-    heat_capacity: float
-    limit_temperature: float
-    failure: str
-    resistivity: float
-    emissivity: float
-    price_class: str
-    source: str
+    name: Annotated[str, "how it is called in files and on the command line"]
+    conductivity: Annotated[float, unit("W_per_m_K"), POSITIVE, "thermal"]
+    density: Annotated[float, unit("kg_per_m3"), POSITIVE, "density"]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE, "heat capacity"]
+    limit_temperature: Annotated[
+        float, key("limit_degC"), POSITIVE, "above it the mold's surface chars, scales or softens"
+    ]
+    failure: Annotated[str, Absent("fails"), "what happens above the limit, in a few words"]
+    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, "electrical"]
+    emissivity: Annotated[float, Range(above=0.0, most=1.0), Absent(0.9), "total"]
+    price_class: Annotated[str, OneOf(PRICE_CLASSES), Absent("moderate"), "low, moderate or high"]
+    source: Annotated[str, "where the numbers are from"]
 
     def __post_init__(self) -> None:
-        for field in ("conductivity", "density", "heat_capacity", "limit_temperature", "resistivity", "emissivity"):
-            object.__setattr__(self, field, positive(f"{field} of mold material {self.name!r}", getattr(self, field)))
-        if self.emissivity > 1:
-            raise InputError(f"emissivity of mold material {self.name!r} is {self.emissivity:g}; it must be at most 1")
-        choice(f"price_class of mold material {self.name!r}", self.price_class, PRICE_CLASSES)
+        check_fields(self, f"mold material {self.name!r}")
 
     @property
     def limit_temperature_degC(self) -> float:

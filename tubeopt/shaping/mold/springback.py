@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import scipy
 
-from ...errors import InputError, choice, finite, positive, vector
+from ...errors import InputError, choice, positive, vector
+from ...files.fields import check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")
@@ -27,23 +29,21 @@ class Springback:
     contraction when the tube cools, since that is how trials see it.
 
     Args:
-        fraction: lost part at small curvature, less than 1; negative where tubes come out tighter than the mold.
-        slope: growth of the lost part with the mold's curvature, m.
-        shrinkage: part of the bend's length that the tube loses when it cools, in [0, 0.1).
         curvature_range: mold curvatures (1/m) of the trials that the numbers are from, or None without trials.
 
     Raises:
         InputError: a number is out of its range.
     """
 
-    fraction: float = 0.0
-    slope: float = 0.0
-    shrinkage: float = 0.0
+    fraction: Annotated[
+        float, unit("percent"), "lost part at small curvature; negative where tubes come out tighter than the mold"
+    ] = 0.0
+    slope: Annotated[float, unit("mm"), "growth of the lost part with the mold's curvature"] = 0.0
+    shrinkage: Annotated[float, unit("percent"), "part of the bend's length that is lost on cooling"] = 0.0
     curvature_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        for field in ("fraction", "slope", "shrinkage"):
-            object.__setattr__(self, field, finite(f"{field} of the spring-back", getattr(self, field)))
+        check_fields(self, "the spring-back")
         if not -1 < self.fraction < 1:
             raise InputError(f"fraction of the spring-back is {self.fraction:g}; it must lie between -1 and 1")
         if self.curvature_range is not None:

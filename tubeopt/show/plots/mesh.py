@@ -94,7 +94,7 @@ def tube_mesh(
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     outward = np.cos(angle)[:, None] * x[:, None] + np.sin(angle)[:, None] * y[:, None]
     axis = line.position(s) + np.asarray(offset)[0] * x + np.asarray(offset)[1] * y
-    corners = _quads(axis[:, None] + radius * outward)
+    corners = quads(axis[:, None] + radius * outward)
     middle = (angle[:-1] + angle[1:]) / 2
     normals = np.cos(middle)[:, None] * _mid(x)[:, None] + np.sin(middle)[:, None] * _mid(y)[:, None]
     return _mesh(corners, normals.reshape(-1, 3), colour)
@@ -114,7 +114,7 @@ def ring_mesh(
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     outward = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     centre = line.position([s]) + np.asarray(offset)[0] * x + np.asarray(offset)[1] * y
-    corners = _quads(np.stack([centre + radius * outward for radius in radii]))
+    corners = quads(np.stack([centre + radius * outward for radius in radii]))
     return _mesh(corners, np.repeat(tangent, sides, axis=0), colour)
 
 
@@ -122,9 +122,9 @@ def plate_mesh(radius: float, thickness: float, colour: Array) -> Mesh:
     """A disc whose upper face lies at z = 0: the base plate, cut fine enough to be sorted by depth."""
     angle = np.linspace(0, 2 * np.pi, 121)
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    top = _quads(np.stack([r * circle for r in np.linspace(0, radius, 7)]))
+    top = quads(np.stack([r * circle for r in np.linspace(0, radius, 7)]))
     down = np.array([0, 0, -thickness])
-    side = _quads(np.stack([radius * circle, radius * circle + down]))
+    side = quads(np.stack([radius * circle, radius * circle + down]))
     side_normals = (circle[:-1] + circle[1:]) / 2
     return Mesh.join(
         [
@@ -139,7 +139,7 @@ def _mesh(corners: Array, normals: Array, colour: Array) -> Mesh:
     return Mesh(corners, normals, np.tile(colour, (len(corners), 1)))
 
 
-def _quads(grid: Array) -> Array:
+def quads(grid: Array) -> Array:
     """Facets between neighbours of a grid of points (a, b, 3): ((a - 1)(b - 1), 4, 3)."""
     return np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
 

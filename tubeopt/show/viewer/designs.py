@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...errors import InputError, finite
+from ...files.units import TO_MM
 from ...robots.concentric import ConcentricRobot
 from ...robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ...robots.robot import Robot
@@ -13,8 +14,8 @@ from ...robots.tubes import Tube
 
 FIELDS = (
     ("curvature", "curvature", "1/m", 1.0, 0.1),
-    ("curved length", "curved_length", "mm", 1e3, 1.0),
-    ("straight length", "straight_length", "mm", 1e3, 1.0),
+    ("curved length", "curved_length", "mm", TO_MM, 1.0),
+    ("straight length", "straight_length", "mm", TO_MM, 1.0),
 )
 """What is told of a tube, its field, unit, the factor from SI to it, and the step of a knob."""
 

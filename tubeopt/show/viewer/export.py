@@ -19,7 +19,7 @@ from ...robots.file import save_robot
 from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
 from .host import quiet_server
-from .reel import paced
+from .playback import paced
 from .scene import Scene, camera
 from .session import Session
 from .surfaces import Part

@@ -1,4 +1,4 @@
-"""The controls of one tab, as widgets of viser: they tell the desk what is wanted and show what it answers."""
+"""The controls of one tab, as widgets of viser: they tell the tab what is wanted and show what it answers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .session import Session, joint_names, space_of
@@ -13,7 +14,7 @@ from .view import View
 from .words import log_words, message_words, readout
 
 if TYPE_CHECKING:
-    from .desk import Desk
+    from .tab import Tab
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
@@ -35,12 +36,12 @@ class Panel:
 
     Args:
         gui: `gui` of a client of a viser server.
-        desk: told of everything that is wanted.
+        tab: told of everything that is wanted.
         view: what there is to show.
     """
 
-    def __init__(self, gui: Any, desk: Desk, view: View) -> None:
-        self._gui, self._desk, self._view = gui, desk, view
+    def __init__(self, gui: Any, tab: Tab, view: View) -> None:
+        self._gui, self._tab, self._view = gui, tab, view
         self._shown: dict[int, float] = {}
         self._in_hand: set[int] = set()
         self._layers: dict[str, Any] = {}
@@ -105,7 +106,7 @@ class Panel:
         What was refused stays in the boxes, to be corrected there.
         """
         n, space, q = session.robot.n_tubes, space_of(session.robot), session.q
-        factor = np.where(np.arange(len(q)) < n, np.degrees(1.0), 1e3)
+        factor = np.where(np.arange(len(q)) < n, np.degrees(1.0), TO_MM)
         low, high = _reach(space.lower * factor, n), _reach(space.upper * factor, n)
         for k, (slider, value) in enumerate(zip(self._sliders, q * factor, strict=True)):
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
@@ -115,7 +116,7 @@ class Panel:
                 self._put(slider, round(float(value), 1))
         if self._mirror:
             self._sync_mirror(np.degrees(session.equilibrium.rotations), dragged=dragged == MIRROR)
-        values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * 1e3)]
+        values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
                 box.value = round(float(value), EXACT)
@@ -132,11 +133,11 @@ class Panel:
                     self._put(slider, round(float(value), 1))
 
     def untick(self, *layers: str) -> None:
-        """Layers are shown no more: what they show is of other tubes. Tells the desk as a click would."""
+        """Layers are shown no more: what they show is of other tubes. Tells the tab as a click would."""
         for layer in layers:
             self._layers[layer].value = False
 
-    def offer_reel(self, duration: float) -> None:
+    def offer_playback(self, duration: float) -> None:
         """There is a trajectory of this length, s."""
         self._time.max = max(round(duration, 3), 0.01)
         self._time.disabled = False
@@ -170,7 +171,7 @@ class Panel:
     def _slider(self, joint: int, name: str) -> Any:
         robot = self._view.robot
         space, n = space_of(robot), robot.n_tubes
-        unit, factor = ("deg", np.degrees(1.0)) if joint < n else ("mm", 1e3)
+        unit, factor = ("deg", np.degrees(1.0)) if joint < n else ("mm", TO_MM)
         low, high = (
             float(_reach(x[joint : joint + 1] * factor, int(joint < n))[0]) for x in (space.lower, space.upper)
         )
@@ -180,13 +181,13 @@ class Panel:
 
         async def moved(event: Any) -> None:
             if self._wished(event):
-                self._desk.slide(joint, float(event.target.value) / factor)
+                self._tab.slide(joint, float(event.target.value) / factor)
 
         slider.on_update(moved)
         return slider
 
     def _buttons(self) -> None:
-        for label, act in (("Home", self._desk.home), ("All equilibria", self._desk.ghosts)):
+        for label, act in (("Home", self._tab.home), ("All equilibria", self._tab.ghosts)):
             self._button(label, act)
 
     def _button(self, label: str, act: Any, **options: Any) -> Any:
@@ -205,7 +206,7 @@ class Panel:
 
         async def moved(event: Any) -> None:
             if self._wished(event):
-                self._desk.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
+                self._tab.mirror(float(np.radians(direction.value)), float(np.radians(separation.value)))
 
         for slider in (direction, separation):
             slider.on_update(moved)
@@ -221,7 +222,7 @@ class Panel:
 
             def go() -> None:
                 values = np.array([float(box.value) for box in boxes])
-                self._desk.go_to(np.radians(values[:n]).tolist(), (values[n:] / 1e3).tolist())
+                self._tab.go_to(np.radians(values[:n]).tolist(), (values[n:] / TO_MM).tolist())
 
             self._button("Move there", go)
         return boxes
@@ -231,13 +232,13 @@ class Panel:
         drag = self._gui.add_checkbox("drag the tip", False, hint="Arrows at the tip lead it.")
 
         async def shown(event: Any) -> None:
-            self._desk.show("target", bool(event.target.value))
+            self._tab.show("target", bool(event.target.value))
 
         drag.on_update(shown)
         boxes = [self._gui.add_number(f"target {axis} (mm)", 0.0, step=0.001) for axis in "xyz"]
 
         def lead() -> None:
-            self._desk.lead(np.array([box.value for box in boxes]) / 1e3, self.least_margin, done=True)
+            self._tab.lead(np.array([box.value for box in boxes]) / TO_MM, self.least_margin, done=True)
 
         self._button("Lead the tip there", lead)
         return margin
@@ -247,17 +248,17 @@ class Panel:
 
         async def scrubbed(event: Any) -> None:
             if self._wished(event):
-                self._desk.scrub(float(event.target.value))
+                self._tab.scrub(float(event.target.value))
 
         time.on_update(scrubbed)
-        self._button("Play / pause", self._desk.play)
+        self._button("Play / pause", self._tab.play)
         upload = self._gui.add_upload_button("Load a trajectory (CSV)", mime_type="text/csv")
 
         async def loaded(event: Any) -> None:
-            self._desk.load(event.target.value.name, event.target.value.content)
+            self._tab.load(event.target.value.name, event.target.value.content)
 
         upload.on_upload(loaded)
-        self._check("record what the robot passes", False, self._desk.record)
+        self._check("record what the robot passes", False, self._tab.record)
         return time
 
     def _check(self, label: str, value: bool, act: Any) -> Any:
@@ -277,15 +278,15 @@ class Panel:
             self._shown[id(slider)] = round(value, 4)
             self._on_knob(knob, slider)
             out.append((knob, slider))
-        self._check("stability map", False, lambda on: self._desk.show("map", on))
-        self._button("Back to the robot as loaded", self._desk.reset_design)
-        self._button("Save robot as YAML", lambda: self._desk.save("robot"))
+        self._check("stability map", False, lambda on: self._tab.show("map", on))
+        self._button("Back to the robot as loaded", self._tab.reset_design)
+        self._button("Save robot as YAML", lambda: self._tab.save("robot"))
         return out
 
     def _on_knob(self, knob: Knob, slider: Any) -> None:
         async def turned(event: Any) -> None:
             if self._wished(event):
-                self._desk.turn(knob, float(event.target.value))
+                self._tab.turn(knob, float(event.target.value))
 
         slider.on_update(turned)
 
@@ -295,8 +296,8 @@ class Panel:
             layers.append(("obstacles", "obstacles", True))
         layers.append(("volume swept by the trajectory", "swept", False))
         for label, layer, on in layers:
-            self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._desk.show(layer, value))
-        self._button("Forget the trail", self._desk.forget_trail)
+            self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
+        self._button("Forget the trail", self._tab.forget_trail)
 
     def _save_controls(self) -> None:
         for label, what in (
@@ -306,7 +307,7 @@ class Panel:
             ("Recorded trajectory (CSV)", "recording"),
             ("Page for a colleague (HTML)", "page"),
         ):
-            self._button(label, lambda what=what: self._desk.save(what))
+            self._button(label, lambda what=what: self._tab.save(what))
 
 
 def _reach(values: np.ndarray, rotations: int) -> np.ndarray:

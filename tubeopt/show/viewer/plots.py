@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...equilibrium.result import Equilibrium
+from ...files.units import TO_MM
 from ...stability import Branch, StabilityMap
 from ...typing import Array
 from ..plots.branch import fold_points, smooth
@@ -99,14 +100,14 @@ def torsion_plot(equilibrium: Equilibrium) -> str:
     s = equilibrium.arc_length
     torsion = np.degrees(equilibrium.torsion) * 1e-3
     axes = Axes(
-        _range(s * 1e3, 1.0), _range(np.append(torsion.ravel(), 0.0), 0.2), ("arc length (mm)", "torsion (deg/mm)")
+        _range(s * TO_MM, 1.0), _range(np.append(torsion.ravel(), 0.0), 0.2), ("arc length (mm)", "torsion (deg/mm)")
     )
     body = []
     for i in reversed(range(len(torsion))):
         on = s <= equilibrium.tube_end[i] + 1e-12
         if on.sum() > 1:
             width = 1.4 + 0.9 * i
-            body.append(axes.line(s[on] * 1e3, torsion[i, on], tube_colour(i), width=width))
+            body.append(axes.line(s[on] * TO_MM, torsion[i, on], tube_colour(i), width=width))
     names = "".join(f'<tspan dx="5" fill="{tube_colour(i)}">{i + 1}</tspan>' for i in range(len(torsion)))
     body.append(
         f'<text x="{WIDTH - RIGHT}" y="{TOP - 5}" text-anchor="end" font-weight="bold">'

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from .desk import Desk
 from .host import LOCAL, address_of, quiet_server
 from .scene import camera
 from .session import Session
+from .tab import Tab
 from .view import View
 
 PORT = 8080
@@ -39,24 +39,24 @@ def serve(
     """
     first = view.session()
     over = stop or threading.Event()
-    desks: dict[int, Desk] = {}
+    tabs: dict[int, Tab] = {}
     lock = threading.Lock()
     with _signals(over), quiet_server(host, port) as server:
         _frame_camera(server, first)
 
         def came(client: Any) -> None:
-            desk = Desk(client, view)
+            tab = Tab(client, view)
             with lock:
                 if client.client_id in server.get_clients():
-                    desks[client.client_id] = desk
+                    tabs[client.client_id] = tab
                     return
-            desk.close()
+            tab.close()
 
         def left(client: Any) -> None:
             with lock:
-                desk = desks.pop(client.client_id, None)
-            if desk is not None:
-                desk.close()
+                tab = tabs.pop(client.client_id, None)
+            if tab is not None:
+                tab.close()
 
         server.on_client_connect(came)
         server.on_client_disconnect(left)
@@ -66,8 +66,8 @@ def serve(
             over.wait()
         finally:
             with lock:
-                for desk in desks.values():
-                    desk.close()
+                for tab in tabs.values():
+                    tab.close()
 
 
 def _frame_camera(server: Any, session: Session) -> None:

@@ -17,6 +17,7 @@ from ...control.joints import JointSpace, carriage_name, joint_space
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError, vector
+from ...files.units import TO_MILLI, TO_MM
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array
@@ -124,7 +125,7 @@ def check(
         raise InputError(f"the translations of {carriage_name(together)} must go together: one carriage moves them")
     slack = 1e-9 * space.scale
     for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
-        unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", 1e3)
+        unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
         low, high = space.lower[k] * factor, space.upper[k] * factor
         raise InputError(
             f"{joint_names(robot)[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}"
@@ -250,10 +251,10 @@ def snap_text(snap: Snap) -> str:
     angles = ", ".join(f"{angle:.4f}" for angle in np.degrees(snap.rotations) + 0.0)
     where = f"rotations {angles} deg"
     if np.any(snap.translations != snap.before.robot.home_translations):
-        where += ", translations " + ", ".join(f"{shift * 1e3:.3f}" for shift in snap.translations + 0.0) + " mm"
+        where += ", translations " + ", ".join(f"{shift * TO_MM:.3f}" for shift in snap.translations + 0.0) + " mm"
     return (
-        f"snap at {where}: the tip jumped by {snap.tip_jump * 1e3:.4f} mm, "
-        f"{snap.energy_released * 1e3:.4f} mJ were released"
+        f"snap at {where}: the tip jumped by {snap.tip_jump * TO_MM:.4f} mm, "
+        f"{snap.energy_released * TO_MILLI:.4f} mJ were released"
     )
 
 

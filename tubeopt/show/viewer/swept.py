@@ -9,9 +9,10 @@ import numpy as np
 
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
+from ...files.units import TO_MM
 from ...typing import Array
 from ..plots.mesh import Centreline
-from .reel import Reel, snaps_between, state_at
+from .playback import Playback, snaps_between, state_at
 from .surfaces import Surface
 
 STEP = np.radians(20.0)
@@ -38,7 +39,7 @@ class Swept:
     shapes: int
 
 
-def swept_volume(reel: Reel) -> Swept:
+def swept_volume(playback: Playback) -> Swept:
     """Union of the convex hulls of neighbouring parts of the arm at neighbouring times.
 
     A snap is left out: through where the arm flies is not in the model.
@@ -52,34 +53,34 @@ def swept_volume(reel: Reel) -> Swept:
         raise InputError("the swept volume needs manifold3d: python -m pip install 'tubeopt[view]'") from None
     hulls: list[Any] = []
     shapes = 0
-    for run in _runs(reel):
+    for run in _runs(playback):
         rings = [_rings(each) for each in run]
         shapes += len(rings)
         pairs = zip(rings, rings[1:] or rings, strict=False)
         for a, b in pairs:
             for k in range(PIECES):
                 points = np.concatenate([a[k], a[k + 1], b[k], b[k + 1]]).astype(np.float32)
-                hulls.append(manifold3d.Manifold.hull_points(np.ascontiguousarray(points * 1e3)))
+                hulls.append(manifold3d.Manifold.hull_points(np.ascontiguousarray(points * TO_MM)))
     whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
     mesh = whole.to_mesh()
-    surface = Surface(np.array(mesh.vert_properties)[:, :3] / 1e3, np.array(mesh.tri_verts, dtype=np.uint32))
+    surface = Surface(np.array(mesh.vert_properties)[:, :3] / TO_MM, np.array(mesh.tri_verts, dtype=np.uint32))
     return Swept(surface, float(whole.volume()) * 1e-9, shapes)
 
 
-def _runs(reel: Reel) -> list[list[Equilibrium]]:
+def _runs(playback: Playback) -> list[list[Equilibrium]]:
     """Shapes close together in time, in runs that no snap interrupts."""
-    points = reel.waypoints
+    points = playback.waypoints
     turn = np.abs(np.diff(points.rotations, axis=0)).max(1, initial=0.0) / STEP
     slide = np.abs(np.diff(points.translations, axis=0)).max(1, initial=0.0) / SLIDE
     count = np.maximum(np.ceil(np.maximum(turn, slide)), 1).astype(int)
     count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
     times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
-    runs: list[list[Equilibrium]] = [[reel.path.equilibria[0]]]
+    runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
     before = 0.0
     for t in np.concatenate([*times, np.empty(0)]):
-        if snaps_between(reel, before, float(t)):
+        if snaps_between(playback, before, float(t)):
             runs.append([])
-        runs[-1].append(state_at(reel, float(t)))
+        runs[-1].append(state_at(playback, float(t)))
         before = float(t)
     return [run for run in runs if run]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...bodies.obstacles import Obstacle
 from ...robots.robot import Robot
 from ...typing import Array
-from .reel import Waypoints
+from .playback import Waypoints
 from .session import Session, open_session
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-import numpy as np
-
+from ...equilibrium.result import Equilibrium
+from ..quantities import Quantity, record
 from .session import Event, Session
 from .surfaces import margin_colour
 
@@ -17,10 +17,19 @@ BOX = "font:12px/1.45 sans-serif;padding:2px 10px 6px"
 BADGE = {"stable": "#009660", "close to a snap": "#b8860b", "snapped": "#c81e1e"}
 
 
+SIDEBAR: tuple[Quantity[Equilibrium], ...] = (
+    Quantity("tip_position_mm", "tip", form=".4f"),
+    Quantity("energy_mJ", "energy", form=".4f"),
+    Quantity("margin", "margin", form=".4f"),
+)
+"""What is told of the equilibrium that is shown; a bar shows the last."""
+
+
 def readout(session: Session, certificate: float | None) -> str:
     """Where the robot is and how it is. `certificate` None: not computed yet."""
     e = session.equilibrium
-    tip = ", ".join(f"{x + 0.0:.4f}" for x in np.round(e.tip_position * 1e3, 4))
+    known = record(e, SIDEBAR)
+    lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
     red, green, blue = margin_colour(e.margin)
     share = 100 * min(max(e.margin, 0.0), 1.0)
     state = session.verdict
@@ -35,9 +44,7 @@ def readout(session: Session, certificate: float | None) -> str:
     return (
         f'<div style="{BOX}" data-testid="readout">'
         f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
-        f'tip (<span data-testid="tip">{tip}</span>) mm<br>'
-        f'margin <span data-testid="margin">{e.margin:.4f}</span> {bar}'
-        f'energy <span data-testid="energy">{e.energy * 1e3:.4f}</span> mJ<br>'
+        f"{lines} {bar}"
         f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
     )
 

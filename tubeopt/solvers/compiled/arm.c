@@ -4,6 +4,10 @@ typedef struct {
     double rotation[MOST_PIECES][N], twist[MOST_PIECES][N];
     double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
     double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
+#if GENERAL
+    double slope[MOST_PIECES][MOST_DEGREE * N]; /* (1 / kt - c) t at the points, c the mean of 1 / kt on the piece */
+    double compliance[MOST_PIECES][N];          /* c; `twist` is then the torque t, `moment` M itself */
+#endif
 } Profile;
 
 typedef struct {
@@ -14,12 +18,73 @@ typedef struct {
 typedef struct {
     double margin, residual, mesh_error, tip_error, energy, contraction, largest_change;
     long long pieces, points, sections, iterations, elements;
-    double tip_rotations[N], tube_end[N], section_start[2 * N + 1];
+    double tip_rotations[N], tube_end[N], section_start[MOST_SECTIONS + 1];
     double point[MOST_POINTS], point_rotation[MOST_POINTS][N];
     double arc_length[MOST_SHAPE], rotation[MOST_SHAPE][N], torsion[MOST_SHAPE][N];
     double curvature[MOST_SHAPE][2], position[MOST_SHAPE][3], frame[MOST_SHAPE][9];
 } Answer;
 
+#if GENERAL
+/* phi_i(s) as one polynomial per piece: torque from the moments, from the tip, then the turns from the base. */
+static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
+    const Layout *l = q->layout;
+    const Tableau *t = q->tableau;
+    double turn[MOST_PIECES][N], at[N] = {0};
+    int x = q->points, degree = t->degree;
+    for (int p = l->pieces - 1; p >= 0; p--) {
+        double h = l->length[p];
+        if (l->collocated[p]) x -= degree;
+        for (int i = 0; i < N; i++) {
+            double gain = 0, sum = 0, mean = 0, inner[MOST_DEGREE];
+            for (int k = 0; k < degree; k++) {
+                inner[k] = arm->moment[p][k * N + i] = l->collocated[p] ? state->moment[x + k][i] : 0;
+                gain += t->weights[k] * inner[k];
+                mean += t->weights[k] * q->rate[p][k][i];
+            }
+            arm->compliance[p][i] = mean;
+            at[i] -= h * gain;
+            arm->twist[p][i] = at[i];
+            for (int k = 0; k < degree; k++) {
+                double torque = at[i];
+                for (int j = 0; j < degree; j++) torque += h * t->matrix[k * degree + j] * inner[j];
+                arm->slope[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
+                sum += t->weights[k] * torque * q->rate[p][k][i];
+            }
+            turn[p][i] = h * sum;
+        }
+    }
+    for (int i = 0; i < N; i++) at[i] = alpha[i] + l->held[i] * (l->pieces ? at[i] : 0);
+    for (int p = 0; p < l->pieces; p++)
+        for (int i = 0; i < N; i++) {
+            arm->rotation[p][i] = at[i];
+            at[i] += turn[p][i];
+        }
+}
+
+/* phi of a tube at fraction x of a piece; `once`, `twice`: the Lagrange basis (degree) there, integrated. */
+static double turned(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
+                     const double *twice) {
+    double h = q->layout->length[p], bent = 0, uneven = 0;
+    for (int k = 0; k < q->tableau->degree; k++) {
+        bent += twice[k] * arm->moment[p][k * N + i];
+        uneven += once[k] * arm->slope[p][k * N + i];
+    }
+    return arm->rotation[p][i] + h * (arm->compliance[p][i] * (x * arm->twist[p][i] + h * bent) + uneven);
+}
+
+/* phi at the points of `fine`, from the arm on the tableau of `coarse`; `bases` (2, fine K, coarse K) is the Lagrange
+   basis integrated once and twice. */
+static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *bases,
+                        double theta[][N]) {
+    int degree = coarse->tableau->degree, k = fine->tableau->degree;
+    for (int x = 0; x < fine->points; x++) {
+        int p = fine->piece[x];
+        const double *once = bases + (x % k) * degree, *twice = once + k * degree;
+        for (int i = 0; i < N; i++)
+            theta[x][i] = turned(coarse, arm, p, i, fine->tableau->nodes[x % k], once, twice);
+    }
+}
+#else
 /* theta_i(s) as one polynomial per piece, from the moments at the collocation points. */
 static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
     const Layout *l = q->layout;
@@ -68,6 +133,7 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
         }
     }
 }
+#endif
 
 /* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. */
 static int never_softens(const Unknowns *q, const State *state, double *h) {
@@ -120,6 +186,12 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     evaluate(coarse, alpha, rough);
     memset(z, 0, sizeof z);
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
+#if GENERAL
+    /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
+    double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(z, z, fine->size) / fine->size);
+    anywhere(all, fine->size);
+    for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
+#endif
     if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;
@@ -133,6 +205,7 @@ typedef struct {
     const double *s, *rotation, *torsion; /* (count), (n, count), (n, count) */
     const double *point, *point_rotation; /* (points), (points, n) */
     const double *turn;
+    const double *shift; /* (n) translations there */
 } Guess;
 
 /* theta at the points from a guess; cubic between samples. */
@@ -151,11 +224,20 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
             else
                 theta[x][i] = r[0] * (1 + 2 * t) * u * u + r[1] * t * t * (3 - 2 * t) + h * t * u * (w[0] * u - w[1] * t);
             theta[x][i] += g->turn[i];
+#if GENERAL
+            double held = fmax(q->tubes->straight[i] - g->shift[i], 0);
+            theta[x][i] -= section_of(q->tubes->pieces, i, q->s[x] + held, q->s[x] + held, 1).wound;
+#endif
         }
     }
 }
 
+#if GENERAL
+#include "pieces_arm.c"
+#endif
+
 /* One piece: its STEPS + 1 shape points into the answer, poses carried on. Returns its bending energy per length. */
+#if !GENERAL
 static double add_piece(const Unknowns *q, const Profile *arm, int p, double *poses, double *defects, Answer *out) {
     const Layout *l = q->layout;
     double theta[(STEPS + 1) * N], slope[(STEPS + 1) * N], u[(STEPS + 1) * 2], fine[STEPS * 12], end[24], bending;
@@ -176,17 +258,23 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
     }
     return bending;
 }
+#endif
 
-static void tips_and_lever(const Unknowns *q, Answer *out, double error) {
+static void tips_and_lever(const Unknowns *q, const double *pulls, Answer *out, double error) {
     const Layout *l = q->layout;
     int last = l->pieces * STEPS;
     double lever = 0, tip = out->arc_length[last];
     for (int p = 0; p < l->pieces; p++) {
         double pull = 0, stiff = 0, ahead = tip - l->start[p], h = l->length[p];
+#if GENERAL
+        pull = pulls[p];
+        stiff = 1;
+#else
         for (int i = 0; i < N; i++) {
             pull += fabs(l->moment[p][i]);
             stiff += l->stiffness[p][i];
         }
+#endif
         lever += pull / stiff * h * (ahead - h / 2);
     }
     out->tip_error += error * lever;
@@ -200,12 +288,17 @@ static void tips_and_lever(const Unknowns *q, Answer *out, double error) {
 /* Everything along the arm, and what mesh and steps get wrong; out->energy is that of the elements already. */
 static void finish(const Unknowns *q, const State *state, const Profile *arm, Answer *out) {
     const Layout *l = q->layout;
-    double poses[24] = {0}, wrong[N] = {0}, error = 0;
+    double poses[24] = {0}, wrong[N] = {0}, error = 0, pulls[MOST_PIECES];
     for (int k = 0; k < 24; k += 12) poses[k] = poses[k + 4] = poses[k + 8] = 1;
     memset(out->position[0], 0, sizeof out->position[0]);
     memcpy(out->frame[0], poses, sizeof out->frame[0]);
     out->elements = 0;
     for (int p = 0; p < l->pieces; p++) {
+#if GENERAL
+        pulls[p] = add_general(q, arm, p, poses, out);
+        out->energy += check_piece(q, arm, p, wrong);
+        out->elements += l->collocated[p];
+#else
         double defects[2 * N], bending = add_piece(q, arm, p, poses, defects, out);
         if (!l->collocated[p]) {
             out->energy += l->length[p] * bending;
@@ -214,6 +307,7 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
         out->elements++;
         double reach = l->start[p] + l->length[p];
         for (int i = 0; i < N; i++) wrong[i] += defects[i] + defects[N + i] * (l->transmission[i] + reach);
+#endif
     }
     error = largest(wrong, N) / fmax(fmin(1, fabs(out->margin)), 1e-6);
     double gap[3] = {poses[9] - poses[21], poses[10] - poses[22], poses[11] - poses[23]};
@@ -225,5 +319,9 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     memcpy(out->section_start, l->section_start, sizeof l->section_start);
     memcpy(out->point, q->s, q->points * sizeof(double));
     memcpy(out->point_rotation, state->theta, q->points * sizeof(state->theta[0]));
-    tips_and_lever(q, out, error);
+#if GENERAL
+    for (int x = 0; x < q->points; x++)
+        for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->wound[x][i];
+#endif
+    tips_and_lever(q, pulls, out, error);
 }

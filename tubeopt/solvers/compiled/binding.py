@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.robot import Robot, is_general
+from ...robots.lengthwise import Lengthwise
+from ...robots.robot import Robot
 from ...typing import Array, Mask
 from .library import MOST_TUBES, Library, library
 
@@ -22,14 +23,14 @@ class _Guess(ctypes.Structure):
     _fields_ = (
         ("count", ctypes.c_longlong),
         ("points", ctypes.c_longlong),
-        *((name, ctypes.c_void_p) for name in ("s", "rotation", "torsion", "point", "point_rotation", "turn")),
+        *((name, ctypes.c_void_p) for name in ("s", "rotation", "torsion", "point", "point_rotation", "turn", "shift")),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
     """Where to start from: rotation and torsion (n, m) of another arm at arc_length (m,), its solution at collocation
-    points (N,), (N, n), and the turn (n,) to add."""
+    points (N,), (N, n), the turn (n,) to add, and its translations (n,)."""
 
     arc_length: Array
     rotation: Array
@@ -37,6 +38,7 @@ class Start:
     point: Array
     point_rotation: Array
     turn: Array
+    translations: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +64,49 @@ def _room(kernel: Library) -> _Room:
     return rooms[kernel]
 
 
+class _Pieces(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_longlong) for name in ("most", "width", "most_cuts")),
+        *((name, ctypes.c_void_p) for name in ("breaks", "coefficients", "count", "direction", "bent", "detail")),
+        *((name, ctypes.c_void_p) for name in ("twist", "compliance", "cuts")),
+    )
+
+
+def _pieces(table: Lengthwise) -> Any:
+    """The C struct Pieces; in a plane of the tube the bend is one signed quantity, whose direction is constant."""
+    channels = table.coefficients[:, :, [0, 1, 2, 3, 5]].copy()
+    direction = table.direction.copy()
+    flat = np.isfinite(direction)
+    channels[flat, 2] = (
+        np.cos(direction[flat])[:, None] * channels[flat, 2] + np.sin(direction[flat])[:, None] * channels[flat, 3]
+    )
+    order = np.arange(1, channels.shape[-1] + 1)
+    count = np.maximum(1, ((channels != 0) * order).max(-1)).astype(float)
+    cuts = np.full((table.n_tubes, max(len(own) for own in table.cuts)), np.inf)
+    for row, own in zip(cuts, table.cuts, strict=True):
+        row[: len(own)] = own
+    arrays = [table.breaks, channels, count, direction, table.bent.astype(float), table.detail, table.twist]
+    arrays += [table.compliance[:, :-1], cuts]
+    kept = [np.ascontiguousarray(array) for array in arrays]
+    sizes = channels.shape[1], channels.shape[3], cuts.shape[1]
+    out: Any = _Pieces(*sizes, *(_at(array) for array in kept))
+    out.keep = kept  # the structure points into them
+    return out
+
+
+def _general_tubes(robot: Robot, table: Lengthwise) -> tuple[Array, Any]:
+    """The C struct Tubes of a robot with tubes made of pieces, and what it points to."""
+    straight = [tube.straight_length for tube in robot.tubes]
+    whole = [tube.length for tube in robot.tubes]
+    none = [0.0] * robot.n_tubes
+    out = np.concatenate([none, none, none, straight, whole, none, none, [0.0, 0.0]])
+    pieces = _pieces(table)
+    out[-1:].view(np.int64)[0] = ctypes.addressof(pieces)
+    return out, pieces
+
+
 def _tubes(robot: Robot) -> Array:
-    """The C struct Tubes of a robot."""
+    """The C struct Tubes of a robot without pieces."""
     home = robot.assembly(robot.home_translations)
     straight = [tube.straight_length for tube in robot.tubes]
     whole = [tube.length for tube in robot.tubes]
@@ -76,19 +119,24 @@ def _tubes(robot: Robot) -> Array:
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Library | None:
     """The compiled kernel for a robot, None where there is none for it."""
-    if robot.n_tubes > MOST_TUBES or is_general(robot):
+    if robot.n_tubes > MOST_TUBES:
         return None
-    return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
+    home = robot.assembly(robot.home_translations)
+    return library(robot.n_tubes, home.eccentric, home.general)
 
 
 @lru_cache(maxsize=64)
-def _prepared(robot: Robot) -> tuple[Library, Array, int] | None:
+def _prepared(robot: Robot) -> tuple[Library, Any, int] | None:
     """Kernel of a robot, its tubes, and where these are; None where there is no kernel."""
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    tubes = _tubes(robot)
-    return kernel, tubes, _at(tubes)
+    table, kept = robot.assembly(robot.home_translations).lengthwise, None
+    if table is None:
+        tubes = _tubes(robot)
+    else:
+        tubes, kept = _general_tubes(robot, table)
+    return kernel, (tubes, kept), _at(tubes)
 
 
 def _at(array: NDArray[Any]) -> int:
@@ -101,6 +149,7 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
     parts = [rotations, translations]
     if start is not None:
         parts += [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
+        parts.append(start.translations)
     flat = np.concatenate([part.ravel() for part in parts])
     places = [_at(flat)]
     for part in parts:

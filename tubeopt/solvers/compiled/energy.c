@@ -19,6 +19,11 @@ typedef struct {
 #if ECCENTRIC
     double compliance[FACTOR_SIZE]; /* L L' of each tube, as `factor` */
 #endif
+#if GENERAL
+    double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], wound[MOST_POINTS][N];
+    double rate[MOST_PIECES][MOST_DEGREE][N];                 /* 1 / kt, at the points that all pieces would have */
+    double reach[MOST_PIECES + 1][N], ahead[MOST_POINTS][N]; /* int ds / kt up to the pieces, and to the points */
+#endif
 } Unknowns;
 
 typedef struct {
@@ -33,7 +38,10 @@ static int factorise(Unknowns *q, int tube) {
     const Tableau *t = q->tableau;
     const Layout *l = q->layout;
     int n = q->count[tube], lead = q->lead[tube], k = t->degree;
-    double *a = q->part[tube], local[MOST_DEGREE][MOST_DEGREE], scale = 1 / q->tubes->kt[tube];
+    double *a = q->part[tube], local[MOST_DEGREE][MOST_DEGREE];
+#if !GENERAL
+    double scale = 1 / q->tubes->kt[tube];
+#endif
     for (int i = 0; i < k; i++)
         for (int j = 0; j < k; j++) {
             local[i][j] = 0;
@@ -43,8 +51,19 @@ static int factorise(Unknowns *q, int tube) {
         for (int j = i + 1; j < lead; j++) a[i * lead + j] = 0;
         for (int j = 0; j <= i; j++) {
             int x = q->point[q->first[tube] + i], y = q->point[q->first[tube] + j], p = q->piece[x];
+#if GENERAL
+            double green = q->ahead[y][tube];
+            if (p == q->piece[y]) {
+                green = 0;
+                for (int o = 0; o < k; o++)
+                    green += t->matrix[(x % k) * k + o] * t->matrix[(y % k) * k + o] / t->weights[o] * q->rate[p][o][tube];
+                green = q->reach[p][tube] + l->length[p] * green;
+            }
+            a[i * lead + j] = green;
+#else
             double green = p == q->piece[y] ? l->start[p] + l->length[p] * local[x % k][y % k] : q->s[y];
             a[i * lead + j] = (l->transmission[tube] + green) * scale;
+#endif
 #if ECCENTRIC
             double *whole = q->compliance + (a - q->factor);
             whole[i * lead + j] = whole[j * lead + i] = a[i * lead + j];
@@ -60,6 +79,40 @@ static int factorise(Unknowns *q, int tube) {
     return 1;
 }
 
+#if GENERAL
+/* Cross-sections at the points, and the compliances up to them. */
+static void look_along(Unknowns *q) {
+    const Layout *l = q->layout;
+    const Tableau *t = q->tableau;
+    int x = 0;
+    memcpy(q->reach[0], l->held, sizeof l->held);
+    for (int p = 0; p < l->pieces; p++) {
+        double h = l->length[p];
+        for (int i = 0; i < N; i++) {
+            double sum = 0;
+            for (int k = 0; k < t->degree; k++) {
+                double place = l->start[p] + h * t->nodes[k] + l->transmission[i];
+                Section here = section_of(q->tubes->pieces, i, place, place, l->present[p][i]);
+                q->rate[p][k][i] = 1 / here.torsional;
+                sum += t->weights[k] * q->rate[p][k][i];
+                if (!l->collocated[p]) continue;
+                q->stiffness[x + k][i] = here.stiffness;
+                q->moment[x + k][i] = here.moment;
+                q->phase[x + k][i] = here.phase;
+                q->wound[x + k][i] = here.wound;
+            }
+            q->reach[p + 1][i] = q->reach[p][i] + h * sum;
+            for (int k = 0; k < t->degree && l->collocated[p]; k++) {
+                double part = 0;
+                for (int o = 0; o < t->degree; o++) part += t->matrix[k * t->degree + o] * q->rate[p][o][i];
+                q->ahead[x + k][i] = q->reach[p][i] + h * part;
+            }
+        }
+        if (l->collocated[p]) x += t->degree;
+    }
+}
+#endif
+
 /* The unknowns are rotations of tubes that are curved; with `all`, of those that are present. */
 static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const Tableau *t, int all) {
     q->layout = l;
@@ -73,6 +126,9 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
             q->s[q->points] = l->start[p] + l->length[p] * t->nodes[k];
             q->weight[q->points++] = l->length[p] * t->weights[k];
         }
+#if GENERAL
+    look_along(q);
+#endif
     size_t used = 0;
     for (int i = 0; i < N; i++) {
         q->first[i] = q->size;
@@ -130,9 +186,15 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
     turn_points(q, alpha, state);
     state->energy = 0.5 * dot(state->z, state->z, q->size);
     for (int x = 0; x < q->points; x++) {
-        int p = q->piece[x];
         double bending;
+#if GENERAL
+        double direction[N];
+        for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + q->phase[x][i];
+        const double *in[3] = {direction, q->stiffness[x], q->moment[x]};
+#else
+        int p = q->piece[x];
         const double *in[3] = {state->theta[x], q->layout->stiffness[p], q->layout->moment[p]};
+#endif
         double *out[3] = {state->moment[x], state->slope[x], &bending};
         balance(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;

@@ -6,12 +6,18 @@ typedef struct {
     int section[MOST_PIECES], collocated[MOST_PIECES];
     double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N];
     int present[MOST_PIECES][N], curved[MOST_PIECES][N];
-    double transmission[N], end[N], section_start[2 * N + 1];
+    double transmission[N], end[N], section_start[MOST_SECTIONS + 1];
+#if GENERAL
+    double held[N]; /* int ds / kt of the transmissions */
+#endif
 } Layout;
 
 typedef struct {
     double kb[N], kt[N], curvature[N], straight[N], whole[N], offset[N], angle[N];
-    int eccentric;
+    long long eccentric;
+#if GENERAL
+    const Pieces *pieces; /* in place of kb, kt and curvature */
+#endif
 } Tubes;
 
 static int compare(const void *a, const void *b) {
@@ -20,14 +26,14 @@ static int compare(const void *a, const void *b) {
 }
 
 /* Bound of the fastest growth of torsion, 1/m: row sums of the Jacobi matrix. */
-static double coupling_rate(const Tubes *t, const double *moment, const double *stiffness) {
+static double coupling_rate(const double *kt, const double *moment, const double *stiffness) {
     double total = 0, worst = 0;
     for (int i = 0; i < N; i++) total += stiffness[i];
     if (total <= 0) return 0;
     for (int i = 0; i < N; i++) {
         double row = 0;
         for (int j = 0; j < N; j++)
-            if (j != i) row += fabs(moment[i] * moment[j]) / total * (1 / t->kt[i] + 1 / t->kt[j]);
+            if (j != i) row += fabs(moment[i] * moment[j]) / total * (1 / kt[i] + 1 / kt[j]);
         worst = fmax(worst, row);
     }
     return sqrt(worst);
@@ -45,6 +51,15 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
         l->end[i] = beta + t->whole[i];
         cuts[count++] = fmax(transition[i], 0.0);
         cuts[count++] = fmax(l->end[i], 0.0);
+#if GENERAL
+        l->held[i] = compliant(t->pieces, i, -beta);
+        for (int k = 0; k < t->pieces->most_cuts; k++) {
+            double cut = beta + t->pieces->cuts[i * t->pieces->most_cuts + k];
+            if (!isfinite(cut) || count == MOST_CUTS) break;
+            cuts[count++] = fmax(cut, 0.0);
+        }
+        if (count == MOST_CUTS) return 0;
+#endif
     }
     qsort(cuts, count, sizeof(double), compare);
     for (int k = 1; k < count; k++)
@@ -52,10 +67,35 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
     return kept;
 }
 
+#if GENERAL
+/* Pieces that a section needs for coupling, bend, detail and natural twist. */
+static double general_need(const Tubes *t, const Layout *l, double start, double length, const int *present) {
+    double fastest = 0, steepest = 0, finest = 0;
+    for (int g = 0; g < 8; g++) {
+        double s = start + length * SAMPLES[g], kb[N], m[N], kt[N];
+        for (int i = 0; i < N; i++) {
+            double place = s + l->transmission[i];
+            size_t panel = i * t->pieces->most + panel_of(t->pieces, i, place);
+            Section here = section_of(t->pieces, i, place, place, present[i]);
+            kb[i] = here.stiffness;
+            m[i] = fabs(here.moment);
+            kt[i] = here.torsional;
+            if (!present[i]) continue;
+            finest = fmax(finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
+            if (!(m[i] > 0)) continue;
+            steepest = fmax(steepest, m[i] / kb[i]);
+            finest = fmax(finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
+        }
+        fastest = fmax(fastest, coupling_rate(kt, m, kb));
+    }
+    return length * fmax(fmax(fastest / WAVES_PER_ELEMENT, steepest / BEND_PER_PIECE), finest);
+}
+#endif
+
 static int lay_out(const Tubes *t, const double *shift, Layout *l) {
-    double transition[N], cuts[2 * N + 1];
+    double transition[N], cuts[MOST_CUTS];
     int count = cuts_of(t, shift, l, transition, cuts);
-    if (!count) return 0;
+    if (!count || count - 1 > MOST_SECTIONS) return 0;
     l->pieces = 0;
     l->sections = count - 1;
     for (int k = 0; k + 1 < count; k++) {
@@ -65,14 +105,23 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
         l->section_start[k] = cuts[k];
         for (int i = 0; i < N; i++) {
             present[i] = middle < l->end[i];
+#if GENERAL
+            int panel = panel_of(t->pieces, i, middle + l->transmission[i]);
+            curved[i] = present[i] && t->pieces->bent[i * t->pieces->most + panel];
+#else
             curved[i] = present[i] && middle > transition[i] && t->curvature[i] != 0;
             kb[i] = present[i] ? t->kb[i] : 0;
             m[i] = curved[i] ? t->kb[i] * t->curvature[i] : 0;
-            bent += curved[i];
             if (curved[i]) steepest = fmax(steepest, fabs(t->curvature[i]));
+#endif
+            bent += curved[i];
         }
-        double need = fmax(coupling_rate(t, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
+#if GENERAL
+        double wanted = fmax(1.0, ceil(general_need(t, l, cuts[k], length, present) - 1e-9));
+#else
+        double need = fmax(coupling_rate(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
         double wanted = bent ? fmax(1.0, ceil(need - 1e-9)) : 1.0;
+#endif
         if (l->pieces + wanted > MOST_PIECES) return 0;
         int pieces = (int)wanted;
         for (int j = 0; j < pieces; j++) {
@@ -81,8 +130,10 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
             l->start[p] = cuts[k] + j * l->length[p];
             l->section[p] = k;
             l->collocated[p] = bent >= (t->eccentric ? 1 : 2);
+#if !GENERAL
             memcpy(l->stiffness[p], kb, sizeof kb);
             memcpy(l->moment[p], m, sizeof m);
+#endif
             memcpy(l->present[p], present, sizeof present);
             memcpy(l->curved[p], curved, sizeof curved);
         }

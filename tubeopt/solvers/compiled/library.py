@@ -25,12 +25,17 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
-from ...transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
-from ...transcription.piece import COARSE_STEPS, STEPS, piece_function
+from ...robots.lengthwise import gauss_rule
+from ...transcription.general_arm import COARSE, FINE
+from ...transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
+from ...transcription.piece import COARSE_STEPS, ENDS, EXTRA_POINTS, STEPS, piece_function
+from ...transcription.reduced import INWARDS
 from ...transcription.tableau import tableau
-from .. import newton
+from ...typing import Array
+from ..settings import NEWTON
 from .packaged import build_kernels, generations, packaged_kernel
 
 HERE = Path(__file__).parent
@@ -43,6 +48,9 @@ OWN_PROCESSOR = "-march=native"
 
 DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
+
+MOST_CUTS = 512
+"""Breakpoints of tubes made of pieces that the kernel has room for."""
 
 MOST_PIECES, MOST_UNKNOWNS = 32, 404
 """What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
@@ -57,12 +65,15 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 """Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
-STRETCHED_ERROR, FAR_BELOW = 3e-8, 0.05
+STRETCHED_ERROR, FAR_BELOW = 3e-9, 0.05
 """Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
 below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
 
 MOST_TUBES = 6
 """Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+
+SOFTENING_ERROR = 1e-2
+"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look off it."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
@@ -87,31 +98,43 @@ def cache_directory() -> Path:
     return Path(own) if own else platformdirs.user_cache_path("tubeopt", appauthor=False)
 
 
-def source(n: int, eccentric: bool) -> str:
-    """The C text of the kernel for n tubes, concentric or off the centreline."""
+def source(n: int, eccentric: bool, general: bool = False) -> str:
+    """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
-    generator.add(piece_function(n, eccentric, "gauss", DEGREE))
+    if general:
+        for name, function in (
+            ("section_curvature", section_functions(n, False)["curvature"]),
+            ("section_moment", section_functions(n, False)["moment"]),
+            ("step_of_shape", step_function()),
+        ):
+            symbols = function.sx_in()
+            generator.add(ca.Function(name, symbols, function.call(symbols), {"cse": True}))
+    else:
+        generator.add(piece_function(n, eccentric, "gauss", DEGREE))
     if eccentric:
         balance = section_functions(n, True)["balance"]
         inputs = balance.sx_in()
         generator.add(ca.Function("stretched", inputs, balance.call(inputs), {"cse": True}))
     constants = {
         "ECCENTRIC": int(eccentric),
+        "GENERAL": int(general),
+        "MOST_SECTIONS": most_sections(n, general),
+        "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
         "STEPS": STEPS,
         "SHAPE_RATIO": f"{(STEPS / COARSE_STEPS) ** 6 - 1!r}",
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": MOST_PIECES,
         "MOST_UNKNOWNS": MOST_UNKNOWNS,
-        "MOST_ITERATIONS": newton.MOST_ITERATIONS,
+        "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
-        "ROUND_OFF": newton.ROUND_OFF,
-        "LAST_STEP": newton.LAST_STEP,
+        "ROUND_OFF": NEWTON.round_off,
+        "LAST_STEP": NEWTON.last_step,
         "MOST_WARM_ITERATIONS": MOST_WARM_ITERATIONS,
-        "LONGEST_STEP": newton.LONGEST_STEP,
+        "LONGEST_STEP": NEWTON.longest_step,
         "COARSE_STEP": COARSE_STEP,
         "CHORD_STEP": CHORD_STEP,
         "LANCZOS": LANCZOS,
@@ -119,10 +142,12 @@ def source(n: int, eccentric: bool) -> str:
         "ROUGH_ERROR": ROUGH_ERROR,
         "STRETCHED_ERROR": STRETCHED_ERROR,
         "FAR_BELOW": FAR_BELOW,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    names = ("layout", "linear", "energy", "minimise", "arm", "stretch")
+    defines += _general_constants() if general else ""
+    names = ("pieces", "layout", "linear", "energy", "minimise", "arm", "pieces_arm", "stretch")
     parts = {name: (HERE / f"{name}.c").read_text() for name in names}
     kernel = (HERE / "kernel.c").read_text()
     for name, text in parts.items():
@@ -191,13 +216,59 @@ def _processor() -> str:
     return next((line for line in info.read_text().splitlines() if line.startswith(("flags", "Features"))), "")
 
 
-def _answer(n: int) -> np.dtype[np.void]:
+def most_sections(n: int, general: bool) -> int:
+    """Sections that the kernel has room for."""
+    return MOST_PIECES if general else 2 * n
+
+
+def _general_constants() -> str:
+    """Numbers of which the kernel for tubes made of pieces is made, as C."""
+    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
+    nodes, weights = gauss_rule()
+
+    def bases(x: Array) -> Array:
+        return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
+
+    tables = {
+        "SAMPLES": SAMPLES,
+        "QUADRATURE_NODES": nodes,
+        "QUADRATURE_WEIGHTS": weights,
+        "FINE_POINTS": FINE,
+        "FINE_BASIS": bases(FINE),
+        "COARSE_POINTS": COARSE,
+        "COARSE_BASIS": bases(COARSE),
+        "ENDS_BASIS": bases(ENDS),
+        "CHECK_NODES": check.nodes,
+        "CHECK_WEIGHTS": check.weights,
+        "CHECK_MATRIX": check.matrix,
+        "CHECK_BASIS": bases(check.nodes),
+    }
+    numbers = {
+        "QUADRATURE": len(nodes),
+        "COARSE_STEPS": COARSE_STEPS,
+        "EXTRA_POINTS": EXTRA_POINTS,
+        "INWARDS": INWARDS,
+        "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
+        "TWIST_PER_PIECE": TWIST_PER_PIECE,
+    }
+    lines = [f"#define {name} {value!r}" for name, value in numbers.items()]
+    for name, table in tables.items():
+        values = ", ".join(repr(float(v)) for v in np.ravel(table))
+        lines.append(f"static const double {name}[] = {{{values}}};")
+    return "\n".join(lines) + "\n"
+
+
+def _answer(n: int, general: bool) -> np.dtype[np.void]:
     """The C struct Answer."""
     points, shape = MOST_PIECES * DEGREE, MOST_PIECES * STEPS + 1
     reals = ("margin", "residual", "mesh_error", "tip_error", "energy", "contraction", "largest_change")
     whole = ("pieces", "points", "sections", "iterations", "elements")
     fields: list[Any] = [(name, "f8") for name in reals] + [(name, "i8") for name in whole]
-    fields += [("tip_rotations", "f8", n), ("tube_end", "f8", n), ("section_start", "f8", 2 * n + 1)]
+    fields += [
+        ("tip_rotations", "f8", n),
+        ("tube_end", "f8", n),
+        ("section_start", "f8", most_sections(n, general) + 1),
+    ]
     fields += [("point", "f8", points), ("point_rotation", "f8", (points, n))]
     fields += [("arc_length", "f8", shape), ("rotation", "f8", (shape, n)), ("torsion", "f8", (shape, n))]
     fields += [("curvature", "f8", (shape, 2)), ("position", "f8", (shape, 3)), ("frame", "f8", (shape, 3, 3))]
@@ -217,10 +288,13 @@ class _Method(ctypes.Structure):
     )
 
 
-def _method() -> Any:
+def _method(general: bool) -> Any:
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    twice = np.ascontiguousarray(coarse.lagrange(fine.nodes, integrals=2))
-    back = np.ascontiguousarray(fine.lagrange(coarse.nodes, integrals=2))
+    twice, back = coarse.lagrange(fine.nodes, integrals=2), fine.lagrange(coarse.nodes, integrals=2)
+    if general:
+        twice = np.stack([coarse.lagrange(fine.nodes, integrals=1), twice])
+        back = np.stack([fine.lagrange(coarse.nodes, integrals=1), back])
+    twice, back = np.ascontiguousarray(twice), np.ascontiguousarray(back)
     arrays = [np.ascontiguousarray(a) for t in (coarse, fine) for a in (t.nodes, t.weights, t.matrix)]
     method = _Method(
         _Tableau(COARSE_DEGREE, *(a.ctypes.data for a in arrays[:3])),
@@ -243,7 +317,11 @@ def _tell_once() -> None:
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
     """Compile the kernels of all robots for a wheel: for this processor, or `everywhere` for every generation of its
     kind; none where there is no compiler."""
-    kinds = [(n, eccentric) for n in range(1, MOST_TUBES + 1) for eccentric in (False, True)]
+    kinds = [
+        (n, eccentric, general)
+        for n in range(1, MOST_TUBES + 1)
+        for eccentric, general in ((False, False), (True, False), (False, True))
+    ]
     if _compiler() is None:
         return []
     here = frozenset(_processor().split())
@@ -252,11 +330,12 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
 
 
 @lru_cache(maxsize=16)
-def library(n: int, eccentric: bool) -> Library | None:
-    """The compiled kernel for n tubes, concentric or off the centreline; None where it cannot be had."""
+def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
+    """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
     path = None
     if os.environ.get("TUBEOPT_COMPILE") != "0":
-        path = packaged_kernel(n, eccentric, _processor().split()) or _build(source(n, eccentric))
+        path = packaged_kernel((n, eccentric, general), _processor().split())
+        path = path or _build(source(n, eccentric, general))
         if path is None:
             _tell_once()
     if path is None:
@@ -271,7 +350,7 @@ def library(n: int, eccentric: bool) -> Library | None:
     loaded.solve.argtypes = [pointer] * 7
     loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]
     loaded.solve_many.restype = None
-    answer, method = _answer(n), _method()
+    answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
     return Library(n, path, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())

@@ -9,6 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+Kind = tuple[int, bool, bool]
+"""Of a kernel: for how many tubes, whether they run off the centreline, whether they are made of pieces."""
+
 FOLDER = Path(__file__).parent / "kernels"
 """Where a wheel has them."""
 
@@ -21,9 +24,11 @@ class Generation:
     flags: tuple[str, ...] = ()
     needs: frozenset[str] = field(default_factory=frozenset)
 
-    def kernel(self, folder: Path, n: int, eccentric: bool) -> Path:
-        """Path of the kernel for n tubes, concentric or off the centreline."""
-        return folder / f"{'eccentric' if eccentric else 'concentric'}-{n}-{self.name}.so"
+    def kernel(self, folder: Path, kind: Kind) -> Path:
+        """Path of the kernel of a kind of robot."""
+        n, eccentric, general = kind
+        what = "general" if general else "eccentric" if eccentric else "concentric"
+        return folder / f"{what}-{n}-{self.name}.so"
 
 
 _V3 = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"})
@@ -39,35 +44,35 @@ def generations() -> tuple[Generation, ...]:
     return _X86 if platform.machine() in ("x86_64", "AMD64") else (Generation("any"),)
 
 
-def packaged_kernel(n: int, eccentric: bool, features: Iterable[str]) -> Path | None:
+def packaged_kernel(kind: Kind, features: Iterable[str]) -> Path | None:
     """The best kernel of this package for a processor with these features; None where there is none."""
     have = frozenset(features)
-    paths = (g.kernel(FOLDER, n, eccentric) for g in generations() if g.needs <= have)
+    paths = (g.kernel(FOLDER, kind) for g in generations() if g.needs <= have)
     return next((path for path in paths if path.exists()), None)
 
 
 def build_kernels(
-    sources: Mapping[tuple[int, bool], str],
+    sources: Mapping[Kind, str],
     compile_to: Callable[[str, Path, Sequence[str]], None],
     folder: Path,
     chosen: Sequence[Generation],
 ) -> list[Path]:
-    """Compile the C texts of kernels, by number of tubes and eccentricity, for some generations; return the paths.
+    """Compile the C texts of kernels, by kind, for some generations; return the paths.
 
     `compile_to` takes a text, the path of the library and the generation's flags, and raises OSError or
     SubprocessError where the compiler cannot; a generation that it does not know is left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
 
-    def build(job: tuple[tuple[int, bool], Generation]) -> Path | None:
-        key, generation = job
-        path = generation.kernel(folder, *key)
+    def build(job: tuple[Kind, Generation]) -> Path | None:
+        kind, generation = job
+        path = generation.kernel(folder, kind)
         try:
-            compile_to(sources[key], path, generation.flags)
+            compile_to(sources[kind], path, generation.flags)
         except (OSError, subprocess.SubprocessError):
             return None
         return path
 
     with ThreadPoolExecutor() as pool:
-        made = pool.map(build, [(key, generation) for key in sources for generation in chosen])
+        made = pool.map(build, [(kind, generation) for kind in sources for generation in chosen])
     return [path for path in made if path is not None]

@@ -39,7 +39,7 @@ class Waypoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Reel:
+class Playback:
     """Waypoints and what the robot does along them, from its own start: one equilibrium per waypoint, and the snaps."""
 
     waypoints: Waypoints
@@ -83,26 +83,26 @@ def paced(rotations: Array, translations: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(turn, slide), 1e-3))])
 
 
-def make_reel(robot: Robot, waypoints: Waypoints, progress: Callable[[int], object] | None = None) -> Reel:
+def make_playback(robot: Robot, waypoints: Waypoints, progress: Callable[[int], object] | None = None) -> Playback:
     """Follow the waypoints, from their start.
 
     Raises:
         SolveError: the branch was lost on the way.
     """
     way = waypoints.rotations, waypoints.translations
-    return Reel(waypoints, follow(robot, *way, start=waypoints.start, progress=progress))
+    return Playback(waypoints, follow(robot, *way, start=waypoints.start, progress=progress))
 
 
-def play_to(session: Session, reel: Reel, time: float, *, since: float | None = None) -> Session:
+def play_to(session: Session, playback: Playback, time: float, *, since: float | None = None) -> Session:
     """The session with its robot at a time of the trajectory, in the state that the trajectory's own history leads to.
 
     Args:
         since: where the robot was before, s: the snaps in between then go into the log. None is a leap: it logs none,
             and a recording begins anew.
     """
-    t = min(max(float(time), 0.0), reel.duration)
-    snaps = () if since is None else snaps_between(reel, since, t)
-    there = state_at(reel, t)
+    t = min(max(float(time), 0.0), playback.duration)
+    snaps = () if since is None else snaps_between(playback, since, t)
+    there = state_at(playback, t)
     moved = moved_to(session, there, snaps)
     # A leap is no motion that could be recorded: what was before it did not lead here.
     leapt = since is None and session.recording is not None and not _same(session.equilibrium, there)
@@ -115,11 +115,11 @@ def _same(one: Equilibrium, other: Equilibrium) -> bool:
     return all(np.allclose(a, b, rtol=0, atol=1e-7) for a, b in pairs)
 
 
-def state_at(reel: Reel, time: float) -> Equilibrium:
+def state_at(playback: Playback, time: float) -> Equilibrium:
     """Where the robot is at a time within the trajectory, s."""
-    points = reel.waypoints
+    points = playback.waypoints
     k = min(max(int(np.searchsorted(points.time, time, side="right")) - 1, 0), len(points.time) - 1)
-    here = reel.path.equilibria[k]
+    here = playback.path.equilibria[k]
     if k == len(points.time) - 1 or time <= points.time[k]:
         return here
     part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
@@ -127,11 +127,11 @@ def state_at(reel: Reel, time: float) -> Equilibrium:
     return follow(here.robot, *way, start=here).equilibria[-1]
 
 
-def snaps_between(reel: Reel, start: float, end: float) -> tuple[Snap, ...]:
+def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
     """The snaps of a trajectory that happen after `start` and not after `end`, s."""
-    times = reel.waypoints.time
+    times = playback.waypoints.time
     out = []
-    for snap in reel.path.snaps:
+    for snap in playback.path.snaps:
         at = times[snap.index] + snap.fraction * (times[snap.index + 1] - times[snap.index])
         if start < at <= end:
             out.append(snap)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
+from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
 from ...stability import Snap
 from ...workspaces import workspace
@@ -19,8 +20,8 @@ from . import export
 from .designs import Knob, with_knob
 from .insights import Insights
 from .panel import MIRROR, Panel
+from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
-from .reel import Reel, load_waypoints, make_reel, play_to
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
@@ -41,14 +42,14 @@ CLOUD = 4000
 ADVISED = "this tab has a robot of its own"
 
 
-class Desk:
+class Tab:
     """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
 
     def __init__(self, client: Any, view: View) -> None:
         self._client, self._view = client, view
         self.session = view.session()
         self.scene = Scene(client.scene)
-        self._reel: Reel | None = None
+        self._playback: Playback | None = None
         self._time = 0.0
         self._playing: float | None = None
         self._trail = True
@@ -106,7 +107,7 @@ class Desk:
                 nonlocal words
                 led = pull(session, target, min_margin=margin, obstacles=self._view.obstacles)
                 if not led.reached:
-                    words = f"the tip stops {led.error * 1e3:.2f} mm short of the target: {', '.join(led.held)}"
+                    words = f"the tip stops {led.error * TO_MM:.2f} mm short of the target: {', '.join(led.held)}"
                 return led.session
 
             self._pulling = not done
@@ -187,12 +188,12 @@ class Desk:
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
             try:
-                self._reel = make_reel(self.session.robot, self._view.waypoints)
+                self._playback = make_playback(self.session.robot, self._view.waypoints)
             except (InputError, SolveError) as error:
                 self._say(f"the trajectory cannot be followed: {error}", bad=True)
                 self._refresh()
                 return
-            self.panel.offer_reel(self._reel.duration)
+            self.panel.offer_playback(self._playback.duration)
         self._say(ADVISED)
         self._refresh()
 
@@ -284,12 +285,12 @@ class Desk:
             self._sweep()
 
     def _sweep(self) -> None:
-        if self._reel is None:
+        if self._playback is None:
             self._say("there is no trajectory whose swept volume could be shown", bad=True)
             return
         self._say("joining shapes …")
         try:
-            swept = swept_volume(self._reel)
+            swept = swept_volume(self._playback)
         except InputError as error:
             self._say(str(error), bad=True)
             return
@@ -320,51 +321,52 @@ class Desk:
             path = Path(directory) / "trajectory.csv"
             path.write_bytes(content)
             try:
-                self._reel = make_reel(self.session.robot, load_waypoints(path, self.session.robot))
+                self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
             except (InputError, SolveError) as error:
                 self._say(str(error).replace(str(path), name), bad=True)
                 return
         self.scene.clear("swept")
-        self.panel.offer_reel(self._reel.duration)
+        self.panel.offer_playback(self._playback.duration)
         self._to_time(0.0, log=False)
-        self._say(f"{name}: {len(self._reel.path.equilibria)} waypoints, {len(self._reel.path.snaps)} snaps on the way")
+        followed = self._playback.path
+        self._say(f"{name}: {len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way")
 
     def _toggle_play(self) -> None:
-        if self._reel is None:
+        if self._playback is None:
             self._say("there is no trajectory to be played", bad=True)
             return
         if self._playing is not None:
             self._playing = None
             return
-        if self._time >= self._reel.duration:
+        if self._time >= self._playback.duration:
             self._time = 0.0
         self._to_time(self._time, log=False)
         self._playing = time.monotonic() - self._time
         self._do(self._tick)
 
     def _tick(self) -> None:
-        if self._playing is None or self._reel is None:
+        if self._playing is None or self._playback is None:
             return
         began = time.monotonic()
         now = began - self._playing
         self._to_time(now, log=True)
-        if now >= self._reel.duration:
+        if now >= self._playback.duration:
             self._playing = None
             return
         time.sleep(max(0.0, TICK - (time.monotonic() - began)))
         self._do(self._tick)
 
     def _to_time(self, seconds: float, *, log: bool) -> None:
-        reel = self._reel
-        if reel is None:
+        playback = self._playback
+        if playback is None:
             return
-        if self.session.robot != reel.path.equilibria[0].robot:
+        if self.session.robot != playback.path.equilibria[0].robot:
             self._say("the trajectory is of other tubes than these: go back to those, or load it again", bad=True)
             self._playing = None
             return
         since = self._time if log else None
-        self._time = min(max(seconds, 0.0), reel.duration)
-        self._change(lambda session: play_to(session, reel, self._time, since=since))
+        self._time = min(max(seconds, 0.0), playback.duration)
+        self._change(lambda session: play_to(session, playback, self._time, since=since))
         self.panel.at_time(self._time)
 
     def _save(self, what: str) -> None:

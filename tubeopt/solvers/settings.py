@@ -1,19 +1,52 @@
-"""The settings of IPOPT for a program, and how a solve may end."""
+"""The settings of the solvers: what a user may want to change, as documented fields."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 from ..errors import InputError, choice, positive
+
+
+@dataclass(frozen=True)
+class Newton:
+    """How Newton's method, and the descent in energy before it, solve for an equilibrium.
+
+    Args:
+        last_step: a step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence
+            does.
+        round_off: residual or step (rad) that is close to round-off; nothing below tells of convergence.
+        longest_step: descent turns no point by more than this (rad) at once: well inside the period of the energy.
+        iterations: of Newton's method, after which it gives up.
+        descent_iterations: of the descent.
+
+    Raises:
+        InputError: a field out of its range.
+    """
+
+    last_step: float = 1e-6
+    round_off: float = 1e-12
+    longest_step: float = 1.0
+    iterations: int = 20
+    descent_iterations: int = 60
+
+    def __post_init__(self) -> None:
+        for name in ("last_step", "round_off", "longest_step"):
+            positive(name, getattr(self, name))
+        for name in ("iterations", "descent_iterations"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be at least 1")
+
+
+NEWTON = Newton()
+"""What solvers do unless they are told otherwise."""
 
 HESSIANS = ("exact", "limited-memory")
 
 
 @dataclass(frozen=True)
 class Ipopt:
-    """How IPOPT solves a `Problem`.
+    """How IPOPT solves a `Problem`, or the equations of an equilibrium.
 
     Args:
         tolerance: of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT
@@ -72,29 +105,3 @@ class Ipopt:
             "expand": self.expand,
             **{f"ipopt.{key}": value for key, value in own.items()},
         }
-
-
-class ProblemStatus(Enum):
-    """How the solve of a program ended; every value reads as a sentence."""
-
-    SOLVED = "an optimum was found"
-    INFEASIBLE = "no point was found at which all constraints hold"
-    TOO_MANY_ITERATIONS = "the solver ran out of iterations"
-    UNBOUNDED = "the iterates grow without bound"
-    NOT_A_NUMBER = "an expression of the program has no finite value or derivative where the solver came"
-    STOPPED = "the solver came to a halt before an optimum"
-
-    def __str__(self) -> str:
-        return self.value
-
-    @classmethod
-    def of(cls, verdict: str) -> ProblemStatus:
-        """The status behind a return status of IPOPT."""
-        known = {
-            "Solve_Succeeded": cls.SOLVED,
-            "Infeasible_Problem_Detected": cls.INFEASIBLE,
-            "Maximum_Iterations_Exceeded": cls.TOO_MANY_ITERATIONS,
-            "Diverging_Iterates": cls.UNBOUNDED,
-            "Invalid_Number_Detected": cls.NOT_A_NUMBER,
-        }
-        return known.get(verdict, cls.STOPPED)

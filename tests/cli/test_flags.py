@@ -1,0 +1,127 @@
+"""Commands take their flags from the keys of their study: one line in the study, and the flag is there."""
+
+from __future__ import annotations
+
+import json
+from decimal import Decimal
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+import typer
+from pydantic import Field
+from typer.testing import CliRunner
+
+from tests.command_line import COLOUR, ROOT, THESIS, Run, answer
+from tubeopt.cli.flags import asks
+from tubeopt.errors import InputError
+from tubeopt.files.checked import Number, Positive
+from tubeopt.runs.base import Progress, RobotPath, Study, Whole
+from tubeopt.runs.study_file import STUDY_KINDS
+
+RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
+
+
+class PaintStudy(Study):
+    """How much paint a robot takes."""
+
+    kind: Literal["paint"]
+    robot: RobotPath
+    coat_um: Positive = Field(Decimal("1e-8"), description="thickness of a coat")
+    coats: Annotated[Whole, Field(ge=1)] = Field(2, description="how many", examples=["K"])
+    tints_percent: list[Number] = Field([Decimal(10), Decimal("2.5")], description="parts of the colours")
+    names: list[str] = Field([], description="of the colours")
+    gloss: bool = Field(True, description="whether it shines")
+    matt: bool = Field(False, description="whether it does not")
+
+    def run(self, progress: Progress | None = None) -> dict[str, object]:
+        """What was asked."""
+        return self.model_dump(exclude={"robot"})
+
+
+app = typer.Typer()
+
+
+@app.command()
+@asks(PaintStudy, flags={"coats": "--coats,-c"}, defaults={"names": "red, blue"})
+def paint(study: PaintStudy, robot: str, twice: Annotated[bool, typer.Option("--twice")] = False) -> None:
+    """Paint a robot."""
+    print(json.dumps({"robot": robot, "twice": twice} | study.run(), default=float))
+
+
+def painted(*arguments: str) -> dict[str, object]:
+    outcome = CliRunner().invoke(app, [THESIS, *arguments], catch_exceptions=False)
+    data = json.loads(outcome.stdout)
+    assert isinstance(data, dict)
+    return data
+
+
+def test_what_is_not_typed_is_as_in_the_study_or_as_the_command_says() -> None:
+    assert painted() == {
+        "robot": THESIS, "twice": False, "kind": "paint", "coat_um": 1e-8, "coats": 2, "tints_percent": [10, 2.5],
+        "names": ["red", "blue"], "gloss": True, "matt": False,
+    }  # fmt: skip
+
+
+def test_what_is_typed_is_read_as_the_field_wants_it() -> None:
+    flags = (
+        "--coat-um",
+        "3.5",
+        "-c",
+        "4",
+        "--tints-percent",
+        "1,-2",
+        "--names",
+        "none",
+        "--no-gloss",
+        "--matt",
+        "--twice",
+    )
+    made = painted(*flags)
+    assert (made["coat_um"], made["coats"], made["tints_percent"], made["names"]) == (3.5, 4, [1, -2], [])
+    assert (made["gloss"], made["matt"], made["twice"]) == (False, True, True)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--coat-um", "0"), "--coat-um is 0; it must be greater than 0"),
+        (("--coats", "x"), "--coats is 'x'; it must be a number"),
+        (("--tints-percent", "1,x"), "--tints-percent[1] is 'x'; it must be a number"),
+    ],
+)
+def test_messages_name_the_flag(flags: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        CliRunner().invoke(app, [THESIS, *flags], catch_exceptions=False)
+    assert str(caught.value) == message
+
+
+def test_the_help_is_that_of_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    text = " ".join(COLOUR.sub("", CliRunner().invoke(app, ["--help"]).stdout).split())
+    for words in ("Paint a robot.", "--coat-um UM Thickness of a coat. [default: 1e-8]", "How many. [default: 2]"):
+        assert words in text
+    assert "[default: 10,2.5]" in text
+
+
+def test_every_key_of_a_study_is_a_flag_of_its_command(run: Run) -> None:
+    commands = {
+        "forward_kinematics": ("fk", 1), "inverse_kinematics": ("ik", 1), "equilibria": ("equilibria", 1),
+        "snap": ("snap", 1), "follow": ("follow", 2), "certify": ("certify", 1), "stability_map": ("stability-map", 1),
+        "validation": ("validate", 2), "heating": ("heat plan", 1), "mold_plan": ("mold plan", 1),
+    }  # fmt: skip
+    for kind, (command, arguments) in commands.items():
+        shown = run(*command.split(), "--help").out
+        keys = [key for key in STUDY_KINDS[kind].model_fields if key != "kind"][arguments:]
+        renamed = {"start": "--from"}
+        for key in keys:
+            flag = renamed.get(key, f"--{key.replace('_', '-')}")
+            assert flag[:24] in shown, (command, key)
+
+
+def test_a_command_and_its_study_are_one(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "heating.yaml"
+    path.write_text(f"kind: heating\nrig: {RIG}\nhold_s: 5\nslot_s: 1\nlongest_s: 20\nwindow_degC: [200, 260]\n")
+    flags = ("--hold-s", "5", "--slot-s", "1", "--longest-s", "20", "--window-degC", "200,260", "--samples", "0")
+    typed = answer(run("heat", RIG, *flags, "--charges-percent", "none", "--json"))
+    assert answer(run("run", str(path), "--json")) == typed

@@ -1,0 +1,285 @@
+"""Tubes made of pieces, solved: against shooting that shares nothing with the library, and against closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ellipj
+
+from tests.general_reference import Bundle, Stretch, shoot, straight
+from tubeopt import (
+    ConcentricRobot,
+    Equilibrium,
+    InputError,
+    Piece,
+    Tube,
+    find_equilibria,
+    find_snap,
+    forward_kinematics,
+    forward_kinematics_batch,
+    inverse_kinematics,
+    snap_free_certificate,
+)
+from tubeopt.robots.tubes import with_stiffness
+from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.typing import Array
+
+
+def straight_then(before: float, length: float, u: object, bending: object, torsional: object) -> tuple[Tube, ...]:
+    """A tube whose stiffness varies along its straight part too: of two pieces, without a straight part."""
+    pieces = [
+        Piece(before, 0.0, bending_stiffness=bending, torsional_stiffness=torsional),
+        Piece(
+            length,
+            u,
+            bending_stiffness=lambda x: bending(before + x),  # type: ignore[operator]
+            torsional_stiffness=lambda x: torsional(before + x),  # type: ignore[operator]
+        ),
+    ]
+    return tuple(pieces)  # type: ignore[return-value]
+
+
+def varying() -> tuple[ConcentricRobot, Bundle, Array]:
+    """Three tubes of which everything varies: lengths before and after, u*, EI, GJ; and where they are held."""
+    data = [
+        (
+            (0.12, 0.10),
+            lambda x: (18 * math.cos(20 * x), 4 * math.sin(30 * x), 12.0),
+            lambda s: 8e-4 * (1 + 0.3 * math.sin(40 * s)),
+            lambda s: 6e-4 * (1 + 0.2 * math.sin(55 * s)),
+        ),
+        ((0.08, 0.08), lambda x: (9.0, 0.0, -6.0), lambda s: 2e-3 * (1 + 0.2 * math.sin(60 * s)), lambda s: 1.6e-3),
+        ((0.05, 0.06), lambda x: (5.0, 2.0, 0.0), lambda s: 4e-3, lambda s: 3e-3),
+    ]
+    tubes, bundle = [], []
+    for k, ((before, after), u, kb, kt) in enumerate(data):
+        outer = 1e-3 + 0.5e-3 * k
+        pieces = straight_then(before, after, u, kb, kt)
+        tubes.append(Tube.of_pieces(outer, outer - 0.3e-3, pieces))  # type: ignore[arg-type]
+        behind: Stretch = (
+            after,
+            u,
+            lambda x, kb=kb, before=before: kb(before + x),  # type: ignore[misc]
+            lambda x, kt=kt, before=before: kt(before + x),  # type: ignore[misc]
+        )
+        bundle.append([(before, lambda x: (0.0, 0.0, 0.0), kb, kt), behind])
+    return ConcentricRobot(tuple(tubes)), bundle, np.array([-0.06, -0.04, -0.02])
+
+
+ROBOT, BUNDLE, BETA = varying()
+TURNED = [0.2, 1.5, -1.0]
+
+
+@pytest.fixture(scope="module")
+def solved() -> Equilibrium:
+    return forward_kinematics(ROBOT, TURNED, BETA, tolerance=1e-10, verify=True)
+
+
+def test_varying_tubes_are_where_shooting_puts_them(solved: Equilibrium) -> None:
+    at_plate = [piece[0][3](-beta) for piece, beta in zip(BUNDLE, BETA, strict=True)]
+    shot = shoot(BUNDLE, TURNED, BETA.tolist(), (solved.torsion[:, 0] * at_plate).tolist())
+    assert np.linalg.norm(solved.tip_position - shot.tip) < 1e-10
+    assert np.abs(solved.tip_rotation - shot.frame).max() < 1e-9
+    assert np.abs(solved.rotation[:, 0] - shot.theta).max() < 1e-10
+    assert shot.stable == solved.stable
+
+
+def test_verification_agrees(solved: Equilibrium) -> None:
+    check = solved.verification
+    assert check is not None
+    assert max(check.tip_position, check.base_rotation, check.end_torsion) < 1e-10
+
+
+def test_the_kernel_finds_what_the_general_solver_finds(solved: Equilibrium) -> None:
+    if kernel_of(ROBOT) is None:
+        pytest.skip("no C compiler")
+    batch = forward_kinematics_batch(ROBOT, [TURNED, [1.0, 0.0, 2.0]], BETA, tolerance=1e-3)
+    assert np.abs(batch.tip_position[0] - solved.tip_position).max() < 1e-6
+    fine = forward_kinematics(ROBOT, [1.0, 0.0, 2.0], BETA, tolerance=1e-10)
+    assert np.abs(batch.tip_position[1] - fine.tip_position).max() < 1e-6
+    assert batch.margin[1] == pytest.approx(fine.margin, abs=1e-5)
+    assert batch.energy[1] == pytest.approx(fine.energy, rel=1e-6)
+
+
+def frenet(radius: float, pitch: float, length: float) -> Array:
+    """The end of a helix whose tangent begins along z and whose normal is -y, by its own formula."""
+    lead = pitch / (2 * math.pi)
+    size = math.hypot(radius, lead)
+    angle = length / size
+    # Axis, and the three directions of the helix where it begins.
+    tangent, normal = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
+    binormal = np.cross(tangent, normal)
+    axis = (lead * tangent + radius * binormal) / size
+    around = np.cross(axis, normal)
+    centre = radius * normal
+    out = centre - radius * (math.cos(angle) * normal + math.sin(angle) * around) + lead * angle * axis
+    return np.asarray(out)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+def test_a_single_helix_keeps_its_helix(turn: float) -> None:
+    tube = Tube.of_pieces(1e-3, 0.8e-3, [Piece.helix(0.12, 0.02, 0.08)], straight_length=0.05)
+    found = forward_kinematics(ConcentricRobot((tube,)), [turn], tolerance=1e-11)
+    end = frenet(0.02, 0.08, 0.12)
+    turned = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1.0]]) @ end
+    assert np.linalg.norm(found.tip_position - turned) < 1e-12
+    lead = 0.08 / (2 * math.pi)
+    assert found.torsion == pytest.approx(np.full_like(found.torsion, lead / (0.02**2 + lead**2)))
+
+
+def pair(twist: float = 0.0, factors: tuple[float, float] = (1.0, 1.0), kappa: float = 12.5) -> ConcentricRobot:
+    """Two tubes with the same natural twist and a pattern: overlap 100 mm, transmissions 50 mm."""
+    tubes = []
+    for outer, inner in ((1e-3, 0.8e-3), (1.25e-3, 1.05e-3)):
+        plain = Tube(outer, inner, 0.05, 0.1, 0.0)
+        own = [f * float(k) for f, k in zip(factors, (plain.bending_stiffness, plain.torsional_stiffness), strict=True)]
+        piece = Piece(0.1, (kappa, 0.0, twist), bending_stiffness=own[0], torsional_stiffness=own[1])
+        tubes.append(Tube.of_pieces(outer, inner, [piece], straight_length=0.05))
+    return ConcentricRobot(tuple(tubes))
+
+
+def test_equal_helices_twist_as_planar_tubes_do() -> None:
+    wound, plain = (forward_kinematics(pair(twist), [0.0, 2.0], tolerance=1e-11) for twist in (30.0, 0.0))
+    assert wound.margin == pytest.approx(plain.margin, abs=1e-8)
+    relative = [found.rotation[0] - found.rotation[1] for found in (wound, plain)]
+    at = np.linspace(0, 0.1, 9)
+    curves = [np.interp(at, f.arc_length, r) for f, r in zip((wound, plain), relative, strict=True)]
+    ends = [curve[[0, -1]] for curve in curves]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
+    assert wound.rotation[0, -1] == pytest.approx(plain.rotation[0, -1] + 3.0, abs=1e-9)
+
+
+def fold(c: float, length: float, held: float) -> tuple[float, float]:
+    """Differences of the tip and of the joint angles (rad) at the fold of two tubes, by the pendulum's closed form."""
+    root = math.sqrt(c)
+
+    def joint(al: float) -> float:
+        k, rest = math.cos(al / 2), math.sin(al / 2)
+        sn, cn, dn, _ = ellipj(root * length, k * k)
+        # The part in front of the plate, and the transmissions.
+        return 2 * math.acos(k * cn / dn) + 2 * held * root * k * rest * sn / dn
+
+    low, high = 0.01, math.pi - 1e-6
+    for _ in range(200):
+        a, b = low + (high - low) / 3, high - (high - low) / 3
+        low, high = (a, high) if joint(a) < joint(b) else (low, b)
+    return low, joint(low)
+
+
+def test_a_pattern_that_halves_c_moves_the_fold_as_the_closed_form_says() -> None:
+    # c = (kb1 kappa1 kb2 kappa2) (1 / kt1 + 1 / kt2) / (kb1 + kb2) goes as the bending factor over the torsion factor.
+    robots = [pair(factors=factors, kappa=20.0) for factors in ((1.0, 1.0), (0.4, 0.8))]
+    coupling = []
+    for robot in robots:
+        kb = [float(tube.pieces[0].bending_stiffness) for tube in robot.tubes]
+        kt = [float(tube.pieces[0].torsional_stiffness) for tube in robot.tubes]
+        coupling.append(kb[0] * kb[1] * 20.0**2 / sum(kb) * (1 / kt[0] + 1 / kt[1]))
+    assert coupling[1] == pytest.approx(coupling[0] / 2)
+    # The straight parts are not patterned: they hold as if they were shorter by the torsion factor.
+    tip, joint = fold(coupling[1], 0.1, 0.05 * 0.8)
+    snap = find_snap(robot, ([0.0, 0.0], None), ([0.0, 2 * math.pi], None))
+    assert snap is not None
+    assert math.degrees(snap.rotations[1]) == pytest.approx(math.degrees(joint), abs=1e-8)
+    ends = snap.before.tip_rotations
+    assert math.degrees(ends[1] - ends[0]) == pytest.approx(math.degrees(tip), abs=1e-4)
+    assert snap_free_certificate(robot) < 0
+
+
+def test_all_equilibria_are_found_and_the_certificate_bounds_their_margins() -> None:
+    tubes = []
+    for k, u in enumerate([(20.0, 0.0, 25.0), (0.0, 18.0, -20.0)]):
+        outer = 1e-3 + 0.4e-3 * k
+        tubes.append(Tube.of_pieces(outer, outer - 0.25e-3, [Piece(0.1, u)], straight_length=0.1))
+    robot = ConcentricRobot(tuple(tubes))
+    certificate = snap_free_certificate(robot)
+    least = 1.0
+    for turn in np.linspace(0, 2 * np.pi, 13):
+        found = find_equilibria(robot, [0.0, turn])
+        assert sum((-1) ** e.index for e in found) == 1
+        least = min(least, *(e.margin for e in found))
+    assert certificate <= least
+
+
+NAMES = ("rotations", "translations", "curvature", "straight_length", "bending_stiffness", "torsional_stiffness")
+
+
+def moved(robot: ConcentricRobot, name: str, tube: int, by: float) -> tuple[ConcentricRobot, Array]:
+    """The robot with one tube changed, and the joint values to add (4,)."""
+    joints, one, tubes = np.zeros(4), robot.tubes[tube], list(robot.tubes)
+    match name:
+        case "rotations" | "translations":
+            joints[tube + 2 * (name == "translations")] = by
+        case "curvature" | "straight_length":
+            tubes[tube] = replace(one, **{name: getattr(one, name) + by})  # type: ignore[arg-type]
+        case "bending_stiffness":
+            tubes[tube] = with_stiffness(one, bending=1 + by / one.bending_stiffness)
+        case _:
+            tubes[tube] = with_stiffness(one, torsional=1 + by / one.torsional_stiffness)
+    return replace(robot, tubes=tuple(tubes)), joints
+
+
+def test_derivatives_are_those_of_central_differences() -> None:
+    inner = Tube.of_pieces(
+        1e-3,
+        0.8e-3,
+        [Piece(0.04, lambda x: (15 * math.cos(20 * x), 9.0, 10 * x)), Piece.helix(0.05, 0.03, 0.1)],
+        straight_length=0.1,
+    )
+    outer = Tube.of_pieces(
+        1.5e-3,
+        1.2e-3,
+        [Piece(0.03, 10.0), Piece(0.03, (-4.0, 8.0, 5.0), torsional_stiffness=lambda x: 0.02 + x)],
+        straight_length=0.06,
+    )
+    robot = ConcentricRobot((inner, outer))
+    alpha, shift = np.array([0.3, 2.0]), np.array([-0.02, -0.013])
+    jacobian = forward_kinematics(robot, alpha, shift, tolerance=1e-10).jacobian(wrt=NAMES)
+    table = np.concatenate([jacobian.position, jacobian.tip_rotations, jacobian.margin[None], jacobian.energy[None]])
+    steps = {"rotations": 1e-4, "translations": 1e-5, "curvature": 1e-3, "straight_length": 1e-5}
+    for k, (name, tube) in enumerate((name, tube) for name in NAMES for tube in range(2)):
+        step = steps.get(name, 0.0) or 1e-4 * getattr(robot.tubes[tube], name)
+        sides = []
+        for by in (step, -step):
+            other, joints = moved(robot, name, tube, by)
+            e = forward_kinematics(other, alpha + joints[:2], shift + joints[2:], tolerance=1e-10)
+            sides.append(np.array([*e.tip_position, *e.tip_rotations, e.margin, e.energy]))
+        difference = (sides[0] - sides[1]) / (2 * step)
+        scale = np.array([np.abs(difference[:3]).max()] * 3 + [max(1e-3, np.abs(difference[3:5]).max())] * 2)
+        scale = np.append(scale, [max(abs(difference[5]), 1e-4 / step), max(abs(difference[6]), 1e-6 / step)])
+        assert np.abs((table[:, k] - difference) / scale).max() < 1e-5, (name, tube)
+
+
+def test_what_does_not_take_pieces_says_so() -> None:
+    with pytest.raises(InputError, match="tube 1 is made of pieces; inverse kinematics takes tubes of one constant"):
+        inverse_kinematics(ROBOT, [0.0, 0.0, 0.1])
+    with pytest.raises(InputError, match="tube 1 is made of pieces; method 'ipopt' takes"):
+        forward_kinematics(ROBOT, TURNED, BETA, method="ipopt")
+    with pytest.raises(InputError, match="its bending stiffness is not one number"):
+        ROBOT.assembly(BETA).bending_stiffness * 2.0
+
+
+def test_a_straight_stretch_only_hands_on_torque() -> None:
+    kb, kt = 1e-3, 8e-4
+    inner: list[Stretch] = [straight(0.1, kb, kt), (0.03, lambda x: (14.0, 0.0, 0.0), lambda x: kb, lambda x: kt)]
+    inner += [straight(0.02, kb, kt), (0.04, lambda x: (0.0, 16.0, 0.0), lambda x: kb, lambda x: kt)]
+    outer: list[Stretch] = [straight(0.06, 2 * kb, 2 * kt)]
+    outer += [(0.08, lambda x: (9.0, 0.0, 0.0), lambda x: 2 * kb, lambda x: 2 * kt)]
+    tubes = [
+        Tube.of_pieces(
+            1e-3,
+            0.7e-3,
+            [Piece(0.03, 14.0), Piece(0.02, 0.0), Piece(0.04, (0.0, 16.0, 0.0))],
+            straight_length=0.1,
+            bending_stiffness=kb,
+            torsional_stiffness=kt,
+        ),
+        Tube(1.5e-3, 1.2e-3, 0.06, 0.08, 9.0, bending_stiffness=2 * kb, torsional_stiffness=2 * kt),
+    ]
+    robot = ConcentricRobot(tuple(tubes))
+    found = forward_kinematics(robot, [0.0, 2.5], [-0.04, -0.03], tolerance=1e-10)
+    torque = found.torsion[:, 0] * np.array([kt, 2 * kt])
+    shot = shoot([inner, outer], [0.0, 2.5], [-0.14, -0.09], torque.tolist())
+    assert np.linalg.norm(found.tip_position - shot.tip) < 1e-10

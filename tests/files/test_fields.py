@@ -1,0 +1,164 @@
+"""Fields that describe themselves: one annotation, and reading, writing, ranges and hints follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tubeopt import InputError
+from tubeopt.files.checked import check
+from tubeopt.files.fields import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    REQUIRED,
+    Absent,
+    Named,
+    OneOf,
+    Range,
+    check_fields,
+    entry_of,
+    key,
+    to_data,
+    unit,
+)
+from tubeopt.files.yaml_file import load_yaml, save_yaml
+
+
+@dataclass(frozen=True)
+class Wood:
+    name: Annotated[str, "of the tree"]
+    density: Annotated[float, unit("kg_per_m3"), POSITIVE, "when dry"]
+    grain: Annotated[str, OneOf(("fine", "coarse")), Absent("fine"), "of its surface"]
+
+
+OAK = Wood("oak", 700.0, "coarse")
+
+
+@dataclass(frozen=True)
+class Peg:
+    length: Annotated[float, unit("mm"), POSITIVE, "of what stands out"]
+    taper: Annotated[float | None, unit("deg"), NOT_NEGATIVE, "by default none"] = None
+
+
+@dataclass(frozen=True)
+class Rack:
+    """A rack for tubes.
+
+    More about it.
+    """
+
+    width: Annotated[float, unit("mm"), POSITIVE, "of the board"] = 0.3
+    slack: Annotated[float, unit("percent"), Range(least=0.0, most=0.5), "of the width"] = 0.1
+    kiln: Annotated[float, key("dried_degC"), POSITIVE, "at which it was dried"] = 333.15
+    board: Annotated[Wood, Named({"oak": OAK}), "what it is made of"] = OAK
+    pegs: Annotated[tuple[Peg, ...], "by default two"] = (Peg(0.01), Peg(0.02))
+    place: Annotated[tuple[float, float] | None, unit("mm"), "where it hangs"] = None
+    marks: Annotated[tuple[float, ...], unit("mm"), NOT_NEGATIVE, "along the board"] = (0.1,)
+    first: Annotated[Peg, REQUIRED, "the one at the door"] = field(default_factory=lambda: Peg(0.03))
+    note: str = "not in a file"
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the rack")
+
+
+Entry = entry_of(Rack)
+FIRST = {"first": {"length_mm": 30}}
+
+
+def read(data: object) -> Rack:
+    made: Rack = check(Entry, data, "rack.yaml").build()
+    return made
+
+
+def test_what_is_left_out_is_as_in_the_dataclass() -> None:
+    assert read(FIRST) == Rack()
+    with pytest.raises(InputError, match=r"rack.yaml: first is missing"):
+        read({})
+
+
+def test_keys_are_in_their_units() -> None:
+    made = read(
+        {
+            "width_mm": Decimal("123.4"),
+            "slack_percent": 7,
+            "dried_degC": -3,
+            "board": {"name": "fir", "density_kg_per_m3": 450},
+            "pegs": [{"length_mm": 1, "taper_deg": 180}],
+            "place_mm": [1, -2],
+            "marks_mm": [0, 5],
+            **FIRST,
+        }
+    )
+    assert (made.width, made.slack, made.kiln) == (0.1234, 0.07, 270.15)
+    assert made.board == Wood("fir", 450.0, "fine")
+    assert made.pegs == (Peg(1e-3, 3.141592653589793),)
+    assert (made.place, made.marks, made.note) == ((1e-3, -2e-3), (0.0, 5e-3), "not in a file")
+    assert to_data(made)["board"] == {"name": "fir", "density_kg_per_m3": 450.0, "grain": "fine"}
+    assert to_data(Rack())["board"] == "oak"
+    assert "place_mm" not in to_data(Rack())
+    assert "note" not in to_data(Rack())
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"widht_mm": 3}, "widht_mm is not a known key; did you mean 'width_mm'?"),
+        ({"width_mm": 0}, "width_mm is 0; it must be greater than 0"),
+        ({"slack_percent": 51}, "slack_percent is 51; it must be less than or equal to 50"),
+        ({"dried_degC": -300}, "dried_degC is -300; it must be greater than -273.15"),
+        ({"board": "elm"}, "board is 'elm'; it must be oak"),
+        ({"board": {"name": "fir", "density_kg_per_m3": 450, "grain": "fin"}}, "did you mean 'fine'?"),
+        (
+            {"pegs": [{"length_mm": 1, "taper_deg": -1}]},
+            "pegs[0].taper_deg is -1; it must be greater than or equal to 0",
+        ),
+        ({"place_mm": [1]}, "place_mm has 1 item; it must have at least 2"),
+        ({"marks_mm": []}, "marks_mm has 0 items; it must have at least 1"),
+    ],
+)
+def test_what_is_wrong_is_said_in_the_units_of_the_file(data: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(data | FIRST)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 0}, "width of the rack is 0; it must be greater than 0"),
+        ({"slack": 0.6}, "slack of the rack is 0.6; it must be at most 0.5"),
+        ({"board": None}, "board of the rack is None; it must be a Wood"),
+        ({"width": "wide"}, "width of the rack is 'wide'; it must be a number"),
+    ],
+)
+def test_the_dataclass_itself_is_checked_in_si(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Rack(**change)  # type: ignore[arg-type]
+    assert str(caught.value) == message
+
+
+@given(
+    width=st.floats(1e-6, 1e3),
+    slack=st.floats(0, 0.5),
+    kiln=st.floats(1.0, 3000.0),
+    marks=st.lists(st.floats(0, 10), min_size=1, max_size=3),
+)
+def test_numbers_survive_a_file_to_the_last_bit(
+    tmp_path_factory: pytest.TempPathFactory, width: float, slack: float, kiln: float, marks: list[float]
+) -> None:
+    rack = Rack(width=width, slack=slack, kiln=kiln, marks=tuple(marks), pegs=(Peg(width, slack),))
+    path = tmp_path_factory.getbasetemp() / "rack.yaml"
+    save_yaml(path, to_data(rack), "A rack.")
+    assert read(load_yaml(path)) == rack
+
+
+def test_the_schema_says_what_the_field_says() -> None:
+    schema = Entry.model_json_schema()
+    assert schema["description"] == "A rack for tubes."
+    assert schema["properties"]["width_mm"]["description"] == "of the board"
+    assert schema["required"] == ["first"]

@@ -1,0 +1,84 @@
+"""Every answer has a value, a status that reads as a sentence, and statistics."""
+
+from __future__ import annotations
+
+import dataclasses
+from enum import Enum
+
+import numpy as np
+import pytest
+
+from tests.examples import TWO_TUBE
+from tubeopt import (
+    DesignSolution,
+    Equilibrium,
+    HeatingPlan,
+    InverseSolution,
+    Ipopt,
+    Newton,
+    Problem,
+    ProblemSolution,
+    Trajectory,
+    forward_kinematics,
+    inverse_kinematics,
+)
+from tubeopt.block.problem_status import ProblemStatus
+from tubeopt.design.optimize import DesignStatus
+from tubeopt.equilibrium.result import Status
+from tubeopt.errors import InputError
+from tubeopt.inverse.answer import InverseStatus
+from tubeopt.shaping.heating.plan import HeatingStatus
+from tubeopt.typing import Result
+from tubeopt.validation.fitting import Fit, FitStatus
+
+ANSWERS = (DesignSolution, Equilibrium, Fit, HeatingPlan, InverseSolution, ProblemSolution, Trajectory)
+
+STATUSES = (DesignStatus, FitStatus, HeatingStatus, InverseStatus, ProblemStatus, Status)
+
+
+def of_every_kind(
+    design: DesignSolution, fit: Fit, heating: HeatingPlan, motion: Trajectory, program: ProblemSolution
+) -> tuple[Result, ...]:
+    """The type checker sees that each is a Result."""
+    return design, fit, heating, motion, program
+
+
+@pytest.mark.parametrize("kind", ANSWERS, ids=lambda kind: kind.__name__)
+def test_every_answer_has_value_status_and_statistics(kind: type) -> None:
+    fields = {field.name for field in dataclasses.fields(kind)}
+    for name in ("value", "status", "statistics"):
+        assert name in fields or hasattr(kind, name)
+
+
+@pytest.mark.parametrize("kind", STATUSES, ids=lambda kind: kind.__name__)
+def test_every_status_reads_as_a_sentence(kind: type[Enum]) -> None:
+    for member in kind:
+        assert str(member) == member.value
+        assert len(str(member).split()) >= 4
+        assert str(member)[0].islower()
+        assert not str(member).endswith(".")
+
+
+def test_answers_of_solvers_and_questions() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    problem = Problem()
+    side = problem.variable("side", guess=1.0)
+    problem.minimize((side - 2.0) ** 2)
+    answers: tuple[Result, ...] = (near, inverse_kinematics(TWO_TUBE, near.tip_position, seed=near), problem.solve())
+    for each in answers:
+        assert isinstance(each, Result)
+        assert each.statistics.seconds >= 0
+        assert str(each.status)
+    np.testing.assert_array_equal(answers[0].value, near.tip_position)
+
+
+def test_solvers_are_chosen_by_name_or_by_their_settings() -> None:
+    wanted = forward_kinematics(TWO_TUBE, [0.3, 2.0])
+    for solver in (Newton(last_step=1e-8), Ipopt(tolerance=1e-11, iterations=50), "ipopt"):
+        found = forward_kinematics(TWO_TUBE, [0.3, 2.0], method=solver)
+        np.testing.assert_allclose(found.tip_position, wanted.tip_position, atol=1e-9)
+        assert found.statistics.method == ("newton" if isinstance(solver, Newton) else "ipopt")
+    with pytest.raises(InputError, match="descent_iterations is 0; it must be at least 1"):
+        Newton(descent_iterations=0)
+    with pytest.raises(InputError, match="method is 'simplex'"):
+        forward_kinematics(TWO_TUBE, [0.3, 2.0], method="simplex")

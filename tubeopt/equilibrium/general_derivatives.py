@@ -1,0 +1,318 @@
+"""Derivatives of an equilibrium of tubes made of pieces, by the implicit function theorem on a mesh that moves along.
+
+Between breakpoints that keep their order every collocation point moves linearly with them, and so do the places on the
+tubes that lie there: the collocated problem is a smooth function of the parameters, and is differentiated as it stands.
+With phi = alpha - S B M of the reduced problem and H its Hessian,
+
+    d phi = L H^-1 L^-1 (explicit change of alpha - S B M),
+
+the tip follows from the changes of h u on every piece, the energy by the envelope theorem, and the margin, a Rayleigh
+quotient, at its mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from ..errors import InputError, SolveError
+from ..robots.breakpoints import DIMENSIONS
+from ..transcription.arm import Profile, integrate_torque
+from ..transcription.buffered import section_function
+from ..transcription.linear import poses_at_points
+from ..transcription.reduced import INWARDS, ReducedProblem
+from ..transcription.whole_arm import evaluate_arm
+from ..typing import Array
+from .result import Equilibrium
+from .solving import Solution, discretisation_of, polish
+
+NUDGE = 1e-7
+"""Where breakpoints coincide, so far (m) to the side that is asked for lies the equilibrium whose derivatives stand for
+those to this side: they are off by about NUDGE times the second ones."""
+
+COINCIDE = 1e-9
+FLAT = 1 - 1e-9
+
+WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "curved_length"))
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What one parameter changes: alpha (n,), int ds / kt up to the plate (n,), lengths of the pieces (P,), and at all
+    their points (P, K, n) 1 / kt, kb, m and phase."""
+
+    base: Array
+    transmission: Array
+    length: Array
+    rate: Array
+    stiffness: Array
+    moment: Array
+    phase: Array
+
+
+def general_columns(
+    equilibrium: Equilibrium, wrt: Sequence[str], side: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Derivatives of tip position (3, Q), tip rotation (3, Q), tip rotations (n, Q), margin and energy (Q,).
+
+    Raises:
+        InputError: an unknown name, or a side that is neither 1 nor -1.
+        SolveError: the equilibrium is a fold.
+    """
+    if side not in (1, -1):
+        raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
+    for name in wrt:
+        if name not in WRT:
+            raise InputError(f"wrt names {name!r}; with tubes made of pieces it may name {', '.join(WRT)}")
+    here = _Linear(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
+    columns = []
+    for name in wrt:
+        for tube in range(equilibrium.robot.n_tubes):
+            at = here
+            if name == "translations" and _coincides(here.problem, tube):
+                at = _nudged(equilibrium, tube, side)
+            columns.append(at.column(at.change(name, tube)))
+    table = np.array(columns).T
+    n = equilibrium.robot.n_tubes
+    return table[:3], table[3:6], table[6 : 6 + n], table[6 + n], table[7 + n]
+
+
+def _coincides(problem: ReducedProblem, tube: int) -> bool:
+    """Whether a breakpoint of a tube lies at the plate or at one of another tube."""
+    own = _breakpoints(problem, tube)
+    others = [0.0]
+    for i in range(problem.assembly.n_tubes):
+        others += _breakpoints(problem, i) if i != tube else []
+    return any(abs(a - b) <= COINCIDE for a in own for b in others)
+
+
+def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
+    table = problem.assembly.lengthwise
+    assert table is not None
+    return [s - float(problem.assembly.transmission[tube]) for s in table.cuts[tube][1:]]
+
+
+def _nudged(equilibrium: Equilibrium, tube: int, side: int) -> _Linear:
+    """The equilibrium with a tube moved a little."""
+    from .kinematics import forward_kinematics
+
+    shift = equilibrium.translations.copy()
+    shift[tube] += side * NUDGE
+    moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
+    return _Linear(polish(moved, discretisation_of(equilibrium)), moved)
+
+
+class _Linear:
+    """A solved problem, linearised."""
+
+    def __init__(self, solution: Solution, equilibrium: Equilibrium) -> None:
+        problem = solution.problem
+        assert problem.here is not None
+        assert problem.assembly.lengthwise is not None
+        self.problem, self.solution, self.here, self.table = (
+            problem,
+            solution,
+            problem.here,
+            problem.assembly.lengthwise,
+        )
+        self.robot, self.t, self.length = equilibrium.robot, problem.mesh.tableau, problem.mesh.length
+        self.n = problem.assembly.n_tubes
+        self.shape = len(self.length), self.t.degree, self.n
+        self.torsion = solution.arm
+        self.moments = np.zeros(self.shape)
+        self.moments[problem.mesh.collocated] = solution.result.state.moment.reshape(-1, *self.shape[1:])
+        arm = evaluate_arm(problem, solution.rotations, solution.result.state, self.torsion)
+        self.tip = arm.position[-1]
+        self.tip_direction = arm.frame[-1][:, 2]
+        self.frame, self.position = poses_at_points(self.t, self.length, (arm.frame, arm.position, arm.curvature))
+        self._look()
+        self.factors = scipy.linalg.lapack.dgetrf(solution.result.state.hessian)[:2]
+
+    def _look(self) -> None:
+        """Cross-sections at all points, with their derivatives and those of the tubes along them."""
+        sections, (pieces, count, n) = self.here.sections, self.shape
+        phi = self._inside(self.torsion)
+        self.direction = phi + sections.phase.reshape(self.shape)
+        out = section_function("linear", pieces * count, n, False)(
+            self.direction.reshape(-1, n), sections.stiffness, sections.moment
+        )
+        u, bending = (part.copy() for part in out[2:4])
+        by = [part.reshape(pieces, count, 3 * n, -1).swapaxes(2, 3).copy() for part in out[4:8]]
+        self.moment_slope, self.u_slope, self.bending_slope = by[0], by[2], by[3][:, :, 0]
+        self.u, self.bending = u.reshape(pieces, count, 2), bending.reshape(pieces, count)
+        mesh, assembly = self.problem.mesh, self.problem.assembly
+        nodes = self.t.nodes
+        s, inside = (
+            (mesh.start[:, None] + self.length[:, None] * x).ravel()[:, None] + assembly.transmission
+            for x in (nodes, nodes + INWARDS * (0.5 - nodes))
+        )
+        values, rates = self.table.values(s, inside), self.table.rates(s, inside)
+        kb, kt, x, y, z = (v.reshape(self.shape) for v in values[:5])
+        dkb, dkt, dx, dy, _ = (v.reshape(self.shape) for v in rates[:5])
+        there = sections.stiffness.reshape(self.shape) > 0
+        size = np.hypot(x, y)
+        solid = np.where(size > 0, size, 1.0)
+        # Per length of the tube, of what moves past a point.
+        self.passing = (
+            dkb * there,
+            (dkb * size + kb * (x * dx + y * dy) / solid) * there,
+            z + (x * dy - y * dx) / solid**2,
+            -dkt / kt**2,
+        )
+
+    def _inside(self, torsion: Profile) -> Array:
+        """phi (P, K, n) at the points, as collocated."""
+        assert torsion.slope is not None
+        assert torsion.compliance is not None
+        whole = self._torque(torsion) * self.here.rate
+        return np.asarray(torsion.rotation[:, None] + self.length[:, None, None] * (self.t.matrix @ whole))
+
+    def _torque(self, torsion: Profile) -> Array:
+        return np.asarray(torsion.twist[:, None] + self.length[:, None, None] * (self.t.adjoint @ torsion.moment))
+
+    def change(self, name: str, tube: int) -> Change:
+        """What a parameter of a tube changes."""
+        one, zero = (np.arange(self.n) == tube).astype(float), np.zeros(self.shape)
+        none = np.zeros(self.n)
+        nothing = Change(none, none, np.zeros(len(self.length)), zero, zero, zero, zero)
+        own, kt = self.robot.tubes[tube], self.here.rate * one
+        kb, m = (part.reshape(self.shape) * one for part in (self.here.sections.stiffness, self.here.sections.moment))
+        if name == "rotations":
+            return _with(nothing, base=one)
+        if name == "straight_length":
+            return _with(nothing, transmission=one / self.table.values(np.zeros((1, self.n)))[1][0])
+        if name == "curvature":
+            return _with(nothing, moment=m / own.curvature if own.curvature else kb * self._bendable(tube))
+        if name == "bending_stiffness":
+            return _with(nothing, stiffness=kb / own.bending_stiffness, moment=m / own.bending_stiffness)
+        if name == "torsional_stiffness":
+            softer = -1.0 / own.torsional_stiffness
+            return _with(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
+        return self._moved(tube, one)
+
+    def _bendable(self, tube: int) -> Array:
+        """(P, K, n) where a tube that is straight would be curved if it had a curvature: behind its straight part, but
+        straight pieces stay straight."""
+        own, mesh = self.robot.tubes[tube], self.problem.mesh
+        s = mesh.start[:, None, None] + self.length[:, None, None] * self.t.nodes[:, None]
+        place = s + self.problem.assembly.transmission
+        return np.asarray((place > own.straight_length) & (not own.general))
+
+    def _moved(self, tube: int, one: Array) -> Change:
+        """A tube moves forward: its breakpoints and all that it is at fixed places."""
+        assembly, mesh = self.problem.assembly, self.problem.mesh
+        cuts = np.append(assembly.start, assembly.total_length)
+        own = np.array([s for s in _breakpoints(self.problem, tube) if s > COINCIDE])
+        moved = np.array([bool((np.abs(own - s) <= 1e-11).any()) for s in cuts]).astype(float)
+        counts = np.bincount(mesh.section, minlength=assembly.n_sections)
+        length = (np.diff(moved) / counts)[mesh.section]
+        rank = np.arange(len(length)) - (np.cumsum(counts) - counts)[mesh.section]
+        start = moved[mesh.section] + rank * length
+        place = (start[:, None] + length[:, None] * self.t.nodes)[..., None] - one
+        kb, m, phase, rate = (part * place for part in self.passing)
+        held = 1 / self.table.values(assembly.transmission[None])[1][0]
+        return Change(np.zeros(self.n), -one * held, length, rate, kb, m, phase)
+
+    def turned(self, moments: Array, change: Change, gained: Array) -> tuple[Array, Array]:
+        """Change of phi (P, K, n) at the points and (P + 1, n) between pieces, of integrated moments (P, K, n) that
+        change by `gained`."""
+        t, h, dh = self.t, self.length[:, None, None], change.length[:, None, None]
+        torsion = integrate_torque(self.problem, np.zeros(self.n), moments[self.problem.mesh.collocated])
+        torque = self._torque(torsion)
+        more = dh * moments + h * gained
+        begin = -np.cumsum((t.weights @ more)[::-1], axis=0)[::-1]
+        slope = (begin[:, None] + t.adjoint @ more) * self.here.rate + torque * change.rate
+        turning = dh * torque * self.here.rate + h * slope
+        twist = torsion.twist[0] if len(torsion.twist) else np.zeros(self.n)
+        first = change.base + change.transmission * twist + self.here.transmission * (begin[0] if len(begin) else 0.0)
+        between = np.concatenate([first[None], first + np.cumsum(t.weights @ turning, axis=0)])
+        return between[:-1, None] + t.matrix @ turning, between
+
+    def _explicit(self, slope: Array, change: Change) -> Array:
+        """Change of what has derivatives `slope` (P, K, r, 3n), at fixed phi."""
+        columns = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
+        return np.asarray((slope @ columns[..., None])[..., 0])
+
+    def column(self, change: Change) -> Array:
+        """(8 + n,) tip position and rotation, tip rotations, margin, energy."""
+        problem, n = self.problem, self.n
+        given = self._explicit(self.moment_slope, change)
+        explicit, _ = self.turned(self.moments, change, given)
+        phi = self._solved(explicit)
+        whole = _with(change, phase=change.phase + phi)
+        gained = self._explicit(self.moment_slope, whole)
+        inside, between = self.turned(self.moments, change, gained)
+        whole = _with(change, phase=change.phase + inside)
+        bent = self._explicit(self.u_slope, whole)
+        weights, dh = self.t.weights[:, None], change.length[:, None, None]
+        turn = self.frame[..., :2] @ (weights * (dh * self.u + self.length[:, None, None] * bent))[..., None]
+        rotation = turn.sum((0, 1))[:, 0]
+        stretch = (self.frame[..., 2] * (weights * dh)).sum((0, 1))
+        position = np.cross(turn[..., 0], self.tip - self.position).sum((0, 1)) + stretch
+        cuts = np.append(problem.mesh.start, problem.assembly.total_length)
+        index = np.abs(cuts - np.clip(problem.assembly.end, 0.0, cuts[-1])[:, None]).argmin(1)
+        tips = between[index, np.arange(n)]
+        return np.concatenate([position, rotation, tips, [self._margin(whole), self._energy(change)]])
+
+    def _solved(self, explicit: Array) -> Array:
+        """(P, K, n) change of phi at the coupled points for that of alpha - S B M at fixed phi."""
+        problem, mesh = self.problem, self.problem.mesh
+        out = np.zeros(self.shape)
+        if not problem.size:
+            return out
+        inner = np.zeros((int(mesh.collocated.sum()) * self.shape[1], self.n))
+        right = explicit[mesh.collocated].ravel()[problem.flat]
+        z = scipy.linalg.lapack.dtrtrs(problem.factor, right, lower=1)[0]
+        z, failed = scipy.linalg.lapack.dgetrs(*self.factors, z)
+        if failed or not np.isfinite(z).all():
+            raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+        inner.ravel()[problem.flat] = problem.factor @ z
+        out[mesh.collocated] = inner.reshape(-1, *self.shape[1:])
+        return out
+
+    def _softer(self, moments: Array, change: Change) -> float:
+        """f' dS f of forces f = weights x moments (P, K, n), where alpha stays."""
+        fixed = _with(change, base=np.zeros(self.n))
+        weights = self.length[:, None, None] * self.t.weights[:, None]
+        scale = np.where(self.length > 0, change.length / self.length, 0.0)[:, None, None]
+        inside, _ = self.turned(moments, fixed, -moments * scale)
+        return -float((weights * moments * inside).sum())
+
+    def _energy(self, change: Change) -> float:
+        """Of the elastic energy, by the envelope theorem, J."""
+        weights = self.t.weights * self.length[:, None]
+        bending = (self.t.weights * change.length[:, None] * self.bending).sum()
+        bending += (weights * self._explicit(self.bending_slope[:, :, None], change)[..., 0]).sum()
+        force = (weights[..., None] * self.moments).sum((0, 1))
+        return float(bending - self._softer(self.moments, change) / 2 + force @ change.base)
+
+    def _margin(self, whole: Change) -> float:
+        """Of the margin, with phase + phi the change of the direction of the pulls; NaN of a double eigenvalue."""
+        problem, mesh = self.problem, self.problem.mesh
+        if not problem.size or self.solution.margin >= FLAT:
+            return 0.0
+        values, vectors = np.linalg.eigh(self.solution.result.state.hessian)
+        if len(values) > 1 and values[1] - values[0] < 1e-9:
+            return float("nan")
+        collocated = mesh.collocated
+        y = np.zeros((int(collocated.sum()) * self.shape[1], self.n))
+        y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
+        args = self.direction[collocated].reshape(-1, self.n), problem.stiffness, problem.moment, y
+        form, gradient = (part.copy() for part in section_function("variation", len(y), self.n, False)(*args))
+        columns = np.concatenate([whole.phase, whole.stiffness, whole.moment], axis=2)[collocated].reshape(len(y), -1)
+        weights = problem.weight
+        scale = np.repeat((whole.length / self.length)[collocated], self.shape[1])
+        out = float((weights * scale) @ form[:, 0] + weights @ (gradient.reshape(columns.shape) * columns).sum(1))
+        # f = S^-1 y, by the triangular factor of S.
+        force = np.zeros_like(y)
+        force.ravel()[problem.flat] = scipy.linalg.lapack.dtrtrs(problem.factor, vectors[:, 0], lower=1, trans=1)[0]
+        moments = np.zeros(self.shape)
+        moments[collocated] = (force / weights[:, None]).reshape(-1, *self.shape[1:])
+        return out + (float(values[0]) - 1) * self._softer(moments, whole)
+
+
+def _with(change: Change, **parts: Array) -> Change:
+    return Change(**{**change.__dict__, **parts})
