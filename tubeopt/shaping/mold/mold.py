@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import InputError, instance
-from ...robots.tubes import Tube, must_be_plain
+from ...robots.tubes import Tube
 from ...typing import Array
 from .arcs import bend_of
 from .checks import (
@@ -236,7 +236,6 @@ def plan_mold(
     wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
     if not wanted:
         raise InputError("tubes is empty; there must be at least one")
-    must_be_plain(wanted, "a mold")
     called = range(1, len(wanted) + 1) if numbers is None else numbers
     if len(called) != len(wanted):
         raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
