@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
-from ...robots.tubes import Tube, must_be_plain
+from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
