@@ -95,8 +95,8 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         SolveError: the optimal control problem did not converge.
     """
     spec = HeatingSpec() if spec is None else spec
-    must_be_plain([tube], "heating")
     check_inputs(tube, rig, spec)
+    must_be_plain([tube], "heating")
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
     return HeatingPlan.of(
