@@ -96,7 +96,6 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
     """
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
-    must_be_plain([tube], "heating")
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
     return HeatingPlan.of(
