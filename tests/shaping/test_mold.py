@@ -54,7 +54,7 @@ def refused(tubes: Tube | tuple[Tube, ...], spec: MoldSpec) -> str:
 def test_the_thesis_tube() -> None:
     mold = plan_mold(THESIS)
     (groove,) = mold.grooves
-    bend = groove.centreline.bend
+    (bend,) = groove.centreline.bend
     assert isinstance(bend, Arc)
     assert bend.radius == pytest.approx(120e-3, abs=1e-12)
     assert bend.length == pytest.approx(94e-3, abs=1e-12)
@@ -191,7 +191,7 @@ def test_growth_is_the_integral_of_the_expansion_and_the_sliding_clamp_allows_it
 def test_vents_follow_their_profile() -> None:
     profile = (0.2, 0.1, 0.0, 0.15)
     (groove,) = plan_mold(THESIS, MoldSpec(vents=VentSpec(diameter=1e-3, profile=profile))).grooves
-    bend = groove.centreline.bend
+    (bend,) = groove.centreline.bend
     assert isinstance(bend, Arc)
     middle = np.array([vent.centre for vent in groove.vents])
     assert np.linalg.norm(middle - bend.centre, axis=1) == pytest.approx(np.full(len(middle), bend.radius))

@@ -129,7 +129,8 @@ def moves(text: str) -> list[tuple[str, dict[str, float]]]:
 
 def test_gcode_follows_the_centreline() -> None:
     mold = plan_mold(THESIS, MoldSpec(springback=BACK))
-    groove, bend = mold.grooves[0], mold.grooves[0].centreline.bend
+    groove = mold.grooves[0]
+    (bend,) = groove.centreline.bend
     x = y = z = 0.0
     radius, centre = groove.radius * 1e3, np.asarray(bend.centre) * 1e3  # type: ignore[union-attr]
     deepest, arcs, depths = 0.0, 0, []

@@ -12,15 +12,16 @@ from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
-from ..runs.mold_file import load_trials
+from ..runs.mold_file import load_mold_spec, load_trials
 from ..runs.mold_study import MoldStudy, Ranking
 from ..shaping.mold.heat import HeatSpec
+from ..shaping.mold.mandrel import plan_mandrel
 from ..shaping.mold.ranking import rank_mold_materials
 from ..shaping.mold.springback import calibrate_springback
 from ..show.report import can_be_saved, present
 from ..show.reports import report
 from .flags import ask, asks
-from .options import JsonOption, OutOption, PlanByDefault, PlotOption
+from .options import JsonOption, OutOption, PlanByDefault, PlotOption, RobotArgument
 
 app = typer.Typer(cls=PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
 
@@ -30,6 +31,26 @@ app = typer.Typer(cls=PlanByDefault, help="Molds for setting the shape of tubes.
 def plan(study: MoldStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False) -> None:
     """The mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet."""
     present(report(ask(study, "planning the mold", out)), out=out, as_json=as_json, plot=plot)
+
+
+@app.command(epilog="Example: tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results")
+def mandrel(
+    robot: RobotArgument,
+    tube: Annotated[int, typer.Option("--tube", metavar="N", help="Which tube of the robot, from 1.")] = 1,
+    mold: Annotated[
+        str | None, typer.Option("--mold", metavar="MOLD.yaml", help="What is asked of the mold.", show_default=False)
+    ] = None,
+    plot: PlotOption = False,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The mandrel for a helix or another space curve: STL, table of rotation and feed, G-code for a 4th axis."""
+    tubes = load_robot(robot).tubes
+    if not 1 <= tube <= len(tubes):
+        raise InputError(f"--tube is {tube}; it must lie in 1 to {len(tubes)}")
+    can_be_saved(out)
+    spec = None if mold is None else load_mold_spec(mold)
+    present(report(plan_mandrel(tubes[tube - 1], spec, number=tube)), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold calibrate configs/molds/example_trials.csv --out results")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import InputError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
@@ -158,6 +159,12 @@ class Equilibrium:
         from .file import save_equilibrium
 
         save_equilibrium(self, directory)
+
+
+def refuse_load(equilibrium: Equilibrium) -> None:
+    """Raise InputError for an equilibrium under load, where what is asked knows of no load."""
+    if equilibrium.load is not None:
+        raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, SolveError
+from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
@@ -26,7 +26,7 @@ from ..transcription.reduced import (
 )
 from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
-from .result import Equilibrium, Statistics, Status
+from .result import Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,6 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     if not result.converged:
         raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
     return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
-
-
-def refuse_load(equilibrium: Equilibrium) -> None:
-    """Raise InputError for an equilibrium under load, where what is asked knows of no load."""
-    if equilibrium.load is not None:
-        raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:

@@ -15,8 +15,8 @@ from ..transcription.reduced import ReducedProblem
 from ..transcription.tableau import tableau
 from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
-from .result import Equilibrium
-from .solving import Solution, discretisation_of, polish, reduced_problem, refuse_load
+from .result import Equilibrium, refuse_load
+from .solving import Solution, discretisation_of, polish, reduced_problem
 
 
 def arm_of(solution: Solution) -> Arm:

@@ -15,8 +15,7 @@ from ..robots.assembly import Assembly
 from ..robots.series import Quantity, Series
 from ..robots.tubes import stretches
 from ..typing import Array
-from .result import Equilibrium, Verification
-from .solving import refuse_load
+from .result import Equilibrium, Verification, refuse_load
 
 TOLERANCE = 1e-12
 

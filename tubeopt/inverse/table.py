@@ -79,8 +79,8 @@ def build_table(space: JointSpace, size: int, clock: Clock | None = None) -> Sta
         tried += SLICE
     m = len(space.lower)
     empty = (np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-    q, tip, direction, margin = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
-    table = StartTable(q, tip, direction, margin, whole=tried >= size)
+    solved, tip, direction, margin = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
+    table = StartTable(solved, tip, direction, margin, whole=tried >= size)
     if table.whole and not len(table.q):
         raise InputError("limits leave no joint values at which a stable equilibrium was found")
     return table

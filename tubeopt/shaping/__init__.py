@@ -4,6 +4,8 @@ from .mold.checks import Check
 from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
 from .mold.holes import Hole
+from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
+from .mold.mandrel_files import write_mandrel
 from .mold.materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
@@ -26,6 +28,7 @@ __all__ = [
     "GrooveSpec",
     "HeatSpec",
     "Hole",
+    "Mandrel",
     "MaterialRating",
     "MillingSpec",
     "Mold",
@@ -39,10 +42,13 @@ __all__ = [
     "heat_drawn",
     "heat_flow",
     "mold_material",
+    "plan_mandrel",
     "plan_mold",
     "predict_tube",
     "predict_tubes",
+    "predict_wound_tube",
     "rank_mold_materials",
     "thermal_growth",
+    "write_mandrel",
     "write_mold",
 ]

@@ -193,8 +193,8 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
 
 
 def heated_tube(groove: Groove) -> Tube:
-    """The tube as it lies in its groove: its curved part is as long as the bend."""
-    return replace(groove.tube, curved_length=groove.bend_length)
+    """The tube as it lies in its groove: bent so, its curved part as long as the bend."""
+    return groove.held
 
 
 def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:

@@ -36,6 +36,8 @@ GROOVE: tuple[Quantity[Groove], ...] = (
              form=".4g"),
     Quantity("mold_radius_mm", "mold radius", lambda g: g.radius, form=".4g"),
     Quantity("mold_curvature_per_m", "curvature of the mold", lambda g: g.curvature),
+    Quantity("arcs", "tangent arcs that make the bend; of several, radii and curvature are of the tightest place",
+             lambda g: len(g.centreline.bend)),
     Quantity("bend_length_mm", "bend, length", form=".4g"),
     Quantity("bend_angle_deg", "bend, angle", form=".4g"),
     Quantity("lead_in_mm", "straight groove before the bend", lambda g: g.centreline.lead_in.length),

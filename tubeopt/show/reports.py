@@ -19,6 +19,7 @@ from . import (  # noqa: F401  (each registers its reports)
     fabrication_report,
     heat_report,
     inverse_report,
+    mandrel_report,
     map_report,
     mold_report,
     plan_report,

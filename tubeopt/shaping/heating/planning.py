@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
-from ...robots.tubes import Tube, must_be_plain
+from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
@@ -96,7 +96,6 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
     """
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
-    must_be_plain([tube], "heating")
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
     return HeatingPlan.of(

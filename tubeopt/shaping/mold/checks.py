@@ -85,12 +85,15 @@ def pressing_strain(tube: Tube, mold_curvature: float) -> float:
 
 
 def tube_checks(
-    number: int, tube: Tube, mold_curvature: float, *, mill: EndMill, width: float, spec: MoldSpec
+    number: int, held: Tube, radius: float, *, mill: EndMill, width: float, spec: MoldSpec
 ) -> tuple[Check, ...]:
-    """The conditions on one groove that do not depend on where it lies."""
-    depth = groove_depth(tube, spec)
-    strain, most = pressing_strain(tube, mold_curvature), spec.most_strain or tube.material.superelastic_strain
-    radius = 1 / abs(mold_curvature) if mold_curvature else math.inf
+    """The conditions on one groove that do not depend on where it lies.
+
+    Args:
+        held: the tube as the groove holds it. radius: the least of the groove's arcs, m.
+    """
+    tube, depth = held, groove_depth(held, spec)
+    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
     floor = spec.plate.thickness - depth
     return (
         Check(

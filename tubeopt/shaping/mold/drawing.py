@@ -71,7 +71,7 @@ def groove_walls(groove: Groove, size: Point) -> tuple[Piece, ...]:
         end = wall.lead_out.point(np.array([after]))[0]
         walls += [
             Line((float(start[0]), float(start[1])), wall.lead_in.end),
-            wall.bend,
+            *wall.bend,
             Line(wall.lead_out.start, (float(end[0]), float(end[1]))),
         ]
     return tuple(walls)

@@ -168,10 +168,9 @@ def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
             there = np.min([piece.distance(way.sample(step)) for piece in deep], axis=0)
             worst = max(worst, float(there.max()))
     ways = [way for groove in mold.grooves for way in cutter_ways(groove)]
-    for cut in cuts:
-        points = cut.piece.point(np.linspace(0.0, cut.piece.length, max(2, math.ceil(cut.piece.length / step))))
-        worst = max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
-    return worst
+    gone = [cut.piece.point(np.linspace(0.0, cut.piece.length, math.ceil(cut.piece.length / step) + 1)) for cut in cuts]
+    points = np.asarray(np.unique(np.round(np.vstack(gone), 9), axis=0), dtype=float)
+    return max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
 
 
 def _mm(length: float) -> str:

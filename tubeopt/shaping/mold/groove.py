@@ -115,28 +115,34 @@ Piece = Line | Arc
 
 @dataclass(frozen=True)
 class Centreline:
-    """Lead-in, bend and lead-out of a groove, tangent to one another, from the tube's proximal to its distal end."""
+    """Lead-in, bend and lead-out of a groove, tangent to one another, from the tube's proximal to its distal end.
+
+    The bend is a chain of tangent pieces: one arc for a tube of one curvature.
+    """
 
     lead_in: Line
-    bend: Piece
+    bend: tuple[Piece, ...]
     lead_out: Line
 
     @property
-    def pieces(self) -> tuple[Line, Piece, Line]:
-        """The three pieces in order."""
-        return self.lead_in, self.bend, self.lead_out
+    def pieces(self) -> tuple[Piece, ...]:
+        """All pieces in order."""
+        return self.lead_in, *self.bend, self.lead_out
 
     @property
     def length(self) -> float:
         """Length, m."""
         return sum(piece.length for piece in self.pieces)
 
+    @property
+    def bend_length(self) -> float:
+        """Length of the bend, m."""
+        return sum(piece.length for piece in self.bend)
+
     def offset(self, distance: float) -> Centreline:
         """The parallel centreline at `distance` (m) to the left."""
-        first, bend, last = (piece.offset(distance) for piece in self.pieces)
-        assert isinstance(first, Line)
-        assert isinstance(last, Line)
-        return Centreline(first, bend, last)
+        bend = tuple(piece.offset(distance) for piece in self.bend)
+        return Centreline(self.lead_in.offset(distance), bend, self.lead_out.offset(distance))
 
     def lengthened(self, extra: float) -> Centreline:
         """With both leads `extra` (m) longer, outwards."""
@@ -148,6 +154,14 @@ class Centreline:
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""
         return np.vstack([piece.point(_spaced(piece.length, step)) for piece in self.pieces])
+
+    def bend_point(self, s: Array) -> Array:
+        """(N, 2) points at arc lengths `s` (N,) of the bend, m."""
+        ends = np.cumsum([piece.length for piece in self.bend])
+        which = np.minimum(np.searchsorted(ends, s), len(self.bend) - 1)
+        begins = ends - [piece.length for piece in self.bend]
+        places = [self.bend[k].point(np.array([x - begins[k]])) for k, x in zip(which, s, strict=True)]
+        return np.vstack(places) if places else np.zeros((0, 2))
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the centreline."""
@@ -165,18 +179,22 @@ def bend_at(curvature: float, length: float, apex: Point = (0.0, 0.0)) -> Piece:
     return Arc((apex[0], apex[1] - radius), radius, math.pi / 2 + angle / 2, -angle)
 
 
-def with_leads(bend: Piece, lead_in: float, lead_out: float) -> Centreline:
+def with_leads(bend: Sequence[Piece], lead_in: float, lead_out: float) -> Centreline:
     """The bend with tangent leads of these lengths (m)."""
-    (t0, t1) = bend.tangent(np.array([0.0, bend.length]))
-    start = _point(np.asarray(bend.start) - lead_in * t0)
-    end = _point(np.asarray(bend.end) + lead_out * t1)
-    return Centreline(Line(start, bend.start), bend, Line(bend.end, end))
+    first, last = _end_tangents(bend)
+    start = _point(np.asarray(bend[0].start) - lead_in * first)
+    end = _point(np.asarray(bend[-1].end) + lead_out * last)
+    return Centreline(Line(start, bend[0].start), tuple(bend), Line(bend[-1].end, end))
 
 
-def leads_to_edge(bend: Piece, size: Point) -> Centreline:
+def leads_to_edge(bend: Sequence[Piece], size: Point) -> Centreline:
     """The bend with tangent leads that end at the edge of the plate [0, width] x [0, height]; the bend lies inside."""
-    (t0, t1) = bend.tangent(np.array([0.0, bend.length]))
-    return with_leads(bend, way_to_edge(bend.start, -t0, size), way_to_edge(bend.end, t1, size))
+    first, last = _end_tangents(bend)
+    return with_leads(bend, way_to_edge(bend[0].start, -first, size), way_to_edge(bend[-1].end, last, size))
+
+
+def _end_tangents(bend: Sequence[Piece]) -> tuple[Array, Array]:
+    return bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]
 
 
 def way_to_edge(start: Point, direction: Array, size: Point) -> float:
@@ -190,11 +208,16 @@ def way_to_edge(start: Point, direction: Array, size: Point) -> float:
 
 def bounds(curve: Centreline) -> tuple[Point, Point]:
     """Least and greatest coordinates of the centreline, exact for arcs."""
-    points = [curve.lead_in.start, curve.lead_in.end, curve.lead_out.start, curve.lead_out.end]
-    if isinstance(curve.bend, Arc):
-        centre, radius = np.asarray(curve.bend.centre), curve.bend.radius
-        compass = centre + radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
-        points += [_point(p) for p in compass[curve.bend.distance(compass) < 1e-12]]
+    return chain_bounds(curve.pieces)
+
+
+def chain_bounds(pieces: Sequence[Piece]) -> tuple[Point, Point]:
+    """Least and greatest coordinates of pieces, exact for arcs."""
+    points = [end for piece in pieces for end in (piece.start, piece.end)]
+    for piece in pieces:
+        if isinstance(piece, Arc):
+            compass = np.asarray(piece.centre) + piece.radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+            points += [_point(p) for p in compass[piece.distance(compass) < 1e-12]]
     array = np.array(points)
     return _point(array.min(axis=0)), _point(array.max(axis=0))
 
@@ -207,17 +230,28 @@ def least_distance(first: Centreline, second: Centreline, step: float = 5e-4) ->
     return float(second.distance(first.sample(step)).min())
 
 
-def crosses_itself(curve: Centreline, width: float) -> bool:
-    """Whether a groove of this width (m) runs into itself: its leads meet, or it turns full circle."""
-    bend = curve.bend
-    if isinstance(bend, Line):
+def crosses_itself(curve: Centreline, width: float, step: float = 5e-4) -> bool:
+    """Whether a groove of this width (m) runs into itself: it comes near to where it has been, facing another way.
+
+    Only points between which it turns by more than a quarter are compared, those a bend parts, however tight it is.
+    """
+    sweeps = [piece.sweep if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
+    ends = np.concatenate([[0.0], np.cumsum(sweeps)])
+    if np.ptp(ends) <= math.pi / 2:
         return False
-    if abs(bend.sweep) >= 2 * math.pi or _cross(curve.lead_in, curve.lead_out):
-        return True
-    if abs(bend.sweep) <= math.pi / 2:  # the leads are nearest where the bend parts them, however short it is
-        return False
-    leads = curve.lead_out.distance(curve.lead_in.point(_spaced(curve.lead_in.length, 2.5e-4)))
-    return bool(leads.min() < width)
+    points, headings = [], []
+    for piece, before, after in zip(curve.pieces, ends[:-1], ends[1:], strict=True):
+        s = _spaced(piece.length, step)
+        points.append(piece.point(s))
+        headings.append(np.linspace(before, after, len(s)))
+    at, heading = np.vstack(points), np.concatenate(headings)
+    # The range of headings from a point on, up to each later one.
+    for k in range(len(at) - 1):
+        high, low = np.maximum.accumulate(heading[k:]), np.minimum.accumulate(heading[k:])
+        apart = high - low > math.pi / 2
+        if apart.any() and np.linalg.norm(at[k:][apart] - at[k], axis=1).min() < width:
+            return True
+    return False
 
 
 def polygon(curve: Centreline, width: float, sagitta: float = 1e-6) -> Array:
@@ -227,26 +261,33 @@ def polygon(curve: Centreline, width: float, sagitta: float = 1e-6) -> Array:
 
 
 def _polyline(curve: Centreline, sagitta: float) -> Array:
-    bend = curve.bend
-    count = 1
-    if isinstance(bend, Arc):
-        step = 2 * math.acos(max(1 - sagitta / bend.radius, -1.0))
-        count = max(2, math.ceil(abs(bend.sweep) / step))
-    middle = bend.point(np.linspace(0.0, bend.length, count + 1))
-    return np.vstack([[curve.lead_in.start], middle, [curve.lead_out.end]])
+    parts = [np.asarray([curve.lead_in.start])]
+    for k, piece in enumerate(curve.bend):
+        count = 1
+        if isinstance(piece, Arc):
+            step = 2 * math.acos(max(1 - sagitta / piece.radius, -1.0))
+            count = max(2 if len(curve.bend) == 1 else 1, math.ceil(abs(piece.sweep) / step))
+        places = np.linspace(0.0, piece.length, count + 1)
+        parts.append(piece.point(places if k == 0 else places[1:]))
+    return np.vstack([*parts, [curve.lead_out.end]])
 
 
-def _cross(first: Line, second: Line) -> bool:
-    """Whether two straight pieces cross."""
-
-    def side(line: Line, point: Point) -> float:
-        (x0, y0), (x1, y1) = line.start, line.end
-        return (x1 - x0) * (point[1] - y0) - (y1 - y0) * (point[0] - x0)
-
-    return (
-        side(first, second.start) * side(first, second.end) < 0
-        and side(second, first.start) * side(second, first.end) < 0
-    )
+def clipped_area(corners: Array, size: Point) -> float:
+    """Area (m^2) of a polygon within [0, width] x [0, height] (Sutherland and Hodgman, Commun. ACM 17, 1974)."""
+    for axis in (0, 1):
+        for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
+            value = sign * corners[:, axis] - bound
+            kept = []
+            for k in range(len(corners)):
+                before, here = k - 1, k
+                if (value[before] < 0) != (value[here] < 0):
+                    part = value[before] / (value[before] - value[here])
+                    kept.append(corners[before] + part * (corners[here] - corners[before]))
+                if value[here] >= 0:
+                    kept.append(corners[here])
+            corners = np.array(kept)
+    x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
 
 def _spaced(length: float, step: float) -> Array:

@@ -78,7 +78,7 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
     Raises:
         InputError: the profile asks for vents that would run into one another.
     """
-    length = curve.bend.length
+    length = curve.bend_length
     each = open_area(width, vents.diameter)
     cells = np.linspace(0.0, length, len(vents.profile) + 1)
     area = np.concatenate([[0.0], np.cumsum(np.asarray(vents.profile) * width * np.diff(cells))])
@@ -93,7 +93,7 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
             f"least {(vents.diameter + VENT_BRIDGE) * 1e3:.3g} mm must lie between them: open less, or take larger "
             "vents"
         )
-    return tuple(Hole("vent", (float(x), float(y)), vents.diameter) for x, y in curve.bend.point(places))
+    return tuple(Hole("vent", (float(x), float(y)), vents.diameter) for x, y in curve.bend_point(places))
 
 
 def open_area(width: float, diameter: float) -> float:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import InputError, instance
-from ...robots.tubes import Tube, must_be_plain
+from ...robots.tubes import Tube
 from ...typing import Array
+from .arcs import bend_of
 from .checks import (
     Check,
     choose_mill,
@@ -25,10 +26,11 @@ from .checks import (
     tube_checks,
     wall_check,
 )
-from .groove import Centreline, Point, polygon
+from .groove import Arc, Centreline, Point, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
+from .setting import bend_direction, tube_from_mold, tube_in_mold
 from .spec import ENDS, EndMill, MoldSpec
 from .springback import Springback
 
@@ -69,7 +71,7 @@ class Groove:
         number: of the tube in texts and drawings.
         tube: what it is to become.
         centreline: from plate edge to plate edge.
-        curvature: of the groove's bend, 1/m, with the sign of the tube's (the drawing shows its size).
+        held: the tube as the groove holds it, with the curvatures and the length of its bend.
         width, depth: m.
         mill: the end mill that cuts it.
         cold: the cold end of the tube; its length is that of the specification where one is given.
@@ -81,7 +83,7 @@ class Groove:
     number: int
     tube: Tube
     centreline: Centreline
-    curvature: float
+    held: Tube
     width: float
     depth: float
     mill: EndMill
@@ -92,19 +94,24 @@ class Groove:
     vents: tuple[Hole, ...] = ()
 
     @property
+    def curvature(self) -> float:
+        """Of the groove's bend, 1/m, with the sign of the tube's (the drawing shows its size); the largest of many."""
+        return self.held.curvature
+
+    @property
     def radius(self) -> float:
-        """Radius of the centreline in the bend, m; inf where it is straight."""
+        """Radius of the centreline in the bend, m, the least of many; inf where it is straight."""
         return 1 / abs(self.curvature) if self.curvature else math.inf
 
     @property
     def bend_length(self) -> float:
         """Length of the bend along its centreline, m."""
-        return self.centreline.bend.length
+        return self.centreline.bend_length
 
     @property
     def bend_angle(self) -> float:
-        """Angle through which the groove bends, rad."""
-        return self.bend_length * abs(self.curvature)
+        """Angle through which the groove bends, to either side, rad."""
+        return sum(abs(piece.sweep) for piece in self.centreline.bend if isinstance(piece, Arc))
 
     @property
     def strain(self) -> float:
@@ -207,7 +214,8 @@ def plan_mold(
 ) -> Mold:
     """The mold for one tube or for several on one plate.
 
-    The bend of a groove is as long as the tube's curved part, and of the curvature that springs back to the tube's.
+    The bend of a groove is as long as the tube's curved part, and of the curvatures that spring back to the tube's:
+    one arc for a tube of one curvature, a chain of tangent arcs for planar pieces of any.
     Tangent leads run to the plate's edge, long enough that the clamps beyond it do not chill the bend. The tube's
     straight part needs no setting: where it is longer than lead and clamp it hangs out of the proximal clamp.
 
@@ -217,9 +225,9 @@ def plan_mold(
         mold: material, fit, plate, cutters and so on; None takes the defaults of `MoldSpec`.
 
     Raises:
-        InputError: no tube, a tube without a curved part, one strained too far when pressed into its groove, end mills
-            wider than the groove or its bend, a plate too thin or too small, grooves that cross, no room for bolts, or
-            a curvature that no mold yields.
+        InputError: no tube, a tube without a curved part, a space curve (`plan_mandrel` winds it), one strained too
+            far when pressed into its groove, end mills wider than the groove or its bend, a plate too thin or too
+            small, grooves that cross, no room for bolts, or a curvature that no mold yields.
     """
     spec = MoldSpec() if mold is None else mold
     instance("mold", spec, MoldSpec)
@@ -228,7 +236,6 @@ def plan_mold(
     wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
     if not wanted:
         raise InputError("tubes is empty; there must be at least one")
-    must_be_plain(wanted, "a mold")
     called = range(1, len(wanted) + 1) if numbers is None else numbers
     if len(called) != len(wanted):
         raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
@@ -266,12 +273,7 @@ def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback
     if index is not None and not 0 <= index < count:
         raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
     groove = mold.grooves[index or 0]
-    back = springback or mold.spec.springback
-    return replace(
-        groove.tube,
-        curvature=back.obtained(groove.curvature),
-        curved_length=groove.bend_length * (1 - back.shrinkage),
-    )
+    return tube_from_mold(groove.held, springback or mold.spec.springback)
 
 
 def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[Tube, ...]:
@@ -282,7 +284,7 @@ def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[
 def groove_area(groove: Groove, size: Point) -> float:
     """Area (m^2) of a groove within the plate: width times length, less what a corner of the plate cuts off."""
     corners = polygon(groove.centreline.lengthened(groove.width + 1e-3), groove.width, 1e-9)
-    return _clipped_area(corners, size)
+    return clipped_area(corners, size)
 
 
 def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
@@ -291,8 +293,10 @@ def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
         raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
     if tube.curved_length == 0:
         raise InputError(f"tube {number} has no curved part; it needs no mold")
+    if bend_direction(tube) is None:
+        raise InputError(f"tube {number} is a space curve; a plate holds planar bends only: it takes a mandrel")
     try:
-        curvature = spec.springback.mold(tube.curvature)
+        held = tube_in_mold(tube, spec.springback)
     except InputError as error:
         raise InputError(f"tube {number}: {error}") from None
     mill, width = choose_mill(number, tube, spec)
@@ -300,16 +304,16 @@ def _groove(number: int, tube: Tube, spec: MoldSpec) -> tuple[Groove, Blank]:
     if spec.cold_length is not None:
         cold = replace(cold, length=spec.cold_length)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
-    length = tube.curved_length / (1 - spec.springback.shrinkage)
-    blank = Blank(number, curvature, length, lead, width)
+    blank = Blank(number, bend_of(held), lead, width)
     nowhere = (Clamp("proximal", (0.0, 0.0), (-1.0, 0.0), 0.0), Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0))
     depth = groove_depth(tube, spec)
-    groove = Groove(number, tube, blank.core, curvature, width, depth, mill, cold, 0.0, nowhere, spec.clamps.grip)
+    groove = Groove(number, tube, blank.core, held, width, depth, mill, cold, 0.0, nowhere, spec.clamps.grip)
     return groove, blank
 
 
 def _checks(groove: Groove, spec: MoldSpec) -> tuple[Check, ...]:
-    return tube_checks(groove.number, groove.tube, groove.curvature, mill=groove.mill, width=groove.width, spec=spec)
+    least = min((piece.radius for piece in groove.centreline.bend if isinstance(piece, Arc)), default=math.inf)
+    return tube_checks(groove.number, groove.held, least, mill=groove.mill, width=groove.width, spec=spec)
 
 
 def _place(groove: Groove, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
@@ -371,22 +375,9 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
+        if any(piece.bending_stiffness or piece.torsional_stiffness for piece in groove.tube.pieces):
+            remarks.append(
+                f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
+                "are not drawn"
+            )
     return remarks
-
-
-def _clipped_area(corners: Array, size: Point) -> float:
-    """Area (m^2) of a polygon within [0, width] x [0, height] (Sutherland and Hodgman, Commun. ACM 17, 1974)."""
-    for axis in (0, 1):
-        for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
-            value = sign * corners[:, axis] - bound
-            kept = []
-            for k in range(len(corners)):
-                before, here = k - 1, k
-                if (value[before] < 0) != (value[here] < 0):
-                    part = value[before] / (value[before] - value[here])
-                    kept.append(corners[before] + part * (corners[here] - corners[before]))
-                if value[here] >= 0:
-                    kept.append(corners[here])
-            corners = np.array(kept)
-    x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
-    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))

@@ -11,7 +11,18 @@ import numpy as np
 
 from ...errors import InputError
 from ...typing import Array
-from .groove import Centreline, Piece, Point, bend_at, bounds, crosses_itself, leads_to_edge, least_distance, with_leads
+from .groove import (
+    Arc,
+    Centreline,
+    Piece,
+    Point,
+    bounds,
+    chain_bounds,
+    crosses_itself,
+    leads_to_edge,
+    least_distance,
+    with_leads,
+)
 from .spec import MoldSpec
 
 STEP = 0.5e-3
@@ -26,23 +37,22 @@ DIRECTIONS = {"one above the other": (0.0, 1.0), "side by side": (1.0, 0.0)}
 
 @dataclass(frozen=True)
 class Blank:
-    """A groove before it has a place: tube number, curvature (1/m) and length of the bend, least lead and width (m)."""
+    """A groove before it has a place: tube number, bend with its top at y = 0, least lead and width (m)."""
 
     number: int
-    curvature: float
-    length: float
+    bend: tuple[Piece, ...]
     least_lead: float
     width: float
-
-    @property
-    def bend(self) -> Piece:
-        """The bend with its top at the origin."""
-        return bend_at(self.curvature, self.length)
 
     @property
     def core(self) -> Centreline:
         """The least groove: bend and least leads."""
         return with_leads(self.bend, self.least_lead, self.least_lead)
+
+    @property
+    def turn(self) -> float:
+        """Angle (rad) through which it bends, to either side."""
+        return sum(abs(piece.sweep) for piece in self.bend if isinstance(piece, Arc))
 
 
 @dataclass(frozen=True)
@@ -79,8 +89,8 @@ def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
 
 def _orders(blanks: Sequence[Blank]) -> list[list[int]]:
     """Orders that are tried, each once: as given; flatter bends over sharper ones; wider ones over narrower ones."""
-    turn = [abs(blank.curvature) * blank.length for blank in blanks]
-    span = [bounds(with_leads(blank.bend, 0.0, 0.0)) for blank in blanks]
+    turn = [blank.turn for blank in blanks]
+    span = [chain_bounds(blank.bend) for blank in blanks]
     wide = [high[0] - low[0] for low, high in span]
     given = list(range(len(blanks)))
     orders = [given, sorted(given, key=lambda k: -turn[k]), sorted(given, key=lambda k: wide[k])]
@@ -121,7 +131,7 @@ def _placed(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) ->
     curves = []
     for blank, shift in zip(blanks, shifts, strict=True):
         x, y = shift - origin
-        curves.append(leads_to_edge(blank.bend.moved((float(x), float(y))), size))
+        curves.append(leads_to_edge([piece.moved((float(x), float(y))) for piece in blank.bend], size))
     if any(crosses_itself(c, b.width + spec.groove.wall) for c, b in zip(curves, blanks, strict=True)):
         return None
     wall = math.inf
@@ -158,8 +168,8 @@ def _inside(blanks: Sequence[Blank], shifts: Sequence[Array], origin: Array, siz
     slack = 1e-12
     for blank, shift in zip(blanks, shifts, strict=True):
         rim = blank.width / 2 + spec.groove.wall
-        for curve, room in ((with_leads(blank.bend, 0.0, 0.0), rim), (blank.core, 0.0)):
-            low, high = np.array(bounds(curve)) + shift - origin
+        for pieces, room in ((blank.bend, rim), (blank.core.pieces, 0.0)):
+            low, high = np.array(chain_bounds(pieces)) + shift - origin
             if (low < room - slack).any() or (high > np.array(size) - room + slack).any():
                 return False
     return True
@@ -189,7 +199,7 @@ def _why_not(blanks: Sequence[Blank], spec: MoldSpec) -> InputError:
 
 
 def _crossing(blank: Blank) -> InputError:
-    turn = math.degrees(abs(blank.curvature) * blank.length)
+    turn = math.degrees(blank.turn)
     return InputError(
         f"the groove of tube {blank.number} crosses itself: it bends through {turn:.1f} deg and its leads are at least "
         f"{blank.least_lead * 1e3:.1f} mm long; shorten the curved part or the leads, or set the tube in two molds"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ...errors import InputError
 from ...robots.robot import Robot
 from .mold import Mold, plan_mold
+from .setting import bend_direction
 from .spec import MoldSpec
 
 
@@ -53,10 +54,14 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
         first = next((j for j in numbers if all_tubes[j - 1] == tube), None)
         if tube.curved_length == 0 or tube.curvature == 0:
             left_out.append(f"tube {k} is straight and needs no mold")
+        elif bend_direction(tube) is None:
+            left_out.append(f"tube {k} is a space curve and takes a mandrel: tubeopt mold mandrel")
         elif first is not None:
             left_out.append(f"tube {k} is equal to tube {first} and is set in its groove")
         else:
             numbers.append(k)
+    if not numbers and any("space curve" in line for line in left_out):
+        raise InputError("no tube of this robot is bent in a plane; space curves take mandrels: tubeopt mold mandrel")
     if not numbers:
         raise InputError("no tube of this robot is curved; none needs a mold")
     return numbers, left_out

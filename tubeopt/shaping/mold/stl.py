@@ -38,11 +38,11 @@ def write_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
         SolveError: the solid read back is not watertight, or its volume is off by more than 0.1 %.
     """
     choice("part", part, PARTS)
-    trimesh = _trimesh()
+    library = trimesh()
     solid = _base(mold) if part == "base" else _lid(mold)
     mesh = solid.to_mesh()
     # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
-    faces = trimesh.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
+    faces = library.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
     with atomic_write(path) as temporary:
         temporary.write_bytes(faces.export(file_type="stl"))
         check_stl(mold, temporary, part=part, name=str(path))
@@ -57,7 +57,7 @@ def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name
         SolveError: the solid is not watertight, or its volume is off by more than 0.1 %.
     """
     choice("part", part, PARTS)
-    mesh = _trimesh().load_mesh(str(path), file_type="stl")
+    mesh = trimesh().load_mesh(str(path), file_type="stl")
     if not mesh.is_watertight:
         raise SolveError(f"{name or path}: the solid of the {part} is not watertight")
     wanted = mold.base_volume if part == "base" else mold.lid_volume
@@ -68,14 +68,14 @@ def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name
 
 
 def _base(mold: Mold) -> Any:
-    manifold = _manifold()
+    library = manifold()
     thickness = mold.spec.plate.thickness
     solid = _box(mold, thickness, -thickness)
     for groove in mold.grooves:
         # Beyond the edge by more than an oblique exit needs.
         curve = groove.centreline.lengthened(20 * groove.width)
         corners = polygon(curve, groove.width, SAGITTA)
-        cutter = manifold.Manifold.extrude(manifold.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
+        cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
     return _drilled(solid, mold.holes, thickness, -thickness)
 
@@ -86,19 +86,19 @@ def _lid(mold: Mold) -> Any:
 
 
 def _box(mold: Mold, thickness: float, bottom: float) -> Any:
-    box = _manifold().Manifold.cube((mold.size[0] * TO_MM, mold.size[1] * TO_MM, thickness * TO_MM))
+    box = manifold().Manifold.cube((mold.size[0] * TO_MM, mold.size[1] * TO_MM, thickness * TO_MM))
     return box.translate((0.0, 0.0, bottom * TO_MM))
 
 
 def _drilled(solid: Any, holes: Any, thickness: float, bottom: float) -> Any:
-    manifold = _manifold()
+    library = manifold()
     for hole in holes:
-        drill = manifold.Manifold.cylinder((thickness + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, HOLE_SIDES)
+        drill = library.Manifold.cylinder((thickness + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, HOLE_SIDES)
         solid -= drill.translate((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM, (bottom - ABOVE) * TO_MM))
     return solid
 
 
-def _manifold() -> Any:
+def manifold() -> Any:
     try:
         import manifold3d
     except ImportError:
@@ -106,7 +106,7 @@ def _manifold() -> Any:
     return manifold3d
 
 
-def _trimesh() -> Any:
+def trimesh() -> Any:
     try:
         import trimesh
     except ImportError:

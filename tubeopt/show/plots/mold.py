@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
+    from ...robots.tubes import Tube
     from ...shaping.mold.mold import Groove, Mold
     from ...shaping.mold.ranking import MaterialRating
     from ...shaping.mold.springback import Calibration
@@ -46,7 +47,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     draw_mold(axes, mold)
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
-    radii = ",  ".join(f"tube {groove.number}: {groove.radius * TO_MM:.2f} mm" for groove in mold.grooves)
+    radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
     axes.set_title(f"{title or _heading(mold)}\nradius of the groove  {radii}", loc="left")
     return figure
 
@@ -165,12 +166,11 @@ def _text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, w
 def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     """What the workshop needs to know of one groove; mm and deg."""
     tube, back = groove.tube, mold.spec.springback
-    radius = "straight" if tube.curvature == 0 else f"{TO_MM / abs(tube.curvature):.2f}"
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return [
         ("tube, outer / inner diameter", f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"),
-        ("wanted radius", radius),
-        ("mold radius", f"{groove.radius * TO_MM:.3f}"),
+        ("wanted radius", _least(tube, ".2f")),
+        ("mold radius", _least(groove.held, ".3f")),
         (
             "spring-back of the curvature",
             f"{(1 - back.obtained(1.0)) * 100 if back.slope == 0 else _lost(groove):.2f} %",
@@ -186,6 +186,13 @@ def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
         ("growth / travel of the sliding clamp", f"{groove.growth * TO_MM:.2f} / {_travel(groove) * TO_MM:.1f}"),
         ("trim, proximal / distal", f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}"),
     ]
+
+
+def _least(tube: Tube, digits: str, unit: str = "") -> str:
+    """The radius of a tube, mm, or the least of many."""
+    if tube.curvature == 0:
+        return "straight"
+    return f"{'≥ ' if tube.general else ''}{TO_MM / abs(tube.curvature):{digits}}{unit}"
 
 
 def _lost(groove: Groove) -> float:
@@ -228,7 +235,7 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
         f"Mill the grooves (grooves.nc). Drill {bolts} bolt holes of {spec.plate.bolt_diameter * TO_MM:g} mm and ream "
         f"2 dowel holes of {spec.plate.dowel_diameter * TO_MM:g} mm through both plates, {len(mold.vents)} vents of "
         f"{spec.vents.diameter * TO_MM:g} mm through the lid (base.dxf, lid.dxf).",
-        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the arc; dowels, lid, bolts.",
+        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
         "buckles.",

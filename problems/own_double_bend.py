@@ -1,0 +1,126 @@
+"""A two-tube robot for a given double bend: the outer tube an S, the inner one what runs out of it.
+
+The way goes 40 mm to one side and 40 mm to the other, on radii of 60 and 45 mm in one plane. Free are the curvatures
+of the two pieces of either tube. The fit is by least squares of the distance from the way, at full length and while
+the inner tube is drawn back into the outer one.
+
+One learns: at full length many pairs of tubes fit alike, since only the mean of the curvatures by stiffness is seen
+from outside. That the robot keeps to the way while it grows leaves one pair: an inner tube that is bent alike all
+along, which may slide as it likes, and an outer S that makes up for it. In the plane that is stable, with a margin of
+0.15; the tubes must not be turned, since the certificate is negative: turned, they may snap.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.optimize
+
+from tubeopt import ConcentricRobot, Equilibrium, Piece, Tube, forward_kinematics, snap_free_certificate
+
+ROOT = Path(__file__).resolve().parents[1]
+
+FIRST, SECOND = 40e-3, 40e-3
+RADII = 60e-3, 45e-3
+INNER, OUTER = (1.0e-3, 0.7e-3), (1.6e-3, 1.2e-3)
+OUT = 15e-3
+"""Length by which the inner tube passes the outer one at full length, m."""
+
+DRAWN_BACK = (0.0, 5e-3, 10e-3, 15e-3)
+"""How far the inner tube is drawn back, m."""
+
+
+def way(s: np.ndarray) -> np.ndarray:
+    """(N, 3) points of the double bend at arc lengths (N,), m; it begins along z and bends towards -y."""
+    heading = np.where(s < FIRST, s / RADII[0], FIRST / RADII[0] - (s - FIRST) / RADII[1])
+    first = RADII[0] * np.column_stack([1 - np.cos(heading), np.sin(heading)])
+    turn = FIRST / RADII[0]
+    joint = RADII[0] * np.array([1 - np.cos(turn), np.sin(turn)])
+    second = joint + RADII[1] * np.column_stack([np.cos(heading) - np.cos(turn), np.sin(turn) - np.sin(heading)])
+    plane = np.where((s < FIRST)[:, None], first, second)
+    return np.column_stack([np.zeros(len(s)), -plane[:, 0], plane[:, 1]])
+
+
+def robot_of(x: np.ndarray) -> ConcentricRobot:
+    """The robot with curvatures (1/m) of the inner tube's and the outer tube's pieces."""
+    inner = Tube.of_pieces(*INNER, [Piece(FIRST, x[0]), Piece(SECOND, x[1])], straight_length=40e-3)
+    outer = Tube.of_pieces(*OUTER, [Piece(FIRST, x[2]), Piece(SECOND - OUT, x[3])], straight_length=20e-3)
+    return ConcentricRobot((inner, outer))
+
+
+def solved(robot: ConcentricRobot, back: float) -> Equilibrium:
+    """The robot with the inner tube drawn back, m; both curves lie in one plane."""
+    return forward_kinematics(robot, np.zeros(2), robot.home_translations - np.array([back, 0.0]))
+
+
+def fitted() -> np.ndarray:
+    """(4,) curvatures (1/m) of the best pair."""
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        robot = robot_of(x)
+        return np.concatenate([_offsets(solved(robot, back)) for back in DRAWN_BACK]) * 1e3
+
+    start = np.array([8.0, -8.0, 1 / RADII[0], -1 / RADII[1]])
+    return np.asarray(scipy.optimize.least_squares(residual, start, x_scale=10.0, xtol=1e-12, ftol=1e-12).x)
+
+
+def _offsets(equilibrium: Equilibrium) -> np.ndarray:
+    """(3 m,) coordinates of the centreline's points less those of the way at the same arc lengths, m."""
+    return np.asarray((equilibrium.position - way(equilibrium.arc_length)).ravel())
+
+
+def main(out: Path, samples: int = 30) -> list[Path]:
+    """Fit the tubes, sample how far the robot leaves the way as it grows, and save the picture into `out`."""
+    x = fitted()
+    robot = robot_of(x)
+    print("inner tube {:.3f}, {:.3f}; outer tube {:.3f}, {:.3f} per m".format(*x))
+    backs = np.linspace(0.0, OUT, samples)
+    grown = [solved(robot, float(back)) for back in backs]
+    off = [float(np.abs(_offsets(each)).max()) for each in grown]
+    print(f"off the way by at most {max(off) * 1e6:.2f} um at {samples} lengths")
+    print(f"least margin {min(each.margin for each in grown):.4f}, certificate {snap_free_certificate(robot):.4f}")
+    picture = out / "own_double_bend.png"
+    _draw(x, grown, picture)
+    return [picture]
+
+
+def _draw(x: np.ndarray, grown: list[Equilibrium], path: Path) -> None:
+    """The way with the robot on it at three lengths, and the curvatures that make it."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6), layout="constrained")
+    line = way(np.linspace(0.0, FIRST + SECOND, 400)) * 1e3
+    left.plot(line[:, 2], line[:, 1], color="0.75", lw=7, solid_capstyle="round", label="way")
+    for k, colour in ((0, "#0072B2"), (len(grown) // 2, "#E69F00"), (len(grown) - 1, "#D55E00")):
+        points = grown[k].position * 1e3
+        length = grown[k].arc_length[-1] * 1e3
+        left.plot(points[:, 2], points[:, 1], color=colour, lw=1.6, label=f"robot, {length:.0f} mm long")
+        left.plot(points[-1, 2], points[-1, 1], "o", ms=4, color=colour)
+    left.set_aspect("equal")
+    left.set_xlabel("z (mm)")
+    left.set_ylabel("y (mm)")
+    left.legend(fontsize=8, frameon=False)
+    for tube, colour, ends, values in (
+        ("inner", "#D55E00", (0, FIRST, FIRST + SECOND), x[:2]),
+        ("outer", "#0072B2", (0, FIRST, FIRST + SECOND - OUT), x[2:]),
+        ("way", "0.6", (0, FIRST, FIRST + SECOND), (1 / RADII[0], -1 / RADII[1])),
+    ):
+        right.stairs(values, np.array(ends) * 1e3, baseline=None, color=colour, lw=2.0, label=tube)
+    right.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+    right.set_xlabel("arc length of the curved part (mm)")
+    right.set_ylabel("curvature (1/m)")
+    right.legend(fontsize=8, frameon=False)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    parser.add_argument("--samples", type=int, default=30, help="lengths at which the robot is looked at")
+    args = parser.parse_args()
+    for path in main(args.out, args.samples):
+        print(f"saved {path}")

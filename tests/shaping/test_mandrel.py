@@ -1,0 +1,169 @@
+"""Mandrels of space curves, read back from their files and compared with the integrated curvature."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, SolveError, Tube, forward_kinematics
+from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
+from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel
+from tubeopt.shaping.mold.mandrel_files import check_mandrel_stl
+from tubeopt.shaping.mold.robot import chosen_tubes
+from tubeopt.show.plots.mandrel import plot_mandrel
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("manifold3d")
+pytest.importorskip("rtree")
+
+BACK = Springback(0.07, shrinkage=0.004)
+SIZES = (1.6e-3, 1.2e-3)
+TUBES = {
+    "left": Tube.of_pieces(*SIZES, [Piece.helix(0.16, 14e-3, 24e-3, left=True)], straight_length=20e-3),
+    "right": Tube.of_pieces(1.92e-3, 1.5e-3, [Piece.helix(0.06, 25e-3, 60e-3), Piece.helix(0.03, 25e-3, 60e-3)]),
+    "slender": Tube.of_pieces(*SIZES, [Piece.helix(0.09, 3e-3, 90e-3)]),
+    "general": Tube.of_pieces(*SIZES, [Piece(0.05, (14.0, 0.0, 0.0)), Piece(0.05, lambda s: (10.0, 100 * s, 8.0))]),
+}
+
+
+def asked(tube: Tube, back: Springback, places: np.ndarray) -> np.ndarray:
+    """(N, 3) points at arc lengths (N,) of the curve that springs back to the tube, by Runge and Kutta."""
+    kept, longer = 1 - back.fraction, 1 / (1 - back.shrinkage)
+    state, begin, found = np.concatenate([np.zeros(3), np.eye(3).ravel()]), 0.0, []
+    for piece in tube.pieces:
+        length = piece.length * longer
+
+        def rate(s: float, y: np.ndarray, piece: Piece = piece) -> np.ndarray:
+            x, y_, z = (float(q(np.array([s / longer]))[0]) if callable(q) else q for q in piece.precurvature)
+            R = y[3:].reshape(3, 3)
+            hat = np.array([[0, -z, y_ / kept], [z, 0, -x / kept], [-y_ / kept, x / kept, 0]])
+            return np.concatenate([R[:, 2], (R @ hat).ravel()])
+
+        inside = (places >= begin - 1e-12) & (places <= begin + length + 1e-12) & (places > begin - (begin == 0))
+        at = np.clip(places[inside] - begin, 0.0, length)
+        walked = solve_ivp(rate, (0.0, length), state, "DOP853", dense_output=True, rtol=1e-11, atol=1e-13)
+        found.append(walked.sol(at)[:3].T)
+        state, begin = walked.y[:, -1], begin + length
+    return np.vstack(found)[: len(places)]
+
+
+def laid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """Points moved rigidly, nothing mirrored, so that they lie on others as closely as can be (Kabsch)."""
+    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
+    u, _, v = np.linalg.svd(a.T @ b)
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    return a @ turn + onto.mean(axis=0)
+
+
+def off(tube: Tube, arc_length: np.ndarray, points: np.ndarray) -> float:
+    """Greatest distance (m) of points at arc lengths from where the asked curve has them."""
+    return float(np.linalg.norm(laid(asked(tube, BACK, arc_length), points) - points, axis=1).max())
+
+
+@pytest.fixture(scope="module", params=list(TUBES))
+def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Tube, Mandrel, Path]:
+    tube, out = TUBES[request.param], tmp_path_factory.mktemp("mandrel")
+    mandrel = plan_mandrel(tube, MoldSpec(springback=BACK))
+    turned = request.param in ("left", "right")
+    assert isinstance(mandrel.body, Cylinder if turned else Block)
+    names = {path.name for path in write_mandrel(mandrel, out)}
+    assert names == {"mandrel.stl"} | ({"mandrel.csv", "mandrel.nc"} if turned else set())
+    return tube, mandrel, out
+
+
+def test_the_solid_has_its_groove_where_spring_back_asks(made: tuple[Tube, Mandrel, Path]) -> None:
+    tube, mandrel, out = made
+    mesh = trimesh.load_mesh(out / "mandrel.stl")
+    assert mesh.is_watertight
+    s, own = (field[mandrel.winding.bend] for field in (mandrel.winding.arc_length, mandrel.winding.points))
+    curve = laid(asked(tube, BACK, s), own)[::2]
+    assert np.linalg.norm(curve - own[::2], axis=1).max() < 1e-6
+    away = trimesh.proximity.closest_point(mesh, curve * 1e3)[1] / 1e3
+    assert np.abs(away - mandrel.width / 2).max() < 1e-5
+    # Nothing is left in the tube's way, from one end of the leads to the other, nor above it.
+    inside = mesh.contains(mandrel.winding.points[1:-1:3] * 1e3)
+    assert not inside.any()
+    assert check_mandrel_stl(mandrel, out / "mandrel.stl") < 1e-6
+
+
+def test_the_table_of_a_turned_one_is_the_helix(made: tuple[Tube, Mandrel, Path]) -> None:
+    tube, mandrel, out = made
+    if not isinstance(mandrel.body, Cylinder):
+        return
+    table = np.loadtxt(out / "mandrel.csv", delimiter=",", skiprows=1)
+    s, feed, turn, tip = table.T * np.array([[1e-3], [1e-3], [math.pi / 180], [1e-3]])
+    bend = (s >= 0) & (s <= mandrel.held.curved_length + 1e-9)
+    centre = tip + mandrel.width / 2
+    points = np.column_stack([feed, centre * np.cos(turn), centre * np.sin(turn)])
+    assert off(tube, s[bend], points[bend]) < 1e-6
+    # A handed helix: what is wound to the other side lies nowhere near.
+    mirrored = points * np.array([1.0, 1.0, -1.0])
+    assert off(tube, s[bend], mirrored[bend]) > 1e-3
+    # The leads are straight, and tangent.
+    lead = points[s > mandrel.held.curved_length]
+    ways = np.diff(lead, axis=0)
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    assert np.abs(ways[1:-1] - ways[1]).max() < 1e-3
+    text = (out / "mandrel.nc").read_text()
+    deepest = text.split("G93")[-1]
+    moves = np.array(
+        [[float(x) for x in row] for row in re.findall(r"X([-\d.]+) A([-\d.]+) Z([-\d.]+) F", deepest)]
+    ) * [1e-3, math.pi / 180, 1e-3]
+    centre = moves[:, 2] + mandrel.width / 2
+    cut = np.column_stack([moves[:, 0], centre * np.cos(moves[:, 1]), centre * np.sin(moves[:, 1])])
+    assert np.abs(cut - points[1:]).max() < 1e-6
+
+
+def test_what_comes_off_is_what_was_asked_for(made: tuple[Tube, Mandrel, Path]) -> None:
+    tube, mandrel, _ = made
+    again = predict_wound_tube(mandrel)
+    tips = [forward_kinematics(ConcentricRobot([t]), [0.0]).tip_position for t in (tube, again)]
+    assert np.linalg.norm(tips[0] - tips[1]) < 1e-9
+    other = predict_wound_tube(mandrel, springback=Springback(0.1))
+    assert other.curvature == pytest.approx(tube.curvature / 0.93 * 0.9)
+
+
+def test_a_solid_of_another_mandrel_is_seen(made: tuple[Tube, Mandrel, Path]) -> None:
+    tube, _, out = made
+    with pytest.raises(SolveError, match="um from the curve"):
+        check_mandrel_stl(plan_mandrel(tube, MoldSpec(springback=Springback(0.09))), out / "mandrel.stl")
+
+
+def test_pictures(made: tuple[Tube, Mandrel, Path], tmp_path: Path) -> None:
+    plot_mandrel(made[1], tmp_path / "mandrel.png")
+    assert (tmp_path / "mandrel.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("pieces", "message"),
+    [
+        ([Piece(0.05, 10.0)], "tube 1 is bent in a plane; it takes a plate, not a mandrel"),
+        ([Piece.helix(0.2, 20e-3, 4e-3)], "leave 2.348 mm of wall between them; it must be at least 3 mm"),
+        ([Piece.helix(0.05, 10e-3, 3e-3, left=True)], "tube 1 is strained 7.98 %"),
+        ([Piece.helix(0.3, 5e-3, 6e-3)], "tube 1 is strained"),
+        (
+            [Piece.helix(0.15, 20e-3, 4e-3), Piece(0.1, (30.0, 0.0, 0.0)), Piece.helix(0.15, 20e-3, 9e-3, left=True)],
+            "no side of a block opens all of its groove; what can be made is a helix of at least",
+        ),
+    ],
+)
+def test_what_cannot_be_wound_is_refused(pieces: Any, message: str) -> None:
+    tube = Tube.of_pieces(*SIZES, pieces)
+    if not tube.general:
+        tube = Tube(*SIZES, 0.0, 0.05, 10.0)
+    with pytest.raises(InputError) as error:
+        plan_mandrel(tube, None)
+    assert message in str(error.value)
+
+
+def test_the_mold_of_a_robot_leaves_space_curves_out() -> None:
+    robot = ConcentricRobot([TUBES["left"], Tube(2.2e-3, 1.9e-3, 10e-3, 60e-3, 8.0)])
+    assert chosen_tubes(robot) == ([2], ["tube 1 is a space curve and takes a mandrel: tubeopt mold mandrel"])
+    with pytest.raises(InputError, match="no tube of this robot is bent in a plane"):
+        chosen_tubes(ConcentricRobot([TUBES["left"]]))

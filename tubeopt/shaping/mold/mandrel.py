@@ -1,0 +1,270 @@
+"""What holds a tube that is a space curve: a turned cylinder with a helical groove, or a printed block (SI).
+
+The curvature springs back as in a plate; torsion and natural twist are as given. The groove is round below, as wide as
+the tube and the clearance, and its centreline is the curve. Tangent leads run out of the solid at both ends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import InputError, instance
+from ...robots.tubes import Tube
+from ...typing import Array
+from .checks import Check, choose_mill, material_remarks, pressing_strain, refuse_failed
+from .heat import ColdEnd, cold_end
+from .setting import bend_direction, tube_from_mold, tube_in_mold
+from .spec import MoldSpec
+from .springback import Springback
+from .winding import Winding, bend_in_space, helix_of
+
+SHANK = 25e-3
+"""Length of a turned mandrel that the chuck takes, m."""
+
+DIRECTIONS = 200
+"""Sides from which a block may be open that are tried."""
+
+STEEPEST = 0.8
+"""Greatest slope (sine) of a groove in a block towards its open side."""
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A turned cylinder along x: radius and length, m; radius of the helix, m, and its advance per rad, m, left < 0."""
+
+    radius: float
+    length: float
+    helix_radius: float
+    lead: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block [0, x] x [0, y] x [0, z], m, open above."""
+
+    size: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Mandrel:
+    """A mandrel for one tube.
+
+    Attributes:
+        number: of the tube in texts. tube: what it is to become. held: the tube as the mandrel holds it.
+        body: what is turned or printed. winding: centreline of the groove in it, leads included.
+        width: of the groove, and diameter of its round bottom, m.
+        cold: the cold end of the tube. free_length: from clamp to clamp, m.
+        checks, remarks: as of a `Mold`.
+    """
+
+    number: int
+    tube: Tube
+    held: Tube
+    spec: MoldSpec
+    body: Cylinder | Block
+    winding: Winding
+    width: float
+    cold: ColdEnd
+    free_length: float
+    checks: tuple[Check, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def stock_length(self) -> float:
+        """Length of straight tube to cut, m."""
+        lead = (self.free_length - self.held.curved_length) / 2 + self.spec.clamps.grip
+        return max(lead, self.tube.straight_length) + self.held.curved_length + lead
+
+
+def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> Mandrel:
+    """The mandrel on which a space curve is set: turned for a helix with room for a core, else printed.
+
+    Args:
+        tube: made of pieces; planar ones take a plate (`plan_mold`).
+        mold: as of `plan_mold`; of the plate only margin and wall count.
+        number: of the tube, for texts.
+
+    Raises:
+        InputError: the tube is planar, strained too far, no mandrel yields its curvature, turns of the groove run into
+            one another, or no side of a block opens all of the groove.
+    """
+    spec = MoldSpec() if mold is None else mold
+    instance("tube", tube, Tube)
+    if bend_direction(tube) is not None:
+        raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
+    try:
+        held = tube_in_mold(tube, spec.springback)
+    except InputError as error:
+        raise InputError(f"tube {number}: {error}") from None
+    cold = cold_end(tube, spec.material, spec.heat)
+    if spec.cold_length is not None:
+        cold = replace(cold, length=spec.cold_length)
+    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
+    checks = [
+        Check(
+            f"tube {number}: strain when wound into the groove",
+            strain,
+            most,
+            "1",
+            True,
+            f"tube {number} is strained {strain * 100:.3g} % when it is wound into the groove, beyond the "
+            f"{most * 100:.3g} % that {tube.material.name} springs back from; set it in steps",
+        )
+    ]
+    refuse_failed(checks)
+    found = helix_of(held)
+    width = tube.outer_diameter + spec.groove.clearance
+    # The groove's bottom, with the floor of a plate below it as the core's radius.
+    turned = found is not None and found[0] / (found[0] ** 2 + found[1] ** 2) >= width / 2 + spec.groove.floor
+    special: list[str] = []
+    body: Cylinder | Block
+    if found is not None and turned:
+        mill, width = choose_mill(number, tube, spec)
+        if abs(mill.diameter - width) > 1e-9:
+            special = [f"none of the end mills at hand is {width * 1e3:g} mm wide; the groove takes a tool ground so"]
+        body, winding = _cylinder(number, held, found, width, spec)
+        checks += _turns_apart(number, held, found, body, width, spec)
+    else:
+        lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
+        body, winding = _block(number, held, lead, width, spec)
+    refuse_failed(checks)
+    leads = winding.arc_length[-1] - winding.arc_length[0] - held.curved_length
+    free = held.curved_length + max(leads + 2 * spec.clamps.gap, 2 * cold.length)
+    remarks = (*_remarks(tube, spec, turned), *special, *material_remarks(spec.material, spec))
+    return Mandrel(number, tube, held, spec, body, winding, width, cold, float(free), tuple(checks), remarks)
+
+
+def predict_wound_tube(mandrel: Mandrel, *, springback: Springback | None = None) -> Tube:
+    """The tube that comes off a mandrel: the reverse of `plan_mandrel`, with the planned or another spring-back."""
+    instance("mandrel", mandrel, Mandrel)
+    return tube_from_mold(mandrel.held, springback or mandrel.spec.springback)
+
+
+def _cylinder(
+    number: int, held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec
+) -> tuple[Cylinder, Winding]:
+    """The helix about x from angle 0, and tangent leads until they have left the cylinder."""
+    curvature, torsion = helix
+    size = curvature**2 + torsion**2
+    radius, lead, bent = curvature / size, torsion / size, math.sqrt(size)
+    outer = radius + width / 2
+    # A straight lead leaves at the radius where its groove's bottom is the surface.
+    out = math.sqrt((radius + width) ** 2 - radius**2) / (radius * bent)
+    advance = abs(lead) * bent
+    first = SHANK + spec.plate.margin + out * advance
+    last = first + abs(lead) * bent * held.curved_length + out * advance + spec.plate.margin
+    count = math.ceil(held.curved_length * bent / math.radians(2.0)) + 1
+    s = np.linspace(0.0, held.curved_length, count)
+    side = math.copysign(1.0, lead)
+    angle = side * s * bent
+    points = np.column_stack([first + advance * s, radius * np.cos(angle), radius * np.sin(angle)])
+    around = side * radius * bent
+    tangents = np.column_stack([np.full(count, advance), -around * np.sin(angle), around * np.cos(angle)])
+    bend = Winding(s, points, tangents, slice(0, count))
+    return Cylinder(outer, last, radius, lead), bend.with_leads(out, out)
+
+
+def _turns_apart(
+    number: int, held: Tube, helix: tuple[float, float], body: Cylinder, width: float, spec: MoldSpec
+) -> list[Check]:
+    """The wall between turns of the groove, square to it, where it makes more than one."""
+    bent = math.hypot(*helix)
+    if held.curved_length * bent <= 2 * math.pi:
+        return []
+    wall = 2 * math.pi * abs(body.lead) * body.helix_radius * bent - width
+    least = spec.groove.wall
+    failure = (
+        f"the turns of the groove of tube {number} leave {wall * 1e3:.4g} mm of wall between them; it must be at least "
+        f"{least * 1e3:.4g} mm: set fewer turns at a time"
+    )
+    return [Check(f"tube {number}: wall between turns of the groove", wall, least, "m", False, failure)]
+
+
+def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
+    """The block of least volume over the sides from which all of the groove can be reached."""
+    bend = bend_in_space(held).with_leads(lead, lead)
+    best: tuple[float, Block, Winding] | None = None
+    for up in _sides(bend.points):
+        if np.abs(bend.tangents @ up).max() > STEEPEST or _meets_itself(bend, up, width + spec.groove.wall):
+            continue
+        along = bend.points[-1] - bend.points[0]
+        x = along - (along @ up) * up
+        x = x / np.linalg.norm(x)
+        turned = bend.moved(np.vstack([x, np.cross(up, x), up]), np.zeros(3))
+        rim = width / 2 + spec.groove.wall
+        # The leads end at the sides of the block, clear of its corners.
+        low, high = turned.points.min(axis=0), turned.points.max(axis=0)
+        inner = turned.points[turned.bend]
+        low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
+        low[1], high[1] = low[1] - rim, high[1] + rim
+        ways = [_way_out(turned.points[k], sign * turned.tangents[k], low, high) for k, sign in ((0, -1), (-1, 1))]
+        low[2] -= width / 2 + spec.groove.floor
+        high[2] += width / 2
+        size = high - low
+        if best is None or size.prod() < best[0]:
+            winding = turned.moved(np.eye(3), -low).with_leads(lead + ways[0], lead + ways[1])
+            best = float(size.prod()), Block((float(size[0]), float(size[1]), float(size[2]))), winding
+    if best is None:
+        raise InputError(
+            f"tube {number} winds so that no side of a block opens all of its groove; what can be made is a helix of "
+            f"at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a turned mandrel, or a curve that does "
+            "not pass over itself seen from one side"
+        )
+    return best[1], best[2]
+
+
+def _sides(points: Array) -> Array:
+    """(N, 3) unit directions: the principal axes of the curve, then evenly about the sphere (Fibonacci)."""
+    axes = np.linalg.svd(points - points.mean(axis=0))[2][::-1]
+    k = np.arange(DIRECTIONS) + 0.5
+    z, angle = 1 - 2 * k / DIRECTIONS, math.pi * (1 + math.sqrt(5)) * k
+    ring = np.sqrt(1 - z**2)
+    return np.vstack([axes, -axes, np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])])
+
+
+def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
+    """Whether the groove, seen along `up`, comes near to where it has been, more than a quarter turn later, or turns
+    more tightly than it is wide."""
+    first = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first)
+    plane = np.column_stack([first, np.cross(up, first)])
+    seen, ways = curve.points @ plane, curve.tangents @ plane
+    heading = np.unwrap(np.arctan2(ways[:, 1], ways[:, 0]))
+    steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    if (np.abs(np.diff(heading)) > 2 * steps / width).any():
+        return True
+    if np.ptp(heading) <= math.pi / 2:
+        return False
+    for k in range(0, len(seen) - 1, 2):
+        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
+        if apart.any() and np.linalg.norm(seen[k:][apart] - seen[k], axis=1).min() < width:
+            return True
+    return False
+
+
+def _way_out(point: Array, direction: Array, low: Array, high: Array) -> float:
+    """Length (m) of the way from a point to the sides of a block, along a unit direction that is not upright."""
+    ways = [
+        ((high if direction[k] > 0 else low)[k] - point[k]) / direction[k] for k in (0, 1) if abs(direction[k]) > 1e-12
+    ]
+    return float(max(min(ways), 0.0))
+
+
+def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
+    remarks = ["the natural twist and torsion are as given: trials of planar bends say nothing about their spring-back"]
+    if not spec.springback.calibrated:
+        remarks.append("the spring-back is not calibrated: tubes will come out straighter; set one, then calibrate")
+    if turned:
+        remarks.append(
+            "cut with a ball-nose end mill; A turns the tool about the work: reverse its sign where A names the turn "
+            "of the chuck, or the helix is wound to the other side"
+        )
+        remarks.append("the leads lie in air, which cools them less than a mold: their cold ends may be longer")
+    else:
+        remarks.append("print it of what endures the set temperature: ceramic, or metal that is insulated")
+    if any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
+        remarks.append("the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn")
+    return remarks

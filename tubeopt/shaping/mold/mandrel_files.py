@@ -1,0 +1,181 @@
+"""Files of a mandrel: the solid (STL, mm); of a turned one the table of rotation and feed (CSV) and its G-code.
+
+Feed is along the axis from the chuck's end, rotation about it. The tool is a ball-nose end mill that points at it.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ...errors import InputError, SolveError
+from ...files.files import atomic_write, write_text
+from ...files.units import TO_MM
+from ...typing import Array
+from .channel import channel
+from .mandrel import Cylinder, Mandrel
+from .stl import manifold, trimesh
+
+TOLERANCE = 1e-5
+"""Greatest distance (m) of the groove in a file from the curve."""
+
+COLUMNS = ("arc_length_mm", "feed_mm", "rotation_deg", "tip_radius_mm")
+SIDES = 720
+"""Corners of a turned mandrel."""
+
+FINE = 1e-4
+"""Distance (m) of places along the leads, where feed and rotation are not proportional."""
+
+
+def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path]:
+    """Write mandrel.stl, and of a turned one mandrel.csv and mandrel.nc; return the paths.
+
+    Raises:
+        InputError: a file cannot be written, or manifold3d or trimesh is not installed.
+        SolveError: what was written lies more than 10 um from the curve when it is read back.
+    """
+    out = Path(directory)
+    paths = [_write_stl(mandrel, out / "mandrel.stl")]
+    if isinstance(mandrel.body, Cylinder):
+        text = mandrel_gcode(mandrel)
+        for path, content, rows in (
+            (out / "mandrel.csv", _csv(mandrel), None),
+            (out / "mandrel.nc", text, read_rotary(text)),
+        ):
+            read = np.loadtxt(io.StringIO(content), delimiter=",", skiprows=1)[:, 1:] if rows is None else rows
+            _must_follow(mandrel, read, path)
+            write_text(path, content)
+            paths.append(path)
+    return paths
+
+
+def rotation_table(mandrel: Mandrel) -> Array:
+    """(N, 4) arc length from the bend's proximal end (m), feed (m), rotation (rad), radius of the tool's tip (m)."""
+    if not isinstance(mandrel.body, Cylinder):
+        raise InputError("the mandrel is printed; only a turned one has a table of rotation and feed")
+    winding = mandrel.winding
+    bend = winding.arc_length[winding.bend]
+    before, after = winding.arc_length[0], winding.arc_length[-1]
+    lead = np.arange(FINE, -before, FINE)
+    s = np.concatenate([[before], -lead[::-1], bend, bend[-1] + lead, [after]])
+    first, last = winding.bend.start, winding.bend.stop - 1
+    p = winding.points[winding.bend]
+    points = np.vstack(
+        [
+            winding.points[first] + s[s < 0][:, None] * winding.tangents[first],
+            p,
+            winding.points[last] + (s[s > bend[-1]] - bend[-1])[:, None] * winding.tangents[last],
+        ]
+    )
+    angle = np.unwrap(np.arctan2(points[:, 2], points[:, 1]))
+    angle -= angle[np.searchsorted(s, 0.0)]
+    radius = np.hypot(points[:, 1], points[:, 2])
+    return np.column_stack([s, points[:, 0], angle, radius - mandrel.width / 2])
+
+
+def _csv(mandrel: Mandrel) -> str:
+    table = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
+    rows = [",".join(f"{x:.5f}" for x in row) for row in table]
+    return "\n".join([",".join(COLUMNS), *rows, ""])
+
+
+def mandrel_gcode(mandrel: Mandrel) -> str:
+    """The groove for a 4th axis: X along it, A about it (deg), Z the tip's distance from it; inverse time feed."""
+    table, milling = rotation_table(mandrel), mandrel.spec.milling
+    assert isinstance(mandrel.body, Cylinder)
+    outer = mandrel.body.radius
+    passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
+    safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
+    lines = [
+        f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * TO_MM:.4f} mm, ball-nose end mill "
+        f"{mandrel.width * TO_MM:g} mm)",
+        "(X from the chuck's end, Z from the axis, A of the tool about the work)",
+        "G21 G90 G94",
+        safe,
+        f"M3 S{milling.spindle * 60:.0f}",
+    ]
+    for k in range(1, passes + 1):
+        tip = np.maximum(table[:, 3], outer - mandrel.width * k / passes)
+        x, a = table[0, 1] * TO_MM, math.degrees(table[0, 2])
+        lines += [
+            safe,
+            f"G0 X{x:.4f} A{a:.5f}",
+            f"G1 Z{tip[0] * TO_MM:.4f} F{milling.plunge_feed * TO_MM * 60:.1f}",
+            "G93",
+        ]
+        for before, here, z in zip(table[:-1], table[1:], tip[1:], strict=True):
+            rate = 60 * milling.feed / (here[0] - before[0])
+            lines.append(f"G1 X{here[1] * TO_MM:.4f} A{math.degrees(here[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
+        lines.append("G94")
+    return "\n".join([*lines, safe, "M5", "M30", ""])
+
+
+def read_rotary(text: str) -> Array:
+    """(N, 3) feed (mm), rotation (deg), radius of the tip (mm) of the last, deepest pass of a program."""
+    last = text.rsplit("G93", 1)[-1]
+    rows = re.findall(r"^G1 X([-\d.]+) A([-\d.]+) Z([-\d.]+)", last, re.MULTILINE)
+    if not rows:
+        raise InputError("the G-code has no moves with X, A and Z after G93")
+    return np.array([[float(x) for x in row] for row in rows])
+
+
+def _must_follow(mandrel: Mandrel, rows: Array, path: Path) -> None:
+    """Refuse a table (mm, deg, mm) whose groove lies more than 10 um from the curve."""
+    feed, angle, tip = rows[:, 0] / TO_MM, np.radians(rows[:, 1]), rows[:, 2] / TO_MM + mandrel.width / 2
+    points = np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)])
+    own = scipy.spatial.KDTree(points)
+    bend = mandrel.winding.points[mandrel.winding.bend][1:]
+    off = float(own.query(bend)[0].max())
+    if off > TOLERANCE:
+        raise SolveError(f"{path}: the groove lies {off * 1e6:.3g} um from the curve")
+
+
+def _write_stl(mandrel: Mandrel, path: Path) -> Path:
+    library = trimesh()
+    mesh = _solid(mandrel).to_mesh()
+    faces = library.Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(faces.export(file_type="stl"))
+        check_mandrel_stl(mandrel, temporary, name=str(path))
+    return path
+
+
+def check_mandrel_stl(mandrel: Mandrel, path: str | PathLike[str], *, name: str = "") -> float:
+    """Greatest deviation (m) of the groove in an STL file: its bottom lies half a width from every point of the bend.
+
+    Raises:
+        SolveError: the solid is not watertight, or the groove lies more than 10 um from the curve.
+    """
+    mesh = trimesh().load_mesh(str(path), file_type="stl")
+    if not mesh.is_watertight:
+        raise SolveError(f"{name or path}: the solid of the mandrel is not watertight")
+    corners = scipy.spatial.KDTree(np.asarray(mesh.vertices) / TO_MM)
+    near = corners.query(mandrel.winding.points[mandrel.winding.bend])[0]
+    off = float(np.abs(near - mandrel.width / 2).max())
+    if off > TOLERANCE:
+        raise SolveError(f"{name or path}: the groove lies {off * 1e6:.3g} um from the curve")
+    return off
+
+
+def _solid(mandrel: Mandrel) -> Any:
+    library, w, body = manifold().Manifold, mandrel.winding, mandrel.body
+    if isinstance(body, Cylinder):
+        solid = library.cylinder(body.length * TO_MM, body.radius * TO_MM, -1.0, SIDES).rotate((0.0, 90.0, 0.0))
+        radial = w.points * np.array([0.0, 1.0, 1.0])
+        away = np.linalg.norm(radial, axis=1)
+        heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
+        return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2)
+    solid = library.cube(tuple(x * TO_MM for x in body.size))
+    beyond = w.with_leads(
+        -w.arc_length[0] + 10 * mandrel.width, w.arc_length[-1] - w.arc_length[w.bend][-1] + 10 * mandrel.width
+    )
+    ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
+    heights = np.maximum(body.size[2] - beyond.points[:, 2], 0.0) + mandrel.width
+    return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2)

@@ -1,0 +1,76 @@
+"""What is said and saved about the mandrel of a space curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Group
+
+from ..robots.tubes import Tube
+from ..shaping.mold.checks import pressing_strain
+from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
+from ..shaping.mold.mandrel_files import write_mandrel
+from .quantities import Quantity
+from .report import Report, remarks, report, two_columns
+
+
+def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
+    """What is said of a turned mandrel only."""
+    return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
+
+
+def _off_it() -> tuple[Quantity[Tube], ...]:
+    return (Quantity("curvature_per_m", "its largest curvature"), Quantity("curved_length_mm", "its curved part"))
+
+
+MANDREL: tuple[Quantity[Mandrel], ...] = (
+    Quantity("tube", "which tube of the robot, from 1", lambda m: m.number),
+    Quantity("made", "turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
+             words="{made}"),
+    Quantity("diameter_mm", "cylinder, diameter", _turned(lambda b: 2 * b.radius), form=".4f", optional=True),
+    Quantity("length_mm", "cylinder, length", _turned(lambda b: b.length), form=".4g", optional=True),
+    Quantity("helix_radius_mm", "helix, radius", _turned(lambda b: b.helix_radius), form=".4f", optional=True),
+    Quantity("pitch_mm", "helix, pitch", _turned(lambda b: 2 * math.pi * abs(b.lead)), form=".4f", optional=True),
+    Quantity("handed", "helix, handed", _turned(lambda b: "left" if b.lead < 0 else "right"), optional=True),
+    Quantity("size_mm", "block", lambda m: m.body.size if isinstance(m.body, Block) else None, form=".4g",
+             optional=True),
+    Quantity("width_mm", "groove, width", form=".4g"),
+    Quantity("bend_length_mm", "bend, length", lambda m: m.held.curved_length, form=".5g"),
+    Quantity("curvature_per_m", "largest curvature of the groove", lambda m: m.held.curvature, form=".5g"),
+    Quantity("strain_percent", "strain when wound in", lambda m: pressing_strain(m.tube, m.held.curvature), form=".3g"),
+    Quantity("cold_length_mm", "cold end from the clamp", lambda m: m.cold.length, form=".4g"),
+    Quantity("free_length_mm", "tube between the clamps", form=".4g"),
+    Quantity("stock_length_mm", "cut the tube to", form=".4g"),
+    Quantity("predicted", "what comes off it", predict_wound_tube, of=_off_it()),
+    Quantity("remarks", "what to beware of", lambda m: list(m.remarks)),
+)  # fmt: skip
+
+
+@report.register(Mandrel)
+class MandrelReport(Report[Mandrel]):
+    """What is said and saved about the mandrel for one tube of a robot."""
+
+    command = "mold mandrel"
+    quantities = MANDREL
+    file = "mandrel.json"
+
+    def title(self) -> str:
+        """Which tube."""
+        return f"mandrel of tube {self.answer.number}"
+
+    def table(self) -> Group:
+        """The numbers for the workshop, then the remarks."""
+        return Group(two_columns(self.title(), self.rows()), *remarks(self.answer.remarks, what="remark"))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write mandrel.json, mandrel.stl, and of a turned one mandrel.csv and mandrel.nc."""
+        return [self.save_record(directory), *write_mandrel(self.answer, directory)]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write mandrel.png."""
+        from .plots.mandrel import plot_mandrel
+
+        return self.drawn(directory, {"mandrel.png": plot_mandrel})

@@ -1,0 +1,106 @@
+"""Mandrels: the solid with its groove in space, and the groove unrolled or from above."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...files.units import TO_MM
+from ...shaping.mold.mandrel import Cylinder, Mandrel
+from ...shaping.mold.mandrel_files import rotation_table
+from ...typing import Array
+from .style import INK, new_figure, picture, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+BODY = "#D9D4C5"
+
+
+@picture
+def plot_mandrel(mandrel: Mandrel, *, title: str = "") -> Figure:
+    """The mandrel in space, and beside it what the workshop needs: rotation over feed, or the groove from above.
+
+    Args:
+        mandrel: what to draw.
+    """
+    figure = new_figure(8.6, 4.0)
+    space = figure.add_subplot(1, 2, 1, projection="3d")
+    side = figure.add_subplot(1, 2, 2)
+    _draw_space(space, mandrel)
+    body, colour = mandrel.body, tube_colour(mandrel.number - 1)
+    w = mandrel.winding
+    if isinstance(body, Cylinder):
+        table = rotation_table(mandrel)
+        bend = (table[:, 0] >= 0) & (table[:, 0] <= mandrel.held.curved_length + 1e-12)
+        feed, turn = table[:, 1] * TO_MM, np.degrees(table[:, 2])
+        side.plot(turn, feed, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
+        side.plot(turn[bend], feed[bend], color=colour, lw=1.8, label="bend")
+        side.set_xlabel("rotation (deg)")
+        side.set_ylabel("feed from the chuck's end (mm)")
+        side.legend(loc="best")
+        pitch = 2 * math.pi * abs(body.lead) * TO_MM
+        words = (
+            f"turned: cylinder {2 * body.radius * TO_MM:.2f} × {body.length * TO_MM:.1f} mm\n"
+            f"groove {mandrel.width * TO_MM:g} mm, radius {body.helix_radius * TO_MM:.3f} mm, "
+            f"pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}-handed"
+        )
+    else:
+        size = np.array(body.size) * TO_MM
+        side.plot(*(w.points[:, :2] * TO_MM).T, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
+        points = w.points[w.bend] * TO_MM
+        drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
+        side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
+        side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
+        side.set_aspect("equal")
+        side.set_xlabel("x (mm)")
+        side.set_ylabel("y (mm)")
+        words = (
+            f"printed: block {size[0]:.1f} × {size[1]:.1f} × {size[2]:.1f} mm\ngroove {mandrel.width * TO_MM:g} mm wide"
+        )
+    figure.suptitle(f"{title or f'Mandrel of tube {mandrel.number}'}, {words}", x=0.02, ha="left", fontsize=9)
+    return figure
+
+
+def _draw_space(axes: Axes, mandrel: Mandrel) -> None:
+    body, w = mandrel.body, mandrel.winding
+    if isinstance(body, Cylinder):
+        angle, x = np.meshgrid(np.linspace(0, 2 * math.pi, 61), np.array([0.0, body.length]) * TO_MM)
+        r = body.radius * TO_MM * 0.985
+        axes.plot_surface(  # type: ignore[attr-defined]
+            x, r * np.cos(angle), r * np.sin(angle), color=BODY, alpha=0.55, lw=0, shade=True
+        )
+        for end in (0.0, body.length * TO_MM):
+            ring = np.linspace(0, 2 * math.pi, 61)
+            axes.plot(np.full(61, end), r * np.cos(ring), r * np.sin(ring), color=INK, lw=0.5)
+    else:
+        _draw_box(axes, np.array(body.size) * TO_MM)
+    points = w.points * TO_MM
+    axes.plot(*points.T, color=INK, lw=1.0, ls=(0, (4, 2)))
+    axes.plot(*points[w.bend].T, color=tube_colour(mandrel.number - 1), lw=2.0)
+    low, high = (np.array(f(np.vstack([points, _corners(mandrel)]), axis=0)) for f in (np.min, np.max))
+    axes.set_box_aspect(high - low)
+    axes.set_axis_off()
+    axes.view_init(elev=25, azim=-60)  # type: ignore[attr-defined]
+
+
+def _corners(mandrel: Mandrel) -> Array:
+    body = mandrel.body
+    if isinstance(body, Cylinder):
+        return np.array([[0, -body.radius, -body.radius], [body.length, body.radius, body.radius]]) * TO_MM
+    return np.array([(0.0, 0.0, 0.0), body.size]) * TO_MM
+
+
+def _draw_box(axes: Axes, size: Array) -> None:
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        for a in (0, 1):
+            for b in (0, 1):
+                ends = np.zeros((2, 3))
+                ends[1, axis] = size[axis]
+                ends[:, others[0]], ends[:, others[1]] = a * size[others[0]], b * size[others[1]]
+                axes.plot(*ends.T, color=INK, lw=0.6)
