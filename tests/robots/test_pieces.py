@@ -6,12 +6,13 @@ import math
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from tubeopt import EccentricRobot, InputError, Piece, Tube
+from tubeopt import ConcentricRobot, EccentricRobot, InputError, Piece, Tube, forward_kinematics, load_equilibrium
 from tubeopt.robots.series import Series, expand, extremes, spline
 
 
@@ -146,3 +147,13 @@ def test_what_is_no_tube_is_refused(make: Callable[[], object], message: str) ->
     with pytest.raises(InputError) as caught:
         make()
     assert str(caught.value).startswith(message)
+
+
+def test_an_equilibrium_of_a_wavy_tube_survives_its_file(tmp_path: Path) -> None:
+    wavy = Piece(0.05, varying, bending_stiffness=lambda s: 1e-3 + 0.01 * s)
+    robot = ConcentricRobot((tube_of(wavy, Piece(0.05, -10.0)),))
+    solved = forward_kinematics(robot, [1.0])
+    solved.save(tmp_path)
+    again = load_equilibrium(tmp_path)
+    assert again.robot == robot
+    assert again.tip_position == pytest.approx(solved.tip_position, abs=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -129,6 +129,8 @@ def _vector(value: ArrayLike) -> Array:
 
 
 def _quantity(name: str, given: Any, length: float) -> Quantity:
+    if isinstance(given, Mapping):  # a series, as JSON has it
+        given = Series(**given)
     if not isinstance(given, Series):
         return finite(name, given)
     if abs(given.length - length) > 1e-12 * length:
