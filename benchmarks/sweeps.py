@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tubeopt import sweep
-from tubeopt.cli.sweep import record_of
 from tubeopt.runs.sweep_file import load_sweep
+from tubeopt.show.reports import to_dict
 
 from .timing import ROOT, dump, show, table
 
@@ -77,7 +77,7 @@ def sweeps(points: int) -> dict[str, float]:
         for what, workers, directory in runs:
             began = time.perf_counter()
             sweep(
-                question.function(record_of),
+                question.function(to_dict),
                 question.points,
                 Path(name) / directory,
                 fingerprint=question.fingerprint,

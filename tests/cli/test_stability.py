@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tests.stability.robots import inner_and_middle
 from tubeopt import ConcentricRobot, JointLimits, SolveError, find_snap, load_robot, snap_free_certificate
 from tubeopt.runs import stability_studies
 from tubeopt.runs.study_file import load_study
-from tubeopt.show import plots as plotting
 from tubeopt.stability import ASSUMING
 
 COMMANDS = ["equilibria", "snap", "follow", "certify", "stability-map"]
@@ -508,11 +508,11 @@ def test_without_a_solution_nothing_is_saved(run: Run, monkeypatch: pytest.Monke
 def test_an_interrupted_picture_leaves_nothing_half_written(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def interrupted(snap: object, path: Path) -> None:
+    def interrupted(figure: Figure, path: Path, **options: object) -> None:
         path.write_bytes(PNG)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(plotting, "plot_snap", interrupted)
+    monkeypatch.setattr(Figure, "savefig", interrupted)
     assert run("snap", THESIS, "--to-deg", "360,0,0", "--out", str(tmp_path)).code == 130
     saved(tmp_path, "snap.json")
     json.loads((tmp_path / "snap.json").read_text(encoding="utf-8"))

@@ -25,8 +25,8 @@ from tubeopt.design import (
     Stroke,
     Target,
 )
+from tubeopt.design.bending import pose_strain
 from tubeopt.design.program import compile_task, evaluate, stack, state_at, total_objective
-from tubeopt.design.rows import pose_strain
 from tubeopt.design.starts import with_joints
 from tubeopt.design.verify_tubes import largest_strain
 from tubeopt.typing import Array

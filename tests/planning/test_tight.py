@@ -25,7 +25,7 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.bodies.corridors import Corridor
-from tubeopt.bodies.obstacles import Box, Capsule, Obstacle, Sphere
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.control.chart import Chart
 from tubeopt.control.clock import Clock
 from tubeopt.control.closed import pocket
@@ -51,6 +51,8 @@ def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> O
         at = tip + away * x
         if kind == "sphere":
             return Sphere(tuple(at.tolist()), 4e-3)
+        if kind == "half-space":
+            return HalfSpace(tuple(at.tolist()), tuple((-away).tolist()))
         if kind == "capsule":
             return Capsule(tuple((at - 0.02 * side).tolist()), tuple((at + 0.02 * side).tolist()), 2e-3)
         low = tip + np.array([-0.01, -0.01, x])
@@ -72,6 +74,27 @@ def test_places_that_are_barely_clear_are_planned_to(robot: Robot, kind: str, sp
     assert found.proof.least_clearance >= 1e-3
     again = plan_trajectory(robot, goal, start, obstacles=[body], options=PLAIN)
     assert again.proved
+
+
+@pytest.mark.parametrize("spare", [3e-4, 1e-5])
+def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
+    """The plate itself is hardly clear of the wall, so that all arms are as close to it, and most of an arm at once."""
+    shift = joint_space(THESIS).split(joint_space(THESIS).inside())[1]
+    start, goal = (forward_kinematics(THESIS, q, shift) for q in (np.zeros(3), [1.2, 0.9, 0.4]))
+    free, tight = (
+        plan_trajectory(
+            THESIS,
+            start,
+            goal,
+            obstacles=[body_at(goal, start, "half-space", left)],
+            options=PlanOptions(clearance=1e-3),
+        )
+        for left in (0.03, spare)
+    )
+    assert tight.proved
+    assert tight.statistics.smoothed == "length"
+    assert tight.statistics.length < 1.01 * free.statistics.length
+    assert tight.statistics.iterations <= 2 * free.statistics.iterations
 
 
 def test_goals_of_barely_enough_margin_are_planned_to() -> None:

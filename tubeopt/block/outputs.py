@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
+from ..physics.strain import surface_strain
 from ..transcription import functions
 
 if TYPE_CHECKING:
@@ -96,9 +97,9 @@ class Outputs:
         model, degree = self.model, self.model.grid.degree
         bend = model.mapped("bend")(*model.arguments, model.natural)[tube, :]
         radius = self.robot.tubes[tube].outer_diameter / 2
-        own = radius * ca.fabs(model.natural[tube, :])
-        factor = ca.reshape(ca.repmat(model.present[tube, :] * radius / (1 - own), degree, 1), 1, -1)
-        strain = ca.vec(factor * bend)
+        rows = (model.natural[tube, :], model.present[tube, :])
+        natural, there = (ca.reshape(ca.repmat(row, degree, 1), 1, -1) for row in rows)
+        strain = ca.vec(there * surface_strain(radius, bend, natural))
         if self._moving:
             return strain
         kept = np.flatnonzero(np.repeat(self.layout.present[tube], degree)).tolist()

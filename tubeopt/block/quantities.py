@@ -28,18 +28,30 @@ TUBES = (
 )
 """Dimensions and stiffnesses of the tubes, (n,) each, SI."""
 
-SIZES = {"tip_position": 3, "tip_direction": 3, "margin": 1, "position": 3, "curvature": 2, "certificate": 1}
+CLEARANCES = 24
+"""Parts of the arm in each of which the clearance is told where it is least."""
+
+SIZES = {
+    "tip_position": 3,
+    "tip_direction": 3,
+    "margin": 1,
+    "position": 3,
+    "curvature": 2,
+    "strain": 1,
+    "clearance": CLEARANCES,
+    "certificate": 1,
+}
 """Numbers that a quantity has; the others have one per tube."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length, or
-    the translations (n,) of a certificate."""
+    """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length,
+    the translations (n,) of a certificate, the tube of a strain, or the body of a clearance."""
 
     name: str
     pose: int | None = None
-    at: tuple[float, ...] = ()
+    at: tuple[Any, ...] = ()
 
     def size(self, n: int) -> int:
         """Numbers that it has, for n tubes."""
@@ -74,7 +86,7 @@ class PoseQuantities:
     def __init__(self, look: Look, number: int) -> None:
         self._look, self._number = look, number
 
-    def _of(self, name: str, *at: float) -> Any:
+    def _of(self, name: str, *at: Any) -> Any:
         return self._look(Quantity(name, self._number, at))
 
     @property
@@ -109,6 +121,17 @@ class PoseQuantities:
     def curvature(self, fraction: float) -> Any:
         """(2,) of the arm in its Bishop frame, 1/m, at a fraction of its length."""
         return self._of("curvature", _fraction(fraction))
+
+    def strain(self, tube: int) -> Any:
+        """Largest bending strain at the surface of a tube (0 is the innermost). For designs only."""
+        return self._of("strain", int(tube))
+
+    def clearance(self, body: Any) -> Any:
+        """(CLEARANCES,) least distance of the arm's surface from a body in parts of the arm, m. For designs only.
+
+        `body` has `signed_distance` and `gradient` of points, as those of `tubeopt.bodies` have.
+        """
+        return self._of("clearance", body)
 
 
 def _fraction(value: float) -> float:

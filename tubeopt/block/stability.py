@@ -71,7 +71,7 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
 
 def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
     """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
-    `mechanics.certificate`, with the pieces of the block in place of sections."""
+    `physics.certificate`, with the pieces of the block in place of sections."""
     floor, model = _checked("margin", margin), block.model
     if model.place:
         raise InputError("the robot is eccentric; this certificate holds for concentric tubes")

@@ -18,6 +18,7 @@ from ..errors import InputError, NotProvedError, SolveError
 from ..stability import ASSUMING
 from . import (
     design,
+    doctor,
     fabricate,
     heat,
     inverse,
@@ -84,6 +85,7 @@ app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml 
 app.command(epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt verify results/trajectory.csv --min-margin 0.05")(
     plan.verify
 )
+app.command(epilog="Example: tubeopt doctor")(doctor.doctor)
 app.add_typer(mold.app, name="mold")
 app.add_typer(robot.app, name="robot")
 

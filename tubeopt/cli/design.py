@@ -14,8 +14,8 @@ from rich.text import Text
 from ..errors import InputError
 from ..runs.design_study import DesignStudy
 from ..runs.study_file import load_study
-from ..show import design_report
-from ..show.report import can_be_saved, present, report
+from ..show.report import can_be_saved, present
+from ..show.reports import report
 from .options import JsonOption, OutOption, PlotOption
 
 WORDS = {"feasibility": "towards feasibility, largest violation", "optimum": "towards the optimum, minimised"}
@@ -68,6 +68,3 @@ def iterating() -> Iterator[tuple[Callable[[int, int], object], Callable[[str, f
             live.update(Text(f"designing{part}"))
 
         yield progress, watch
-
-
-__all__ = ["design", "design_report"]

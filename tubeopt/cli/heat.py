@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from decimal import Decimal
 from typing import Annotated, Any
 
@@ -10,21 +9,21 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import InputError, SolveError
+from ..files.checked import check
+from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.tubes import Tube
+from ..runs.heating_study import HeatingStudy
 from ..runs.rig_file import load_heating_log, load_heating_trials, load_rig
-from ..shaping.heating.calibration import FACTORS, calibrate
-from ..shaping.heating.files import slot_milliseconds
-from ..shaping.heating.plan import HeatingPlan
-from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.calibration import FACTORS, RigFit, calibrate
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import CHARGES, Uncertainty, assess, charge_tables, most_likely
+from ..shaping.heating.robust import CHARGES, Uncertainty
 from ..shaping.heating.spec import HeatingSpec
-from ..shaping.heating.trials import calibrate_from_trials
-from ..shaping.mold.materials import mold_material
-from ..show.heat_report import FitReport, HeatReport, TrialReport
+from ..shaping.heating.trials import TrialFit, calibrate_from_trials
+from ..show.heat_report import missed
 from ..show.progress import working
 from ..show.report import can_be_saved, present
+from ..show.reports import report
 from .options import JsonOption, OutOption, PlotOption, numbers
 
 
@@ -116,87 +115,35 @@ def plan(
     Ends with 3 where the window cannot be held within limit, ramp and currents; the best schedule and what would help
     are shown and saved all the same.
     """
-    made = _with(load_rig(rig), material, voltage)
-    heated = chosen_tube(made, robot, tube)
-    window = _floats("--window-degC", window_degc)
-    spec = HeatingSpec(
-        window_degC=window,  # type: ignore[arg-type]
-        hold_time=hold_s,
-        limit_degC=limit_degc,
-        ramp=ramp_k_per_s,
-        objective=objective,
-        longest_heating=longest_s,
-        slot=slot_s,
-        quench=quench,
-        free=tuple(part.strip() for part in free.split(",") if part.strip()),
-    )
-    charges = chosen_charges(charges_percent)
-    slot_milliseconds(spec.slot)
-    uncertainty = Uncertainty(loss=loss_percent / 100)
+    flags: dict[str, Any] = {
+        "kind": "heating",
+        "rig": rig,
+        "robot": robot,
+        "tube": tube,
+        "window_degC": numbers(window_degc),
+        "limit_degC": limit_degc,
+        "hold_s": hold_s,
+        "ramp_K_per_s": ramp_k_per_s,
+        "objective": objective,
+        "slot_s": slot_s,
+        "longest_s": longest_s,
+        "quench": quench,
+        "free": [part.strip() for part in free.split(",") if part.strip()],
+        "material": material,
+        "battery_V": voltage,
+        "charges_percent": [] if charges_percent == "none" else numbers(charges_percent),
+        "loss_percent": loss_percent,
+        "robust": robust,
+        "samples": samples,
+    }
+    names = {key: f"--{key.replace('_', '-')}" for key in flags} | {"rig": "", "robot": ""}
+    study = check(HeatingStudy, {key: value for key, value in flags.items() if value is not None}, "", names=names)
     can_be_saved(out)
     with working("planning the heating") as progress:
-        answer = heat_report(
-            made, heated, spec, charges, (uncertainty, samples if loss_percent else 0, robust), progress
-        )
-    present(answer, out=out, as_json=as_json, plot=plot)
+        answer = study.run(progress)
+    present(report(answer), out=out, as_json=as_json, plot=plot)
     if not answer.plan.feasible:
         raise SolveError(missed(answer.plan))
-
-
-def missed(plan: HeatingPlan) -> str:
-    """What a plan does not keep, in words."""
-    low, high = plan.spec.window_degC
-    window = f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s"
-    cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
-    return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
-
-
-def heat_report(
-    rig: Rig,
-    tube: Tube,
-    spec: HeatingSpec,
-    charges: tuple[float, ...],
-    ensemble: tuple[Uncertainty, int, bool],
-    progress: Any = None,
-) -> HeatReport:
-    """The plan with its tables by charge and its band; `ensemble`: uncertainty, samples (0: none), whether to scale."""
-    tell = progress or (lambda done, total: None)
-    tell(0, 1 + len(charges) + bool(ensemble[1]))
-    return report_of(plan_heating(tube, rig, spec), charges, ensemble, progress)
-
-
-def report_of(
-    planned: HeatingPlan,
-    charges: tuple[float, ...],
-    ensemble: tuple[Uncertainty, int, bool],
-    progress: Any = None,
-) -> HeatReport:
-    """A plan with its tables by charge and its band, as above."""
-    uncertainty, samples, robust = ensemble
-    steps = 1 + len(charges) + bool(samples)
-    tell = progress or (lambda done, total: None)
-    tell(1, steps)
-    band, scale = None, 1.0
-    if samples:
-        if robust:
-            better = most_likely(planned, uncertainty, samples=samples)
-            planned, band, scale = better.plan, better.band, better.scale
-        else:
-            band = assess(planned, uncertainty, samples=samples)
-    tables: list[HeatingPlan] = []
-    for k, charge in enumerate(charges):
-        tables += charge_tables(planned, [charge])
-        tell(2 + k, steps)
-    tell(steps, steps)
-    return HeatReport(planned, tuple(tables), band, uncertainty, scale)
-
-
-def _with(rig: Rig, material: str | None, voltage: float | None) -> Rig:
-    if material is not None:
-        rig = replace(rig, mold=replace(rig.mold, material=mold_material(material)))
-    if voltage is not None:
-        rig = rig.with_charge(rig.battery.charge_at(voltage))
-    return rig
 
 
 @app.command("calibrate", epilog="Example: tubeopt heat calibrate configs/experiments/heating_log.csv "
@@ -229,10 +176,10 @@ def calibrate_command(
     can_be_saved(out)
     with working("calibrating the rig") as progress:
         progress(0, 0)
-        answer: FitReport | TrialReport
+        answer: RigFit | TrialFit
         if trials:
-            answer = TrialReport(calibrate_from_trials(heated, given, load_heating_trials(log)))
+            answer = calibrate_from_trials(heated, given, load_heating_trials(log))
         else:
             names = [name.strip() for name in parameters.split(",")]
-            answer = FitReport(calibrate(heated, given, load_heating_log(log, position_mm / 1e3), names))
-    present(answer, out=out, as_json=as_json, plot=plot)
+            answer = calibrate(heated, given, load_heating_log(log, position_mm / TO_MM), names)
+    present(report(answer), out=out, as_json=as_json, plot=plot)

@@ -9,18 +9,20 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import InputError, positive
+from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..runs.mold_file import load_mold_spec, load_springback, load_trials
+from ..runs.mold_study import Ranking
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.materials import mold_material
 from ..shaping.mold.ranking import rank_mold_materials
 from ..shaping.mold.robot import plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import calibrate_springback
-from ..show.mold_report import CalibrationReport, MaterialsReport
-from ..show.report import can_be_saved, present, report
+from ..show.report import can_be_saved, present
+from ..show.reports import report
 from .options import JsonOption, OutOption, PlotOption, RobotArgument
 
 
@@ -71,7 +73,7 @@ def plan(
     if springback is not None:
         spec = replace(spec, springback=load_springback(springback))
     if cold_length_mm is not None:
-        spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / 1e3)
+        spec = replace(spec, cold_length=positive("--cold-length-mm", cold_length_mm, zero=True) / TO_MM)
     numbers = _tube_numbers(tubes)
     can_be_saved(out)
     present(report(plan_robot_mold(made_of, spec, numbers)), out=out, as_json=as_json, plot=plot)
@@ -104,7 +106,7 @@ def calibrate(
     can_be_saved(out)
     read = load_trials(trials)
     answer = calibrate_springback(read.mold_radius, read.obtained_radius, model=model)
-    present(CalibrationReport(answer), out=out, as_json=as_json, plot=plot)
+    present(report(answer), out=out, as_json=as_json, plot=plot)
 
 
 @app.command(epilog="Example: tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1")
@@ -130,8 +132,9 @@ def materials(
         wanted = tubes[tube - 1]
     else:
         sizes = (outer_diameter_mm, inner_diameter_mm, curved_length_mm)
-        outer, inner, length = (value / 1e3 for value in sizes)
+        outer, inner, length = (value / TO_MM for value in sizes)
         wanted = Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)
     heat = replace(HeatSpec(), set_temperature=set_degc + ZERO_CELSIUS, hold_time=positive("--hold-s", hold_s))
     can_be_saved(out)
-    present(MaterialsReport(rank_mold_materials(wanted, heat), wanted, heat), out=out, as_json=as_json, plot=plot)
+    answer = Ranking(rank_mold_materials(wanted, heat), wanted, heat)
+    present(report(answer), out=out, as_json=as_json, plot=plot)

@@ -17,9 +17,9 @@ from ..robots.file import load_robot
 from ..runs.obstacle_file import load_obstacles
 from ..runs.plan_study import Checked, PlanStudy
 from ..runs.study_file import load_study
-from ..show import plan_report
 from ..show.progress import working
-from ..show.report import can_be_saved, present, report
+from ..show.report import can_be_saved, present
+from ..show.reports import report
 from .options import JsonOption, OutOption, PlotOption
 
 
@@ -125,6 +125,3 @@ def _number(name: str, text: str) -> Decimal:
         return decimal(parse_number(text))
     except ValueError as error:
         raise InputError(f"{name} {error}") from None
-
-
-__all__ = ["plan", "plan_report", "verify"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,11 +12,10 @@ from ..files.checked import check
 from ..files.units import parse_number
 from ..runs.base import Study
 from ..runs.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
-from ..show.certify_report import EXIT_CODES, CertificationReport
-from ..show.map_report import RobotMapReport
+from ..show.certify_report import EXIT_CODES
 from ..show.progress import working
 from ..show.report import can_be_saved, present
-from ..show.snap_report import EquilibriaReport, MotionReport, WayReport
+from ..show.reports import report
 from .options import JsonOption, OutOption, RobotArgument, RotationsOption, TranslationsOption, numbers
 
 
@@ -43,7 +43,7 @@ def equilibria(
         "translations_mm": numbers(translations_mm),
     }
     answer = _ask(EquilibriaStudy, flags, "searching equilibria", out)
-    present(EquilibriaReport(answer), out=out, as_json=as_json)
+    present(report(answer), out=out, as_json=as_json)
 
 
 def snap(
@@ -70,7 +70,7 @@ def snap(
         "from_mm": numbers(from_mm),
         "to_mm": numbers(to_mm),
     }
-    present(WayReport(_ask(SnapStudy, flags, "looking for the snap", out)), out=out, as_json=as_json)
+    present(report(_ask(SnapStudy, flags, "looking for the snap", out)), out=out, as_json=as_json)
 
 
 def follow(
@@ -89,7 +89,7 @@ def follow(
 ) -> None:
     """Slow motion through waypoints, with its history: where the robot snaps and where it lands."""
     flags = {"kind": "follow", "robot": robot, "path": path}
-    present(MotionReport(_ask(FollowStudy, flags, "following the path", out)), out=out, as_json=as_json)
+    present(report(_ask(FollowStudy, flags, "following the path", out)), out=out, as_json=as_json)
 
 
 def certify(
@@ -119,7 +119,7 @@ def certify(
         "upper_mm": numbers(upper_mm),
     }
     answer = _ask(CertifyStudy, flags, "looking for snaps", out)
-    present(CertificationReport(answer, robot), out=out, as_json=as_json)
+    present(report(replace(answer, robot_file=robot)), out=out, as_json=as_json)
     raise typer.Exit(EXIT_CODES[answer.verdict.finding])
 
 
@@ -146,4 +146,4 @@ def stability_map(
         "workers": parse_number(workers),
     }
     answer = _ask(StabilityMapStudy, flags, "mapping the margin", out)
-    present(RobotMapReport(answer), out=out, as_json=as_json)
+    present(report(answer), out=out, as_json=as_json)

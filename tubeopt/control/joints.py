@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class JointSpace:
     offset: Array
     scale: Array
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length of the longest tube, m: what distances are measured by."""
         return max(tube.length for tube in self.robot.tubes)
@@ -72,9 +73,13 @@ class JointSpace:
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
-        unit = np.eye(len(q))
-        rows = np.vstack([unit, -unit, self.rows])
-        return rows, np.concatenate([self.lower - q, q - self.upper, self.least - self.rows @ q])
+        return self._sides, np.concatenate([self.lower - q, q - self.upper, self.least - self.rows @ q])
+
+    @cached_property
+    def _sides(self) -> Array:
+        """(2m + k, m) rows of the ranges, then of the order."""
+        unit = np.eye(len(self.scale))
+        return np.vstack([unit, -unit, self.rows])
 
     def only_backward(self, q: Array) -> Mask:
         """(m,) translations that can shrink from q but not grow, for their range or for the order of the tubes."""

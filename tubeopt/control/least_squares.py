@@ -31,23 +31,25 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
         matrix: (r, m) of full column rank.   right: (r,).
         rows: (k, m).   bounds: (k,); -inf where there is none.
     """
-    q, r = scipy.linalg.qr(matrix, mode="economic", check_finite=False)
-    free = q.T @ right
-    none = np.zeros(len(bounds), dtype=bool)
+    m = matrix.shape[1]
+    factor = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))[:m]
+    r, free = factor[:, :m], factor[:, m]
+    x, none = _solve(r, free), np.zeros(len(bounds), dtype=bool)
+    missed = bounds - rows @ x
+    if missed.max(initial=0.0) <= 0:
+        return LeastSquares(x, none)
     kept = np.flatnonzero(np.isfinite(bounds))
-    cone = scipy.linalg.solve_triangular(r, rows[kept].T, trans="T", check_finite=False).T
-    length = np.linalg.norm(cone, axis=1)
-    gap = bounds[kept] - cone @ free
-    if (length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))).any():
-        idle = length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))
+    cone = _solve(r, rows[kept].T, transposed=True).T
+    length, gap = np.linalg.norm(cone, axis=1), missed[kept]
+    idle = length <= 1e-14 * max(1.0, float(length.max(initial=0.0)))
+    if idle.any():
         if (gap[idle] > FEASIBLE).any():
             return None
         kept, cone, length, gap = kept[~idle], cone[~idle], length[~idle], gap[~idle]
-    gap = gap / np.where(length > 0, length, 1.0)
-    cone = cone / length[:, None]
+    gap, cone = gap / length, cone / length[:, None]
     scale = float(gap.max(initial=0.0))
     if scale <= 0:
-        return LeastSquares(scipy.linalg.solve_triangular(r, free, check_finite=False), none)
+        return LeastSquares(x, none)
     # Least |y| with cone y >= gap / scale: y is the residual of the dual over its last entry.
     dual = np.vstack([cone.T, gap / scale])
     weights, _ = scipy.optimize.nnls(dual, np.append(np.zeros(len(free)), 1.0), maxiter=50 * len(gap))
@@ -58,4 +60,9 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     y = -scale * residual[:-1] / residual[-1]
     active = none.copy()
     active[kept[weights > 0]] = True
-    return LeastSquares(scipy.linalg.solve_triangular(r, free + y, check_finite=False), active)
+    return LeastSquares(_solve(r, free + y), active)
+
+
+def _solve(r: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Solution of an upper triangular system."""
+    return np.asarray(scipy.linalg.lapack.dtrtrs(r, right, trans=int(transposed))[0])

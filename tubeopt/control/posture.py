@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
+from math import ceil
 
 import numpy as np
 
@@ -165,9 +166,10 @@ class Posture:
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
         so close to it that steps of ordinary length do not tell."""
-        here, turn, move = self.equilibrium, *np.split(np.abs(q - self.q), [self.space.robot.n_tubes])
+        here, moved = self.equilibrium, np.abs(q - self.q)
         longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), 0.1 * self.space.length)
-        steps = max(1, int(np.ceil(max(turn.max() / LARGEST_TURN, move.max(initial=0.0) / longest) - 1e-9)))
+        turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
+        steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)

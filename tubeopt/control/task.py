@@ -121,6 +121,10 @@ class Task:
             return np.full(len(z), np.inf)
         return np.asarray(np.linalg.norm((z[:, None] - self.ends) / self.scale, axis=2).min(1))
 
+    def needed(self, z: Array) -> Array:
+        """(N,) clearance (m) that points must have to spare."""
+        return np.minimum(self.floor, CLEARANCE_SLOPE * self._away(z))
+
     def spare(self, z: Array, *, arms: Arms | None = None) -> Array:
         """(N,) what points have to spare of margin and clearance, as a share of the room; negative where they do not
         keep margin, clearance, ranges and order."""
@@ -137,7 +141,7 @@ class Task:
         spare = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
         if self.obstacles and allowed.any():
             left = self.clearances(arms) - self.clearance
-            allowed &= (left >= np.minimum(self.floor, CLEARANCE_SLOPE * away)) | known
+            allowed &= (left >= self.needed(z)) | known
             spare = np.minimum(spare, np.maximum(left, 0.0) / self.clearance_room)
         return np.where(allowed, spare, -1.0)
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.quantities import CLEARANCES
 from ..typing import Array
 from .pose import Pose
 from .state import State
 
-ARM_SAMPLES, WITHIN = 24, 16
-"""Parts of the arm, and places within each; at the worst of each part the arm must respect the anatomy."""
+WITHIN = 16
+"""Places at which the arm is looked at within each of its CLEARANCES parts."""
 
 HELD_OFF = 2e-5
 """How far (m) the arm is held off its anatomy at these places, for what lies between them."""
@@ -21,9 +22,6 @@ RAMP = 3e-3
 """Length (m) over which a tube's radius runs out beyond its end, for the arm's distance to its anatomy."""
 
 IndexArray = NDArray[np.intp]
-
-
-Distance = Callable[[Array], tuple[Array, Array]]
 
 
 def _cubic(x: Array) -> tuple[Array, Array]:
@@ -89,21 +87,16 @@ def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Ar
     return each[k, tube], moved, by_radius
 
 
-SHARES = (np.arange(ARM_SAMPLES * WITHIN) + 1) / (ARM_SAMPLES * WITHIN)
+SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
-def arm_rows(state: State, poses: tuple[int, ...], distance: Distance, sign: float) -> tuple[Array, Array]:
-    """sign * distance - radius of the arm where that is least in each of ARM_SAMPLES parts of every pose, with its
-    change."""
-    values, slopes = [], []
-    radii = 0.5 * state.slopes["outer_diameter"]
-    for index in poses:
-        pose = state.pose(index)
-        radius, thinner, by_radius = arm_radius(state, index, SHARES)
-        least, gradient = distance(arm_points(pose, SHARES))
-        room = sign * least - radius - HELD_OFF
-        worst = room.reshape(ARM_SAMPLES, WITHIN).argmin(1) + WITHIN * np.arange(ARM_SAMPLES)
-        values.append(room[worst])
-        local = sign * np.einsum("kc,kcl->kl", gradient[worst], arm_slopes(pose, SHARES[worst])) - thinner[worst]
-        slopes.append(local @ state.chain(index) - by_radius[worst] @ radii)
-    return np.concatenate(values), np.concatenate(slopes)
+def arm_clearance(state: State, index: int, body: Any) -> tuple[Array, Array]:
+    """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
+    the arm is held off, and its change (.., X)."""
+    pose, radii = state.pose(index), 0.5 * state.slopes["outer_diameter"]
+    radius, thinner, by_radius = arm_radius(state, index, SHARES)
+    points = arm_points(pose, SHARES)
+    room = body.signed_distance(points) - radius - HELD_OFF
+    worst = room.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
+    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst])) - thinner[worst]
+    return room[worst], local @ state.chain(index) - by_radius[worst] @ radii

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
-from ..block.own import OwnObjective, OwnRequirement
+from ..block.own import OwnRequirement
 from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
@@ -25,14 +25,13 @@ from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
-from .objectives import AnyObjective, Objective
+from .objectives import AnyObjective, Objective, key_of
 from .order import ordered_places
-from .program import Program, state_at, total_objective
+from .program import BOUNDED, Program, objective_value, state_at, total_objective
 from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
 from .rows import joint_rows, order_rows
 from .solve_one import Attempt, attempt
 from .state import Via
-from .statements import straightened_strain
 from .task import DesignTask
 
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
@@ -141,6 +140,10 @@ class _Collocated:
             return self.dimensions[one.name]
         block = self.blocks[one.pose]
         match one.name:
+            case "strain":
+                return ca.mmax(block.strain(one.at[0]))
+            case "clearance":
+                raise InputError("method 'collocation' does not take the clearance from a body; method 'reduced' does")
             case "tip_direction":
                 return block.tip_rotation[:, 2]
             case "margin":
@@ -180,77 +183,30 @@ class _Collocated:
                 self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))
 
     def _requirements(self) -> None:
-        for one, stated in zip(self.program.requirements, self.program.stated, strict=True):
+        for stated in self.program.stated:
             for statement in stated:
                 self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
-            match one:
-                case SnapFree(margin=margin):
-                    for row in self.program.layout.certified:
-                        self._at_least((self.look(Quantity("certificate", at=row)) - margin) / 0.1 - self.held)
-                case SnapFreeInUse(margin=margin):
-                    for block in self.blocks:
-                        block.margin_at_least(margin + 0.1 * self.held)
-                case Strain(limits=limits, straightened=True):
-                    for i, limit in enumerate(limits):
-                        self._at_least((limit - self._strain(i)) / 1e-3 - self.held)
-                case _:
-                    pass
-
-    def _strain(self, tube: int) -> Any:
-        return straightened_strain(tube, self.program.layout.n)(self.look)
 
     def _aim(self, one: AnyObjective) -> Any:
-        """An objective in its own sign, SI."""
-        if isinstance(one, OwnObjective):
-            return self.program.aims[one](self.look)
-        space = self.program.layout.space
-        match one.kind:
-            case "change":
-                base = np.where(np.abs(space.start) > 0, space.start, space.scale)
-                return ca.sumsqr((self.x[: len(base)] - ca.DM(space.start)) / ca.DM(base))
-            case "length":
-                lengths = self.dimensions["straight_length"] + self.dimensions["curved_length"]
-                longest = self.opti.variable()
-                self.opti.set_initial(longest, max(tube.length for tube in self.state.tubes))
-                self._at_least(longest - lengths)
-                return longest
-            case "strain" | "margin":
-                return self._bounded(one.kind)
-            case "reach_radius":
-                return self._radius(one)
-            case _:
-                curvature = self._tip_curvature(one)
-                return curvature if one.kind == "tip_curvature" else 1 / curvature
-
-    def _bounded(self, kind: str) -> Any:
-        """The largest strain, or the least margin."""
+        """An objective in its own sign, SI; of several numbers an unknown that none is worse than."""
         layout = self.program.layout
-        bound = self.x[layout.column(kind)]
-        if kind == "strain":
-            for i in range(layout.n):
-                self._at_least(bound - self._strain(i), 1e-2)
-        elif layout.certified:
-            for row in layout.certified:
-                self._at_least(self.look(Quantity("certificate", at=row)) - bound, 0.1)
+        if one not in self.program.aims:
+            space = layout.space
+            base = np.where(np.abs(space.start) > 0, space.start, space.scale)
+            return ca.sumsqr((self.x[: len(base)] - ca.DM(space.start)) / ca.DM(base))
+        if isinstance(one, Objective) and one.depth is not None and self.program.depth_pose is not None:
+            height = self.blocks[self.program.depth_pose].tip_position[2] - one.depth
+            self.opti.subject_to(self.opti.bounded(-DEEPEST / 1e-2, height / 1e-2, DEEPEST / 1e-2))
+        numbers = self.program.aims[one](self.look)
+        if numbers.numel() == 1 and key_of(one) not in layout.auxiliary:
+            return numbers
+        if key_of(one) in layout.auxiliary:
+            worst = self.x[layout.column(key_of(one))]
         else:
-            self.opti.subject_to(bound <= MOST_MARGIN)
-            for block in self.blocks:
-                block.margin_at_least(bound)
-        return bound
-
-    def _radius(self, one: Objective) -> Any:
-        assert self.program.depth_pose is not None
-        assert one.depth is not None
-        tip = self.blocks[self.program.depth_pose].tip_position
-        self.opti.subject_to(self.opti.bounded(-DEEPEST / 1e-2, (tip[2] - one.depth) / 1e-2, DEEPEST / 1e-2))
-        return ca.norm_2(tip[:2])
-
-    def _tip_curvature(self, one: Objective) -> Any:
-        shift = np.zeros(self.program.layout.n) if one.translations is None else np.array(one.translations)
-        assembly = assemble(self.state.tubes, shift)
-        kb = self.dimensions["bending_stiffness"]
-        pull = kb * ca.fabs(self.dimensions["curvature"])
-        return ca.dot(pull, ca.DM(assembly.curved[-1])) / ca.dot(kb, ca.DM(assembly.present[-1]))
+            worst = self.opti.variable()
+            self.opti.set_initial(worst, objective_value(self.program, self.state, one)[0])
+        self._at_least(one.sign * (worst - numbers), BOUNDED.get(key_of(one), 1.0))
+        return worst
 
     def solved(self) -> tuple[Array, str]:
         """x (X,) where IPOPT ended, and in its words why not at an optimum, "" where it did."""

@@ -9,6 +9,8 @@ import numpy as np
 from ..block.quantities import Quantity
 from ..equilibrium.along import curvature_at, position_at
 from ..typing import Array
+from .anatomy import arm_clearance
+from .bending import pose_strain
 from .state import State
 
 Linear = Callable[[Quantity], tuple[Array, Array]]
@@ -20,17 +22,25 @@ def at_state(state: State) -> Linear:
 
     def look(one: Quantity) -> tuple[Array, Array]:
         if one.name == "certificate":
-            certificate, slope = state.certificate_at(one.at)
-            return np.array([certificate]), slope[None]
+            return _row(state.certificate_at(one.at))
         if one.pose is None:
             return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
         if one.name in ("rotations", "translations"):
             part = ("rotations", "translations").index(one.name)
             return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
+        if one.name == "strain":
+            return _row(pose_strain(state, one.pose, one.at[0]))
+        if one.name == "clearance":
+            return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)
         return value, change @ state.chain(one.pose)
 
     return look
+
+
+def _row(found: tuple[float, Array]) -> tuple[Array, Array]:
+    """(1,) and (1, X) of one number."""
+    return np.array(found[:1]), found[1][None]
 
 
 def _of_pose(state: State, one: Quantity, index: int) -> tuple[Array, Array]:

@@ -12,17 +12,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..block.own import OwnObjective
-from ..block.quantities import Expression, recorded
+from ..block.quantities import Expression, Quantity
 from ..errors import InputError, SolveError
-from ..robots.assembly import assemble
 from ..solvers.smooth import Values
 from ..typing import Array
+from .aims import aim
 from .lookup import at_state
-from .objectives import AnyObjective, Objective
+from .objectives import AnyObjective, Objective, key_of
 from .order import ordered_places
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .rows import Rows, joint_rows, order_rows, rows, stated_rows, straightened, via_points
+from .rows import Rows, joint_rows, order_rows, stated_rows
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .statements import Statement, statements
@@ -36,6 +35,9 @@ POSED = ("margin in use", "certified margin")
 
 MOST_SLACK = 1e4
 """Steps by which a limit may move at most."""
+
+BOUNDED = {"strain": 1e-2, "margin": 0.1}
+"""Objectives whose worst number is bounded by an unknown of its own, and their sizes."""
 
 DEPTH_TOLERANCE = 1e-6
 """How exactly (m) the pose of the objective reach_radius keeps its depth."""
@@ -56,7 +58,7 @@ class Program:
     """A task with what exchange has added, laid out as unknowns and rows.
 
     own: for every requirement, the poses that are its own.  depth_pose: that of the objective reach_radius.
-    stated: for every one of `requirements`, what of it is stated as expressions; aims: own objectives as expressions.
+    stated: every one of `requirements` as expressions; aims: the objectives that are expressions.
     elastic: whether every group of rows has a slack, of which the sum is minimised in place of the objective.
     """
 
@@ -65,7 +67,7 @@ class Program:
     layout: Layout
     own: tuple[tuple[int, ...], ...]
     stated: tuple[tuple[Statement, ...], ...]
-    aims: dict[OwnObjective, Expression]
+    aims: dict[AnyObjective, Expression]
     depth_pose: int | None
     lower: Array
     upper: Array
@@ -91,7 +93,7 @@ def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
 
 
 def compile_task(task: DesignTask, added: Added | None = None) -> Program:
-    """Lay out the unknowns of a task, and record what is stated as expressions.
+    """Lay out the unknowns of a task, and record its requirements and objectives as expressions.
 
     Raises:
         InputError: the expression of an own requirement or objective makes no sense.
@@ -120,11 +122,12 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
                 own.append(())
     deep = [one for one in built_in(task.objectives) if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
-    stated, aims = _recorded(task, added, own, len(poses))
+    certified = _certified(task, added)
+    stated, aims = _recorded(task, added, own, (len(poses), depth_pose, certified))
     poses.extend(Via(*via) for via in added.vias)
     kinds = [one.kind for one in built_in(task.objectives)]
-    auxiliary = tuple(kind for kind in ("strain", "margin") if kind in kinds)
-    layout = Layout(task.space, tuple(poses), _certified(task, added), auxiliary)
+    auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
+    layout = Layout(task.space, tuple(poses), certified, auxiliary)
     lower, upper, scale = _bounds(task, layout)
     return Program(task, added, layout, tuple(own), stated, aims, depth_pose, lower, upper, scale)
 
@@ -135,22 +138,32 @@ def built_in(objectives: Sequence[AnyObjective]) -> list[Objective]:
 
 
 def _recorded(
-    task: DesignTask, added: Added, own: Sequence[tuple[int, ...]], count: int
-) -> tuple[tuple[tuple[Statement, ...], ...], dict[OwnObjective, Expression]]:
-    """What requirements state as expressions, and own objectives, of `count` task poses."""
-    n, everywhere = task.robot.n_tubes, tuple(range(count))
+    task: DesignTask,
+    added: Added,
+    own: Sequence[tuple[int, ...]],
+    about: tuple[int, int | None, tuple[tuple[float, ...], ...]],
+) -> tuple[tuple[tuple[Statement, ...], ...], dict[AnyObjective, Expression]]:
+    """Requirements and objectives as expressions; `about` is the number of task poses, the pose of reach_radius, and
+    the translations of the certificate."""
+    count, depth_pose, certified = about
+    n, posed, passed = task.robot.n_tubes, tuple(range(count)), tuple(range(count + len(added.vias)))
     boxes = iter(added.points)
     stated = []
     for number, one in enumerate(_all_requirements(task)):
-        points = list(next(boxes, corners(one))) if isinstance(one, Coverage) else []
-        mine = own[number] if isinstance(one, Coverage | Reach) else everywhere
-        stated.append(statements(one, n, mine, points))
+        match one:
+            case Coverage():
+                stated.append(statements(one, n, own[number], next(boxes, corners(one))))
+            case Reach():
+                stated.append(statements(one, n, own[number]))
+            case SnapFreeInUse():
+                stated.append(statements(one, n, passed))
+            case _:
+                stated.append(statements(one, n, posed, certified))
     aims = {}
-    for aim in task.objectives:
-        if isinstance(aim, OwnObjective):
-            aims[aim] = recorded(aim.expression, n, count, aim.words)
-            if aims[aim].value.numel_out() != 1:
-                raise InputError(f"the objective {aim.words} has {aims[aim].value.numel_out()} numbers; it must be one")
+    for wanted in task.objectives:
+        found = aim(wanted, n, passed if isinstance(wanted, Objective) else posed, certified, depth_pose)
+        if found is not None:
+            aims[wanted] = found
     return tuple(stated), aims
 
 
@@ -211,11 +224,7 @@ def _extreme_lengths(task: DesignTask) -> tuple[list[float], list[float]]:
 
 def groups(program: Program, state: State) -> list[Rows]:
     """All groups of rows that can be relaxed."""
-    task_poses = program.task_poses
-    out: list[Rows] = []
-    for number, (one, stated) in enumerate(zip(program.requirements, program.stated, strict=True)):
-        about = (*task_poses, *via_points(state)) if isinstance(one, SnapFreeInUse) else task_poses
-        out += stated_rows(stated, number, state) or rows(one, number, state, about)
+    out = [group for number, stated in enumerate(program.stated) for group in stated_rows(stated, number, state)]
     # A limit on dimensions that are not free, and is kept, is no constraint.
     out = [group for group in out if _matters(group)]
     return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
@@ -259,78 +268,37 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     strain and margin."""
     jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, ordered_places(program.task))
     parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
+    look = at_state(state)
     for one in built_in(program.task.objectives):
-        if one.kind == "reach_radius" and program.depth_pose is not None and one.depth is not None:
-            index = program.depth_pose
-            height = state.pose(index).position[-1, 2] - one.depth
-            slope = state.pose(index).shape_slopes[0][-1, 2] @ state.chain(index)
+        if one.depth is not None and program.depth_pose is not None:
+            place, slope = look(Quantity("tip_position", program.depth_pose))
+            height = place[2] - one.depth
             parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
-            changes.append(np.array([-slope, slope]) / 1e-2)
-        if one.kind in ("strain", "margin"):
-            column = program.layout.column(one.kind)
-            found, size = _bounded(program, state, one)
-            sign = 1.0 if one.kind == "strain" else -1.0
-            change = -sign * np.array([slope for _, slope in found])
-            change[:, column] += sign
-            parts.append(sign * (state.x[column] - np.array([value for value, _ in found])) / size)
+            changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
+        if one.kind in program.layout.auxiliary:
+            column, size = program.layout.column(one.kind), BOUNDED[one.kind]
+            values, change = program.aims[one].linear(look)
+            change = -one.sign * change
+            change[:, column] += one.sign
+            parts.append(one.sign * (state.x[column] - values) / size)
             changes.append(change / size)
     return np.concatenate(parts), np.concatenate(changes)
 
 
-def _bounded(program: Program, state: State, one: Objective) -> tuple[list[tuple[float, Array]], float]:
-    """What the largest strain or the least margin is taken over, and its size."""
-    if one.kind == "strain":
-        return [straightened(state, i) for i in range(program.layout.n)], 1e-2
-    if program.layout.certified:
-        return [state.certificate(k) for k in range(len(program.layout.certified))], 0.1
-    poses = (*program.task_poses, *via_points(state))
-    return [(state.pose(k).margin, state.pose(k).margin_slope @ state.chain(k)) for k in poses], 0.1
-
-
 def objective_value(program: Program, state: State, one: AnyObjective) -> tuple[float, Array]:
     """An objective in its own sign, SI, and its change (X,)."""
-    if isinstance(one, OwnObjective):
+    size = program.layout.size
+    if key_of(one) in program.layout.auxiliary:
+        column = program.layout.column(key_of(one))
+        return float(state.x[column]), np.eye(size)[column]
+    if one in program.aims:
         values, changes = program.aims[one].linear(at_state(state))
-        return float(values[0]), changes[0]
-    tubes, size = state.tubes, program.layout.size
-    match one.kind:
-        case "strain" | "margin":
-            column = program.layout.column(one.kind)
-            return float(state.x[column]), np.eye(size)[column]
-        case "length":
-            k = int(np.argmax([tube.length for tube in tubes]))
-            return tubes[k].length, state.slopes["straight_length"][k] + state.slopes["curved_length"][k]
-        case "change":
-            space, x = program.layout.space, state.x[: program.layout.designs]
-            base = np.where(np.abs(space.start) > 0, space.start, space.scale)
-            gap = np.pad((x - space.start) / base, (0, size - len(x)))
-            return float(gap @ gap), 2 * gap * np.pad(1 / base, (0, size - len(x)))
-        case "reach_radius":
-            assert program.depth_pose is not None
-            index = program.depth_pose
-            across = state.pose(index).position[-1, :2]
-            slope = state.pose(index).shape_slopes[0][-1, :2] @ state.chain(index)
-            radius = float(np.linalg.norm(across))
-            return radius, across @ slope / max(radius, 1e-9)
-        case _:
-            value, slope = _tip_curvature(program, state, one)
-            if one.kind == "tip_curvature":
-                return value, slope
-            return 1 / max(value, 1e-9), -slope / max(value, 1e-9) ** 2
-
-
-def _tip_curvature(program: Program, state: State, one: Objective) -> tuple[float, Array]:
-    """sum kb |kappa| / sum kb of the section at the tip, with all tubes bending to one side."""
-    tubes = state.tubes
-    shift = np.zeros(program.layout.n) if one.translations is None else np.array(one.translations)
-    assembly = assemble(tubes, shift)
-    present, curved = assembly.present[-1], assembly.curved[-1]
-    kb, kappa = assembly.bending_stiffness, np.abs(assembly.curvature)
-    total = float(kb @ present)
-    value = float((kb * kappa) @ curved) / total
-    by_stiffness = (curved * kappa - present * value) / total
-    slope = by_stiffness @ state.slopes["bending_stiffness"]
-    return value, slope + (curved * kb * np.sign(assembly.curvature) / total) @ state.slopes["curvature"]
+        worst = int(np.argmax(one.sign * values))
+        return float(values[worst]), changes[worst]
+    space, x = program.layout.space, state.x[: program.layout.designs]
+    base = np.where(np.abs(space.start) > 0, space.start, space.scale)
+    gap = np.pad((x - space.start) / base, (0, size - len(x)))
+    return float(gap @ gap), 2 * gap * np.pad(1 / base, (0, size - len(x)))
 
 
 def total_objective(program: Program, state: State) -> tuple[float, Array]:

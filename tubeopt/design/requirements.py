@@ -216,6 +216,26 @@ class Corridor:
             raise InputError("centreline of the corridor has 1 point; it must have at least 2")
         positive("radius of the corridor", self.radius)
 
+    def signed_distance(self, points: Array) -> Array:
+        """(m,) how far points (m, 3) lie inside, m, < 0 outside."""
+        return self.radius - self._nearest(points)[0]
+
+    def gradient(self, points: Array) -> Array:
+        """(m, 3) of `signed_distance`, 0 on the centreline."""
+        distance, gap = self._nearest(points)
+        return -gap / np.maximum(distance, 1e-12)[:, None]
+
+    def _nearest(self, points: Array) -> tuple[Array, Array]:
+        """Distance (m,) from the centreline, and the way (m, 3) from its nearest point."""
+        line = np.array(self.centreline)
+        a, way = line[:-1], np.diff(line, axis=0)
+        long = np.maximum((way**2).sum(1), 1e-300)
+        t = np.clip(((points[:, None] - a) * way).sum(2) / long, 0.0, 1.0)
+        gap = points[:, None] - (a + t[:, :, None] * way)
+        distance = np.linalg.norm(gap, axis=2)
+        rows, nearest = np.arange(len(points)), distance.argmin(1)
+        return distance[rows, nearest], gap[rows, nearest]
+
 
 @dataclass(frozen=True)
 class Avoid:
@@ -237,6 +257,16 @@ class Avoid:
             raise InputError("obstacles is empty; there must be at least one to avoid")
         finite("clearance of the obstacles", self.clearance)
 
+    def signed_distance(self, points: Array) -> Array:
+        """(m,) distance of points (m, 3) from the nearest obstacle, m, < 0 inside."""
+        return np.asarray(np.min([body.signed_distance(points) for body in self.obstacles], axis=0))
+
+    def gradient(self, points: Array) -> Array:
+        """(m, 3) of `signed_distance`."""
+        nearest = np.argmin([body.signed_distance(points) for body in self.obstacles], axis=0)
+        gradient = np.array([body.gradient(points) for body in self.obstacles])
+        return np.asarray(gradient[nearest, np.arange(len(points))])
+
 
 Requirement = (
     SnapFree
@@ -254,29 +284,6 @@ Requirement = (
     | OwnRequirement
 )
 """Anything that a design may have to keep."""
-
-
-def corridor_distance(corridor: Corridor, points: Array) -> tuple[Array, Array]:
-    """Distance (m,) of points (m, 3) from the centreline, and its gradient (m, 3), 0 on it."""
-    line = np.array(corridor.centreline)
-    a, b = line[:-1], line[1:]
-    way = b - a
-    long = np.maximum((way**2).sum(1), 1e-300)
-    t = np.clip(((points[:, None] - a) * way).sum(2) / long, 0.0, 1.0)
-    gap = points[:, None] - (a + t[:, :, None] * way)
-    distance = np.linalg.norm(gap, axis=2)
-    nearest = distance.argmin(1)
-    rows = np.arange(len(points))
-    least = distance[rows, nearest]
-    return least, gap[rows, nearest] / np.maximum(least, 1e-12)[:, None]
-
-
-def obstacle_distance(avoid: Avoid, points: Array) -> tuple[Array, Array]:
-    """Distance (m,) of points (m, 3) from the nearest obstacle, < 0 inside, and its gradient (m, 3)."""
-    distance = np.array([body.signed_distance(points) for body in avoid.obstacles])
-    gradient = np.array([body.gradient(points) for body in avoid.obstacles])
-    nearest, rows = distance.argmin(0), np.arange(len(points))
-    return distance[nearest, rows], gradient[nearest, rows]
 
 
 def of_kind(requirements: Sequence[Requirement], kind: type[Any]) -> list[Any]:

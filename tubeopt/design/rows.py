@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import singledispatch
 
 import numpy as np
 
 from ..block.own import OwnRequirement
 from ..robots.limits import JointLimits
 from ..typing import Array
-from .anatomy import arm_rows
 from .limit import Limit
 from .lookup import at_state
 from .order import Place, order_gaps
@@ -28,11 +26,9 @@ from .requirements import (
     Strain,
     Stroke,
     Wall,
-    corridor_distance,
-    obstacle_distance,
 )
-from .state import FreePose, State, Via
-from .statements import Statement, reach_parts, straightened_strain
+from .state import FreePose, State
+from .statements import Statement, reach_parts
 
 HELD = 5e-8
 """Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
@@ -73,93 +69,6 @@ def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[R
             group = replace(group, vector=(gap.reshape(-1, 3), slope.reshape(len(gap) // 3, 3, -1)))
         out.append(replace(group, always=one.always))
     return out
-
-
-@singledispatch
-def rows(requirement: Requirement, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    """Groups of rows of a requirement that is not stated as expressions, the `number`-th of its task, at a state.
-
-    `poses` are those that the requirement is about: via points too for margins.
-    """
-    return []
-
-
-@rows.register
-def _(requirement: SnapFree, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    found = [state.certificate(k) for k in range(len(state.layout.certified))]
-    limit = Limit("certified margin", requirement.margin, False, "", 1.0, 0.1)
-    values = np.array([value for value, _ in found]) - requirement.margin
-    return [_rows(number, 0, limit, values, np.array([slope for _, slope in found]))]
-
-
-@rows.register
-def _(requirement: SnapFreeInUse, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("margin in use", requirement.margin, False, "", 1.0, 0.1)
-    values = np.array([state.pose(k).margin for k in poses]) - requirement.margin
-    return [_rows(number, 0, limit, values, np.array([state.pose(k).margin_slope @ state.chain(k) for k in poses]))]
-
-
-def straightened(state: State, tube: int) -> tuple[float, Array]:
-    """Strain of a tube held straight, and its change (X,)."""
-    value, slope = straightened_strain(tube, state.layout.n).linear(at_state(state))
-    return float(value[0]), slope[0]
-
-
-def pose_strain(state: State, index: int, tube: int) -> tuple[float, Array]:
-    """Largest bending strain of a tube in a pose, r |u - u*| / (1 - r |u*|), and its change (X,)."""
-    pose, shape = state.pose(index), state.tubes[tube]
-    assembly, mesh = pose.problem.assembly, pose.problem.mesh
-    places = len(pose.bend) // max(len(mesh.length), 1)
-    section = np.repeat(mesh.section, places)
-    present, curved = assembly.present[section, tube], assembly.curved[section, tube]
-    if not present.any():
-        return 0.0, np.zeros(state.layout.size)
-    theta = pose.theta[:, tube]
-    direction = np.stack([np.cos(theta), np.sin(theta)], axis=1)
-    natural = np.where(curved, shape.curvature, 0.0)
-    gap = pose.bend - natural[:, None] * direction
-    size = np.linalg.norm(gap, axis=1)
-    radius = shape.outer_diameter / 2
-    loss = 1 / (1 - radius * np.abs(natural))
-    k = int(np.argmax(np.where(present, radius * size * loss, -1.0)))
-    along = gap[k] / max(size[k], 1e-12)
-    dtheta, du = pose.bend_slopes
-    across = np.array([-direction[k, 1], direction[k, 0]])
-    local = along @ du[k] - natural[k] * (along @ across) * dtheta[k, tube]
-    slope = radius * loss[k] * (local @ state.chain(index))
-    by_curvature = -radius * loss[k] * (along @ direction[k])
-    by_curvature += radius**2 * size[k] * loss[k] ** 2 * np.sign(natural[k])
-    slope = slope + curved[k] * by_curvature * state.slopes["curvature"][tube]
-    by_radius = size[k] * loss[k] + radius * size[k] * abs(natural[k]) * loss[k] ** 2
-    return float(radius * size[k] * loss[k]), slope + 0.5 * by_radius * state.slopes["outer_diameter"][tube]
-
-
-@rows.register
-def _(requirement: Strain, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    out = []
-    for i in range(state.layout.n):
-        found = [straightened(state, i)] if requirement.straightened else []
-        if requirement.in_poses:
-            found += [pose_strain(state, k, i) for k in poses]
-        if found:
-            limit = Limit(f"strain of tube {i + 1}", requirement.limits[i], True, "%", 1e2, 1e-3)
-            values = limit.value - np.array([value for value, _ in found])
-            out.append(_rows(number, i, limit, values, -np.array([slope for _, slope in found])))
-    return out
-
-
-@rows.register
-def _(requirement: Corridor, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("radius of the corridor", requirement.radius, True, "mm", 1e3, 1e-3)
-    values, slopes = arm_rows(state, poses, lambda points: corridor_distance(requirement, points), -1.0)
-    return [_rows(number, 0, limit, requirement.radius + values, slopes)]
-
-
-@rows.register
-def _(requirement: Avoid, number: int, state: State, poses: tuple[int, ...]) -> list[Rows]:
-    limit = Limit("clearance of the obstacles", requirement.clearance, False, "mm", 1e3, 1e-3)
-    values, slopes = arm_rows(state, poses, lambda points: obstacle_distance(requirement, points), 1.0)
-    return [_rows(number, 0, limit, values - requirement.clearance, slopes)]
 
 
 def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
@@ -234,8 +143,3 @@ def joint_rows(state: State, limits: JointLimits | None) -> tuple[Array, Array]:
             values += [shift - low, high - shift]
             slopes += [shifted, -shifted]
     return np.concatenate(values) / 1e-2 - ORDERED, np.concatenate(slopes) / 1e-2
-
-
-def via_points(state: State) -> tuple[int, ...]:
-    """Numbers of the poses on the paths between task poses."""
-    return tuple(k for k, pose in enumerate(state.layout.poses) if isinstance(pose, Via))

@@ -13,7 +13,7 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .pose import Pose
 from .program import Program, built_in, corners
-from .requirements import Avoid, Corridor, Coverage, Reach, corridor_distance, obstacle_distance
+from .requirements import Avoid, Corridor, Coverage, Reach
 from .solved import solve_pose
 from .state import FreePose
 
@@ -129,8 +129,7 @@ def _outside(program: Program, poses: list[Pose]) -> Array:
     out = np.zeros(len(poses))
     for one in program.task.requirements:
         for k, pose in enumerate(poses):
-            if isinstance(one, Corridor):
-                out[k] += max(0.0, float(corridor_distance(one, pose.position)[0].max()) - one.radius)
-            elif isinstance(one, Avoid):
-                out[k] += max(0.0, one.clearance - float(obstacle_distance(one, pose.position)[0].min()))
+            if isinstance(one, Corridor | Avoid):
+                wanted = one.clearance if isinstance(one, Avoid) else 0.0
+                out[k] += max(0.0, wanted - float(one.signed_distance(pose.position).min()))
     return out

@@ -157,10 +157,6 @@ class State:
         rotations, translations = self.joint_slopes(index)
         return np.concatenate([rotations, translations, *(self.slopes[name] for name in DIMENSIONS)])
 
-    def certificate(self, k: int) -> tuple[float, Array]:
-        """mu_cert at the k-th translations of the certificate, and its change (X,)."""
-        return self.certificate_at(self.layout.certified[k])
-
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""
         if translations not in self._certified:

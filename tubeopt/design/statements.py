@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial, singledispatch
+from functools import partial, singledispatch
 from itertools import permutations
 from typing import Any
 
@@ -13,8 +13,22 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import Expression, Quantities, recorded
+from ..physics.strain import surface_strain
 from .limit import Limit
-from .requirements import Coverage, Length, Nesting, Reach, Requirement, Stroke, Wall
+from .requirements import (
+    Avoid,
+    Corridor,
+    Coverage,
+    Length,
+    Nesting,
+    Reach,
+    Requirement,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    Wall,
+)
 
 SOFT = 0.03
 """Part of a target's tolerance within which the distance from it is rounded off, to be smooth at the target itself."""
@@ -45,8 +59,9 @@ Points = Sequence[tuple[float, ...]]
 def statements(requirement: Requirement, n: int, poses: Poses, points: Points = ()) -> tuple[Statement, ...]:
     """What a requirement states as expressions, for n tubes; () where it is none of that kind.
 
-    `poses` are those that it is about: its own for Reach and Coverage, whose `points` are those in the program, all
-    task poses for others.
+    `poses` are those that it is about: its own for Reach and Coverage, also those on joint paths for SnapFreeInUse, all
+    task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
+    for SnapFree.
 
     Raises:
         InputError: an own requirement whose expression makes no sense.
@@ -74,6 +89,56 @@ def _(requirement: OwnRequirement, n: int, poses: Poses, points: Points) -> Stat
     one, movable = requirement, requirement.relaxed(requirement.size) is not None
     limit = Limit(one.words, float(one.limit), bool(one.most), one.unit, one.factor, one.size, movable)
     return [(limit, one.expression, None)]
+
+
+@_stated.register
+def _(requirement: SnapFree, n: int, poses: Poses, points: Points) -> Stated:
+    limit = Limit("certified margin", requirement.margin, False, "", 1.0, 0.1)
+
+    def room(q: Quantities) -> Any:
+        return ca.vertcat(*(q.certificate(row) for row in points)) - requirement.margin
+
+    return [(limit, room, None)]
+
+
+@_stated.register
+def _(requirement: SnapFreeInUse, n: int, poses: Poses, points: Points) -> Stated:
+    limit = Limit("margin in use", requirement.margin, False, "", 1.0, 0.1)
+
+    def room(q: Quantities) -> Any:
+        return ca.vertcat(*(q.poses[k].margin for k in poses)) - requirement.margin
+
+    return [(limit, room, None)] if poses else []
+
+
+@_stated.register
+def _(requirement: Strain, n: int, poses: Poses, points: Points) -> Stated:
+    posed = poses if requirement.in_poses else ()
+
+    def room(q: Quantities, tube: int) -> Any:
+        straight = [straightened_strain(q, tube)] if requirement.straightened else []
+        return requirement.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in posed))
+
+    limits = [Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3) for i, most in enumerate(requirement.limits)]
+    some = requirement.straightened or posed
+    return [(limit, partial(room, tube=i), None) for i, limit in enumerate(limits)] if some else []
+
+
+@_stated.register
+def _(requirement: Corridor, n: int, poses: Poses, points: Points) -> Stated:
+    limit = Limit("radius of the corridor", requirement.radius, True, "mm", 1e3, 1e-3)
+    return [(limit, partial(_clear, requirement, 0.0, poses), None)] if poses else []
+
+
+@_stated.register
+def _(requirement: Avoid, n: int, poses: Poses, points: Points) -> Stated:
+    limit = Limit("clearance of the obstacles", requirement.clearance, False, "mm", 1e3, 1e-3)
+    return [(limit, partial(_clear, requirement, requirement.clearance, poses), None)] if poses else []
+
+
+def _clear(body: Corridor | Avoid, wanted: float, poses: Poses, q: Quantities) -> Any:
+    """The arm is so far away in every pose."""
+    return ca.vertcat(*(q.poses[k].clearance(body) for k in poses)) - wanted
 
 
 @_stated.register
@@ -166,12 +231,7 @@ def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities)
     return limit.value - 2 * ca.atan2(apart, together)
 
 
-@lru_cache(maxsize=32)
-def straightened_strain(tube: int, n: int) -> Expression:
-    """Strain of a tube held straight, r |kappa| / (1 - r |kappa|)."""
-
-    def strain(q: Quantities) -> Any:
-        bend = q.tubes["outer_diameter"][tube] / 2 * ca.fabs(q.tubes["curvature"][tube])
-        return bend / (1 - bend)
-
-    return recorded(strain, n, 0, "the strain")
+def straightened_strain(q: Quantities, tube: int) -> Any:
+    """Strain of a tube held straight."""
+    radius, natural = q.tubes["outer_diameter"][tube] / 2, q.tubes["curvature"][tube]
+    return surface_strain(radius, ca.fabs(natural), natural)

@@ -25,12 +25,10 @@ from .requirements import (
     Reach,
     SnapFree,
     SnapFreeInUse,
-    corridor_distance,
-    obstacle_distance,
     of_kind,
 )
 from .verify_own import check_own
-from .verify_tubes import check_tubes
+from .verify_tubes import check_tubes, least_room
 
 SLACK = 1e-6
 """By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
@@ -174,12 +172,7 @@ def _anatomy(one: Corridor | Avoid, robot: ConcentricRobot, equilibria: tuple[Eq
 
 def clearance(one: Corridor | Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
     """Least room (m) between the surface of the arm at its shape points and the anatomy, beyond what is demanded."""
-    ends = equilibrium.tube_end
-    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    outer = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
-    if isinstance(one, Corridor):
-        return float((one.radius - corridor_distance(one, equilibrium.position)[0] - outer)[1:].min())
-    return float((obstacle_distance(one, equilibrium.position)[0] - one.clearance - outer).min())
+    return least_room(one, robot, equilibrium) - (one.clearance if isinstance(one, Avoid) else 0.0)
 
 
 def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..block.quantities import Look, Quantity, recorded
+from ..block.quantities import CLEARANCES, Look, Quantity, recorded
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
 from ..stability import snap_free_certificate
 from ..typing import Array
+from .requirements import Strain
+from .verify_tubes import largest_strain, least_room
 
 MISSED = 1e-6
 """Part of a step by which an own requirement may be missed."""
@@ -29,6 +31,11 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
             return np.array([getattr(tube, one.name) for tube in robot.tubes])
         found = equilibria[one.pose]
         match one.name:
+            case "strain":
+                anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
+                return largest_strain(anywhere, robot, (found,))[list(one.at)]
+            case "clearance":
+                return np.full(CLEARANCES, least_room(one.at[0], robot, found))
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":

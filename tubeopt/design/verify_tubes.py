@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,14 @@ def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equili
             there = inside & (e.arc_length < e.translations[i] + curved[i])
             found[i] = max(found[i], strain[there].max(initial=0.0))
     return found
+
+
+def least_room(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
+    """Least distance (m) of the arm's surface at its shape points in front of the plate from a body."""
+    ends = equilibrium.tube_end
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    outer = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
+    return float((body.signed_distance(equilibrium.position) - outer)[1:].min())
 
 
 def _mm(value: float) -> str:

@@ -23,9 +23,7 @@ def tube_centrelines(equilibrium: Equilibrium) -> Array:
     NaN beyond a tube's own end, and everywhere for a tube that does not reach past the plate.
     """
     assembly = equilibrium.robot.assembly(equilibrium.translations)
-    angle = assembly.offset_angle
-    across = assembly.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
-    lines = equilibrium.position + np.einsum("mab,nb->nma", equilibrium.frame, across)
+    lines = equilibrium.position + np.einsum("mab,nb->nma", equilibrium.frame[:, :, :2], assembly.across)
     lines[equilibrium.arc_length > assembly.end[:, None] + ROUND_OFF] = np.nan
     return np.asarray(lines)
 

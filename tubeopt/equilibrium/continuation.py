@@ -40,7 +40,7 @@ def largest_twist(margin: float) -> float:
     The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
     hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
     """
-    return float(np.clip(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST, LARGEST_TWIST))
+    return min(max(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
 
 @dataclass(frozen=True, eq=False)

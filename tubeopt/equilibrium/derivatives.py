@@ -79,24 +79,26 @@ class Derivatives:
                 raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
         self.arm, self.assembly, self.carriages = arm, assembly, carriages
         self.wrt, self.side, self.value, self._problem = tuple(wrt), side, margin, problem
-        self._blocks = [len(carriages) if name == "translations" else arm.n_tubes for name in self.wrt]
+        self.size = 0
+        """Number of columns, by carriages."""
+        self._first = {}
+        for name in self.wrt:
+            self._first[name] = self.size
+            self.size += len(carriages) if name == "translations" else arm.n_tubes
 
     # --- what changes -------------------------------------------------------------------------------------------------
 
-    @property
-    def size(self) -> int:
-        """Number of columns, by carriages."""
-        return sum(self._blocks)
-
     def first(self, name: str) -> int | None:
         """The first column of a parameter, None where it is not asked for."""
-        return sum(self._blocks[: self.wrt.index(name)]) if name in self.wrt else None
+        return self._first.get(name)
 
     @cached_property
     def data(self) -> Array:
         """(P, 3n, Q) change of kb, m and kt."""
         arm, n = self.arm, self.arm.n_tubes
         out = np.zeros((arm.n_pieces, 3 * n, self.size))
+        if not self.reshaped:
+            return out
         present, tube = arm.stiffness > 0, np.arange(n)
         kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
         curved = self._curved
@@ -112,6 +114,11 @@ class Derivatives:
         return out
 
     @property
+    def reshaped(self) -> bool:
+        """Whether any parameter changes the cross-sections."""
+        return not {"curvature", "bending_stiffness", "torsional_stiffness"}.isdisjoint(self.wrt)
+
+    @property
     def _curved(self) -> Array:
         """(P, n) whether each tube is on its curved part, straight or not."""
         middle = (self.arm.start + self.arm.length / 2)[:, None]
@@ -124,7 +131,8 @@ class Derivatives:
         first = self.first("translations")
         if first is not None:
             for c, tubes in enumerate(self.carriages):
-                out[list(tubes), first + c] = -1.0
+                for i in tubes:
+                    out[i, first + c] = -1.0
         first = self.first("straight_length")
         if first is not None:
             out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
@@ -153,31 +161,22 @@ class Derivatives:
         return np.append(self.arm.start, self.assembly.total_length)
 
     @cached_property
-    def states(self) -> tuple[Array, Array]:
-        """(P + 1, n) theta and w between the pieces."""
-        tip = rotations_at(self.arm, self.slopes, np.ones(1))[-1]
-        return np.concatenate([self.arm.theta, tip]), np.concatenate([self.arm.twist, np.zeros_like(tip)])
-
-    @cached_property
     def _gains(self) -> tuple[Array, Array, Array, Array]:
-        """What theta' and w' (J, n), u (J, 2), and energy per length and |u|^2 (J, 2) gain at the jumps, per unit of
+        """What theta' and w' (J, 2n), u (J, 2), and energy per length and |u|^2 (J,) gain at the jumps, per unit of
         their parameters."""
         jumps, n, place, kt = self.jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
         count = len(jumps)
         if not count:
-            return np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, 2)), np.zeros((0, 2))
-        theta, twist = (np.concatenate([table[jumps.index]] * 2) for table in self.states)
-        kb, m = (np.concatenate([jumps.gained[k], jumps.lost[k]]) for k in range(2))
-        empty = ~kb.any(1)
-        kb[empty] = 1.0
-        function = section_function("linear", 2 * count, n, bool(place))
-        moment, stretch, u, bending = (part.copy() for part in function(theta, kb, m, *place)[:4])
-        stretch[empty], u[empty], bending[empty] = 1.0, 0.0, 0.0
-        density = bending[:, 0] + (stretch * twist**2) @ kt / 2
-        scalars = np.column_stack([density, (u**2).sum(1)])
-        rates = stretch * twist, moment / kt, u, scalars
-        turned, gained, bent, more = (self.side * (rate[:count] - rate[count:]) for rate in rates)
-        return turned, gained, bent, more
+            return np.zeros((0, 2 * n)), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+        theta, twist = (jumps.twice(table) for table in self.arm.states)
+        there = jumps.stiffness.any(1, keepdims=True)
+        function = section_function("section", 2 * count, n, bool(place))
+        moment, stretch, u, bending = function(theta, jumps.solid, jumps.moment, *place)
+        turned, bent = np.where(there, stretch, 1.0) * twist, u * there
+        density = (bending * there)[:, 0] + (turned * twist) @ kt / 2
+        rates = np.concatenate([turned, moment / kt], axis=1), bent, density, (bent**2).sum(1)
+        state, curvature, energy, squared = (self.side * jumps.gain(rate) for rate in rates)
+        return state, curvature, energy, squared
 
     # --- torsion ------------------------------------------------------------------------------------------------------
 
@@ -189,7 +188,7 @@ class Derivatives:
     @cached_property
     def chain(self) -> Chain:
         """Linear maps of the pieces."""
-        return chain_of(self.arm, self.slopes)
+        return chain_of(self.arm, self.slopes, dimensions=self.reshaped)
 
     @cached_property
     def response(self) -> Response:
@@ -200,9 +199,8 @@ class Derivatives:
         if first is not None:
             base[np.arange(n), first + np.arange(n)] = 1.0
         jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
-        turned, gained, *_ = self._gains
-        for k, (index, column) in enumerate(zip(self.jumps.index, self.jumps.column, strict=True)):
-            jumps[index, :, column] += np.concatenate([turned[k], gained[k]])
+        # No two breakpoints that one parameter moves are at the same place.
+        jumps[self.jumps.index, :, self.jumps.column] = self._gains[0]
         return respond(arm, self.chain, base, self.data, jumps)
 
     @cached_property
@@ -235,34 +233,47 @@ class Derivatives:
         return theta, slope[..., :n] @ theta + slope[..., n:] @ self.data[:, None, : 2 * n]
 
     @cached_property
-    def _turned(self) -> tuple[Array, Array, Array]:
-        """World turn rates R du (P, K, 3, Q) at the points, positions there, and turns of the jumps (J, 3)."""
-        frame, position = poses_inside(self.arm, self.slopes)
-        change = self.slopes.curvature_slope @ self.columns
-        own = self.arm.frame[self.jumps.index * (len(ENDS) - 1)][:, :, :2] @ self._gains[2][:, :, None]
-        return frame[..., :2] @ change, position, own[..., 0]
+    def bent(self) -> Array:
+        """(P, K, 2, Q) change of u at the points, by carriages."""
+        n, slope = self.arm.n_tubes, self.slopes.curvature_slope
+        change = slope[..., :n] @ self.response.inner
+        if self.reshaped:
+            change += slope[..., n:] @ self.data[:, None, : 2 * n]
+        return np.asarray(change)
+
+    @cached_property
+    def _poses(self) -> tuple[Array, Array]:
+        """Frames (P, K, 3, 3) and positions (P, K, 3) at the points."""
+        return poses_inside(self.arm)
+
+    @cached_property
+    def _turns(self) -> Array:
+        """(J, 3) turns of all that lies beyond the jumps."""
+        frame = self.arm.frame[self.jumps.index * (len(ENDS) - 1)]
+        return np.asarray((frame[:, :, :2] @ self._gains[1][:, :, None])[..., 0])
 
     @cached_property
     def _tip(self) -> tuple[Array, Array]:
         """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
-        rate, position, jumps = self._turned
-        weighted = rate * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
-        turn = weighted.sum((0, 1))
-        lever = self.arm.position[-1] - position
-        moved = _cross(weighted, lever).sum((0, 1)) + self.pushed
-        behind = self.arm.position[-1] - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
-        np.add.at(turn.T, self.jumps.column, jumps)
-        np.add.at(moved.T, self.jumps.column, _cross(jumps[..., None], behind)[..., 0])
-        return moved, turn
+        (frame, position), end = self._poses, self.arm.position[-1]
+        across = frame[..., :2] * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
+        levers = np.concatenate([across, _cross(across, end - position)], axis=-2)
+        out = np.tensordot(levers, self.bent, axes=([0, 1, 3], [0, 1, 2]))
+        if len(self.jumps):
+            behind = end - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
+            jumps = self._turns[..., None]
+            out += np.concatenate([jumps, _cross(jumps, behind)], axis=1)[..., 0].T @ self.jumps.spread
+        return out[3:] + self.pushed, out[:3]
 
     @property
     def pushed(self) -> Array:
         """(3, Q) motion of the tip with the parameters that push it out, or that alone hold it there."""
         out = np.zeros((3, self.size))
-        longest = np.abs(self.assembly.end - self.assembly.total_length) <= ROUND_OFF
+        whole = self.assembly.total_length
+        longest = {i for i, end in enumerate(self.assembly.end.tolist()) if abs(end - whole) <= ROUND_OFF}
         for column, _, tubes in self.movers:
-            mine = sum(longest[i] for i in tubes)
-            if mine and (self.side > 0 or mine == longest.sum()):
+            mine = longest.intersection(tubes)
+            if mine and (self.side > 0 or mine == longest):
                 out[:, column] = self.arm.frame[-1][:, 2]
         return out
 
@@ -279,10 +290,11 @@ class Derivatives:
     @cached_property
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
-        rate, place, jumps = self._turned
+        frame, place = self._poses
+        rate = frame[..., :2] @ self.bent
         turn = _cumulate(self.arm, rate)
         out = _cross(turn, self.arm.position) - _cumulate(self.arm, _cross(rate, place))
-        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             k = index * (len(ENDS) - 1)
             out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
         out[-1] = self._tip[0]
@@ -292,9 +304,8 @@ class Derivatives:
     def turn_ahead(self) -> Array:
         """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
         breakpoint there adds."""
-        rate, _, jumps = self._turned
-        out = _cumulate(self.arm, rate)
-        for column, index, gain in zip(self.jumps.column, self.jumps.index, jumps, strict=True):
+        out = _cumulate(self.arm, self._poses[0][..., :2] @ self.bent)
+        for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
         return out
 
@@ -308,9 +319,8 @@ class Derivatives:
     def bend(self) -> Array:
         """(Q,) of int |u|^2 ds, 1/m."""
         weights, at = self.arm.length[:, None] * self.arm.tableau.weights, self.slopes
-        out = 2 * np.einsum("px,pxa,pxaq->q", weights, at.curvature, at.curvature_slope @ self.columns)
-        np.add.at(out, self.jumps.column, self._gains[3][:, 1])
-        return self.per_tube(out)
+        out = 2 * np.einsum("px,pxa,pxaq->q", weights, at.curvature, self.bent)
+        return self.per_tube(out + self._gains[3] @ self.jumps.spread)
 
     # --- energy and margin --------------------------------------------------------------------------------------------
 
@@ -319,14 +329,16 @@ class Derivatives:
         """(Q,) of the elastic energy, J."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
         t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
-        columns, dw = self.columns, self.twist_change
+        weights = h * t.weights[:, None]
         w = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        density = at.bending_slope[..., None, :] @ columns + (kt * at.stretch * w)[..., None, :] @ dw
-        density += (at.stretch * w**2 / 2)[..., None, :] @ self.data[:, None, 2 * n :]
+        stretch, pull = weights * kt * at.stretch * w, weights * at.bending_slope
         if arm.place:
-            density += (kt * w**2 / 2)[..., None, :] @ (at.stretch_slope @ columns)
-        out = (arm.length[:, None] * t.weights).ravel() @ density.reshape(-1, self.size)
-        np.add.at(out, self.jumps.column, self._gains[3][:, 0])
+            pull += ((weights * kt * w**2 / 2)[..., None, :] @ at.stretch_slope)[..., 0, :]
+        out = _total(stretch, self.twist_change) + _total(pull[..., :n], self.response.inner)
+        if self.reshaped:
+            by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
+            out += _total(by_data, self.data)
+        out += self._gains[2] @ self.jumps.spread
         base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
         out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change
         first = self.first("torsional_stiffness")
@@ -338,8 +350,10 @@ class Derivatives:
     def twist_change(self) -> Array:
         """(P, K, n, Q) change of w at the points, by carriages."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
-        stiffer = (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
-        rate = at.rate_slope @ self.columns - stiffer
+        rate = at.rate_slope[..., :n] @ self.response.inner
+        if self.reshaped:
+            rate += at.rate_slope[..., n:] @ self.data[:, None, : 2 * n]
+            rate -= (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
         gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
         return np.asarray(self.response.state[:-1, None, n:] + gained)
 
@@ -379,6 +393,11 @@ class Derivatives:
         return np.concatenate(parts, axis=-1)
 
 
+def _total(weights: Array, change: Array) -> Array:
+    """(Q,) sum of weights (...) times changes (..., Q)."""
+    return np.asarray(weights.reshape(-1) @ change.reshape(weights.size, change.shape[-1]))
+
+
 def _cumulate(arm: Arm, values: Array) -> Array:
     """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
     up_to = arm.tableau.lagrange(ENDS, integrals=1)
@@ -388,8 +407,10 @@ def _cumulate(arm: Arm, values: Array) -> Array:
     return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
 
 
+_CROSS = np.array([[0.0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]])
+"""The matrix of c x a by rows, from a."""
+
+
 def _cross(columns: Array, arm: Array) -> Array:
     """(..., 3, c) cross product of every column with vectors (..., 3)."""
-    x, y, z = (columns[..., k, :] for k in range(3))
-    a, b, c = (arm[..., k, None] for k in range(3))
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-2)
+    return np.asarray((arm @ _CROSS).reshape(*arm.shape, 3) @ columns)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..robots.assembly import ROUND_OFF, where
+from ..robots.assembly import ROUND_OFF
 from ..typing import Array
 
 if TYPE_CHECKING:
@@ -17,41 +18,63 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Jumps:
-    """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and kb, m
-    (J, n) of the cross-section that the motion uncovers (`gained`) and of what was there (`lost`)."""
+    """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and
+    kb, m (2 J, n) of the cross-sections that the motion uncovers, then of what was there; `spread` (J, Q) is 1 in the
+    column of each."""
 
     column: NDArray[np.intp]
     index: NDArray[np.intp]
-    gained: tuple[Array, Array]
-    lost: tuple[Array, Array]
+    stiffness: Array
+    moment: Array
+    spread: Array
 
     def __len__(self) -> int:
         return len(self.column)
+
+    @cached_property
+    def solid(self) -> Array:
+        """kb (2 J, n) where there is a tube, 1 where there is none and a cross-section cannot be asked."""
+        return np.where(self.stiffness.any(1, keepdims=True), self.stiffness, 1.0)
+
+    def twice(self, table: Array) -> Array:
+        """(2 J, ...) of a table (P + 1, ...) between the pieces."""
+        here = table[self.index]
+        return np.concatenate([here, here])
+
+    def gain(self, values: Array) -> Array:
+        """(J, ...) of values (2 J, ...): of what the motion uncovers over what was there."""
+        half = len(self.column)
+        return np.asarray(values[:half] - values[half:])
 
 
 def moving_breakpoints(of: Derivatives) -> Jumps:
     """Every breakpoint in front of the plate that a parameter moves."""
     assembly, n, nudge = of.assembly, of.arm.n_tubes, of.side * ROUND_OFF
     begin, end = assembly.transition.tolist(), assembly.end.tolist()
-    least = -ROUND_OFF if of.side > 0 else ROUND_OFF
-    if not of.arm.n_pieces:
-        least = np.inf
-    column, place = [], []
-    begins, ends = (np.zeros((of.size, n), dtype=bool) for _ in range(2))
+    least = -nudge if of.arm.n_pieces else np.inf
+    column, place, gained, lost = [], [], [], []
     for c, first, last in of.movers:
-        begins[c, list(first)], ends[c, list(last)] = True, True
         own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
+        begins = [s + 2 * nudge * (i in first) for i, s in enumerate(begin)]
+        ends = [s + 2 * nudge * (i in last) for i, s in enumerate(end)]
         for k, s in enumerate(own):
             if s > least and not (k and s - own[k - 1] <= ROUND_OFF):
-                column.append(c)
-                place.append(s)
-    at = np.array(place)[:, None] + nudge
-    lost = where(assembly.transition, assembly.end, assembly.curvature, at)
-    moved = (table[column] * (2 * nudge) for table in (begins, ends))
-    transition, end_ = (a + b for a, b in zip((assembly.transition, assembly.end), moved, strict=True))
-    gained = where(transition, end_, assembly.curvature, at)
-    changed = np.flatnonzero((gained[0] != lost[0]).any(1) | (gained[1] != lost[1]).any(1))
-    kb, m = assembly.bending_stiffness, assembly.bending_stiffness * assembly.curvature
-    sections = [(kb * present[changed], m * curved[changed]) for present, curved in (gained, lost)]
-    index = np.abs(of.cuts - at[changed]).argmin(axis=1) if len(changed) else changed
-    return Jumps(np.array(column, dtype=np.intp)[changed], index, *sections)
+                after, before = _there(begins, ends, s + nudge), _there(begin, end, s + nudge)
+                if after != before:
+                    column.append(c)
+                    place.append(s)
+                    gained.append(after)
+                    lost.append(before)
+    there = np.array(gained + lost, dtype=bool).reshape(-1, 2, n)
+    return Jumps(
+        column=np.array(column, dtype=np.intp),
+        index=np.searchsorted(of.cuts, np.array(place) - 2 * ROUND_OFF),
+        stiffness=there[:, 0] * assembly.bending_stiffness,
+        moment=there[:, 1] * (assembly.bending_stiffness * assembly.curvature),
+        spread=(np.array(column)[:, None] == np.arange(of.size)).astype(float),
+    )
+
+
+def _there(transition: list[float], end: list[float], s: float) -> tuple[list[bool], list[bool]]:
+    """Which tubes are there at arc length s between breakpoints, and which of them in their curved part."""
+    return [s < last for last in end], [first < s < last for first, last in zip(transition, end, strict=True)]

@@ -152,7 +152,8 @@ def _compiled(
     robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, began: float
 ) -> Equilibrium | None:
     """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines."""
-    _check_translations(robot, shift)
+    if any(len(tubes) > 1 for tubes in robot.moving_together):
+        _check_translations(robot, shift)
     start, translations = None, np.array(shift)
     if guess is not None:
         turn = rotations - guess.rotations
@@ -171,8 +172,7 @@ def _compiled(
 @lru_cache(maxsize=256)
 def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
-    if any(len(tubes) > 1 for tubes in robot.moving_together):
-        robot.assembly(np.array(shift))
+    robot.assembly(np.array(shift))
 
 
 def _small(turn: Array, shift: Array, length: float) -> bool:

@@ -47,7 +47,7 @@ def offset_change(of: Derivatives, problem: ReducedProblem) -> Array:
     first = of.first("torsional_stiffness")
     if first is not None:
         out[first : first + n] -= problem.weight @ (wave.b * wave.pull) / of.arm.torsional_stiffness
-    np.add.at(out, of.jumps.column, of.side * wave.gains(of))
+    out += of.side * wave.gains(of) @ of.jumps.spread
     return np.asarray(out / mode.pairing)
 
 
@@ -89,16 +89,13 @@ class _Wave:
         jumps, count, kappa = of.jumps, len(of.jumps), self.mode.value
         if not count:
             return np.zeros(0)
-        y, v, a, b = (np.array(part) for part in zip(*(self._at(s) for s in of.cuts[jumps.index]), strict=True))
-        theta, twist = (table[jumps.index] for table in of.states)
+        places = [self._at(s) for s in of.cuts[jumps.index]]
+        y, v, a, b = (np.array(part * 2) for part in zip(*places, strict=True))
+        theta, twist = (jumps.twice(table) for table in of.arm.states)
         weights = (y, b, -kappa * a * twist, -kappa * a * v)
-        function = section_function("mode", count, of.arm.n_tubes, True)
-        values = []
-        for kb, m in (jumps.gained, jumps.lost):
-            there = np.asarray(kb.any(axis=1), dtype=bool)
-            solid = np.where(there[:, None], kb, 1.0)
-            values.append(np.where(there, function(theta, solid, m, *of.arm.place, *weights)[0][:, 0], 0.0))
-        return np.asarray(values[0] - values[1])
+        function = section_function("mode", 2 * count, of.arm.n_tubes, True)
+        values = function(theta, jumps.solid, jumps.moment, *of.arm.place, *weights)[0][:, 0]
+        return jumps.gain(np.where(jumps.stiffness.any(1), values, 0.0))
 
     def _at(self, s: float) -> tuple[Array, Array, Array, Array]:
         """y, v, a, b (n,) at a breakpoint: whole elements lie on either side of it."""

@@ -10,7 +10,7 @@ from ..robots.assembly import Assembly
 from ..transcription import arm as arms
 from ..transcription.buffered import section_function
 from ..transcription.collocated import ENDS
-from ..transcription.linear import Arm
+from ..transcription.linear import Arm, interpolation, shape_points
 from ..transcription.reduced import ReducedProblem
 from ..transcription.tableau import tableau
 from ..typing import Array
@@ -35,8 +35,10 @@ def arm_of(solution: Solution) -> Arm:
         theta=torsion.rotation,
         twist=torsion.twist,
         inner=arms.rotations_at(problem, torsion, tuple(t.nodes.tolist())),
+        tip=shape.rotation[:, -1],
         position=shape.position,
         frame=shape.frame,
+        curvature=shape.curvature,
     )
 
 
@@ -66,7 +68,7 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     section = np.searchsorted(assembly.start, start + length / 2) - 1
     stiffness = assembly.bending_stiffness * assembly.present[section]
     moment = (assembly.bending_stiffness * assembly.curvature) * assembly.curved[section]
-    index = np.arange(len(start))[:, None] * steps + np.arange(len(ENDS))
+    index = shape_points(len(start))
     theta, slope = equilibrium.rotation.T[index], equilibrium.torsion.T[index[:, 1:-1]]
     inner = _hermite(how.family, how.degree) @ np.concatenate([theta, length[:, None, None] * slope], axis=1)
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
@@ -89,16 +91,14 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
         theta=theta[:, 0],
         twist=twist,
         inner=inner,
+        tip=equilibrium.rotation[:, -1],
         position=equilibrium.position,
         frame=equilibrium.frame,
+        curvature=equilibrium.curvature,
     )
 
 
 @lru_cache(maxsize=16)
 def _hermite(family: str, degree: int) -> Array:
     """(K, HERMITE) values at the collocation points from those at ENDS and slopes at ENDS inside."""
-    power = np.arange(HERMITE)
-    slopes = power * ENDS[1:-1, None] ** np.maximum(power - 1, 0)
-    conditions = np.concatenate([ENDS[:, None] ** power, slopes])
-    nodes = tableau(family, degree).nodes
-    return np.asarray(np.linalg.solve(conditions.T, (nodes[:, None] ** power).T).T)
+    return interpolation(tableau(family, degree).nodes, ENDS, ENDS[1:-1])

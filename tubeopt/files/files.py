@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ..errors import InputError
 
@@ -39,6 +42,14 @@ def write_text(path: str | PathLike[str], text: str) -> None:
     """Write `text` to `path` in UTF-8, whole or not at all; raises InputError where that cannot be."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def save_arrays(path: str | PathLike[str], **arrays: Any) -> Path:
+    """Write arrays under their names as npz, whole or not at all; raises InputError where that cannot be."""
+    with atomic_write(path) as temporary:
+        plain: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
+        np.savez(temporary, **plain)
+    return Path(path)
 
 
 def read_bytes(path: str | PathLike[str]) -> bytes:

@@ -6,6 +6,7 @@ outside are therefore kept as the decimals that were written, scaled exactly, an
 
 from __future__ import annotations
 
+import functools
 import math
 import reprlib
 from decimal import Context, Decimal, InvalidOperation
@@ -18,6 +19,69 @@ DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
 PER_M = RAD = Decimal(1)
 
 _CONTEXT = Context(prec=60)
+_MINUTE = Decimal(60)
+
+UNITS = {
+    **dict.fromkeys(
+        [
+            "rad",
+            "rad_per_m",
+            "per_m",
+            "per_K",
+            "m",
+            "s",
+            "Hz",
+            "N",
+            "V",
+            "A",
+            "K",
+            "degC",
+            "J",
+            "J_per_m",
+            "W_per_m",
+            "K_per_s",
+            "kg_per_m3",
+            "J_per_kg_K",
+            "W_per_m_K",
+            "W_per_m2_K",
+            "ohm_m",
+            "ohm_m2",
+        ],
+        Decimal(1),
+    ),
+    **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g"], Decimal("1e-3")),
+    **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
+    **dict.fromkeys(["um", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
+    "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
+    "rpm": _CONTEXT.divide(Decimal(1), _MINUTE),
+    "mm3": Decimal("1e-9"),
+    "cm2": Decimal("1e-4"),
+    "percent": PERCENT,
+    "kJ": Decimal(1000),
+    "GPa": GPA,
+    "Ah": Decimal(3600),
+}
+"""Units that a key may end in -> one of it in SI; degC counts as K, without the offset."""
+
+SIGNS = {"percent": "%", "per_m": "1/m", "N_mm2": "N mm²", "deg_per_s": "deg/s", "mm_per_s": "mm/s"}
+"""How a unit is written in a table, where that is not its suffix."""
+
+TO_MM = TO_MILLI = 1e3
+"""Millimetres per metre, and a thousand of anything: for pictures and sentences."""
+
+
+@functools.lru_cache(maxsize=1024)
+def unit_of(key: str) -> str:
+    """The unit that `key` ends in, the longest of `UNITS`: "mm_per_s" of "tip_speed_mm_per_s"; "" where it has none."""
+    parts = key.split("_")
+    endings = ("_".join(parts[k:]) for k in range(1, len(parts)))
+    return next((ending for ending in endings if ending in UNITS), "")
+
+
+@functools.lru_cache(maxsize=1024)
+def per_si(unit: str) -> float:
+    """How many of a unit (a key of `UNITS`, or "" for a plain number) make one in SI."""
+    return float(_CONTEXT.divide(Decimal(1), UNITS[unit])) if unit else 1.0
 
 
 def to_si(number: Decimal, unit: Decimal) -> float:

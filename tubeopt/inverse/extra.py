@@ -98,6 +98,8 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
     def look(one: Quantity) -> Array:
         here = at.equilibrium
         match one.name:
+            case "strain" | "clearance":
+                raise InputError(f"the {one.name} of a pose is known in designs only")
             case "certificate":
                 return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])
             case "tip_direction":

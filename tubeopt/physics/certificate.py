@@ -26,23 +26,27 @@ SPLITS = 4
 """Parts in which every section is crossed."""
 
 
-def laplacian(stiffness: Any, moment: Any) -> Any:
-    """(n, n) C with y' C y = sum_pairs |c_ij| (y_i - y_j)^2 at a cross-section with kb_i, m_i (n,): -V'' at rotations
-    that are worst for every pair."""
+def pair_couplings(stiffness: Any, moment: Any) -> Any:
+    """(n, n) |c_ij| of every pair of tubes at a cross-section with kb_i, m_i (n,), 0 on the diagonal."""
     pull = ca.fabs(moment)
     pairs = pull @ pull.T / ca.sum1(stiffness)
-    pairs = pairs - ca.diag(ca.diag(pairs))
+    return pairs - ca.diag(ca.diag(pairs))
+
+
+def laplacian(stiffness: Any, moment: Any) -> Any:
+    """(n, n) C with y' C y = sum_pairs |c_ij| (y_i - y_j)^2: -V'' at rotations that are worst for every pair."""
+    pairs = pair_couplings(stiffness, moment)
     return ca.diag(ca.sum2(pairs)) - pairs
 
 
 @lru_cache(maxsize=16)
 def worst_function(n: int) -> ca.Function:
-    """(kb, m, y) -> -C (n, n), -y' C y, its gradient with respect to kb and m (2 n)."""
+    """(kb, m, y) -> -C (n, n), -y' C y, its gradient with respect to kb and m (2 n), |c_ij| (n, n)."""
     stiffness, moment, y = (ca.SX.sym(s, n) for s in ("kb", "m", "y"))
     worst = -laplacian(stiffness, moment)
     form = ca.bilin(worst, y, y)
     slope = ca.gradient(form, ca.vertcat(stiffness, moment))
-    outputs = [ca.densify(part) for part in (worst, form, slope)]
+    outputs = [ca.densify(part) for part in (worst, form, slope, pair_couplings(stiffness, moment))]
     return ca.Function("worst", [stiffness, moment, y], outputs, {"cse": True})
 
 

@@ -9,7 +9,6 @@ curvature.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -86,11 +85,3 @@ def rotation_matrix(quaternion: Any) -> Any:
     """(3, 3) of a unit quaternion (4,), scalar first."""
     w, v = quaternion[0], quaternion[1:]
     return (w**2 - ca.dot(v, v)) * ca.DM.eye(3) + 2 * v @ v.T + 2 * w * ca.skew(v)
-
-
-@lru_cache(maxsize=1)
-def step_function() -> ca.Function:
-    """(u (6,), h) -> R (3, 3), p (3,) after a step of length h; u at the three GAUSS_POINTS, x before y."""
-    u, h = ca.SX.sym("u", 6), ca.SX.sym("h")
-    pose = magnus_step(ca.DM.eye(3), ca.DM.zeros(3), ca.reshape(u, 2, 3), h)
-    return ca.Function("step", [u, h], [ca.densify(part) for part in pose], {"cse": True})

@@ -115,9 +115,10 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
 
     `curvature`: u.  `stiffness_slope`, with a further argument y (n,): d(dM/dtheta y)/dtheta (n, n).
     `curvature_slope`: du/dtheta (2, n).  `balance`: M, dM/dtheta (n, n), V, g, dg/dtheta (n, n); the last two for
-    eccentric tubes only.  `moment`: M, g.  `variation`, with a further argument y (n,): y' dM/dtheta y, its gradient
-    with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives (n, 3 n), (n, 3 n), (2, 3 n),
-    (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes, with further arguments y, b, c, e (n,):
+    eccentric tubes only.  `moment`: M, g.  `section`: M, g, u, V.  `variation`, with a further argument y (n,):
+    y' dM/dtheta y, its gradient with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives
+    (n, 3 n), (n, 3 n), (2, 3 n), (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes, with further
+    arguments y, b, c, e (n,):
     b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta, kb and m (3 n).
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
@@ -136,6 +137,7 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "curvature_slope": (inputs, [turned]),
         "balance": (inputs, outputs),
         "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
+        "section": (inputs, values),
         "stiffness_slope": ([*inputs, y], [ca.densify(ca.jacobian(stiff @ y, theta))]),
         "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
         "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),

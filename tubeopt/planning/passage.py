@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
@@ -115,17 +115,31 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *np.split(joints, 2), guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *_pair(joints), guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
+
+    def onwards(self, here: Step, at: float, joints: Array) -> Step:
+        """The same; raises _SnapError where the branch ends before it."""
+        rotations, translations = _pair(joints)
+        e = one_step(self.robot, here.equilibrium, rotations, tuple(translations.tolist()))
+        if e is not None and e.stable:
+            self.count += 1
+            return Step(at, e, joints)
+        end = self.ends(here, at, joints)
+        there = self.step(here, at, joints) if end is None else None
+        if there is None:
+            # Without a snap it is stability that ends, where branches cross, or a solver that gives up.
+            raise _SnapError(here.at if end is None else end)
+        return there
 
     def between(self, one: Step, other: Step) -> Step | None:
         """The step half-way."""
         return self.step(one, (one.at + other.at) / 2, (one.joints + other.joints) / 2)
 
-    def ends(self, here: Step, at: float, joints: Array) -> float:
-        """Fraction of the time at which the branch that leads from here to joint values (2n,) ends."""
+    def ends(self, here: Step, at: float, joints: Array) -> float | None:
+        """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
         try:
             snap = find_snap(
                 self.robot,
@@ -135,13 +149,12 @@ class Follower:
             )
         except SolveError:
             snap = None
-        # None: it is stability that ends, where branches cross, or a solver that gives up.
-        return here.at if snap is None else here.at + snap.fraction * (at - here.at)
+        return None if snap is None else here.at + snap.fraction * (at - here.at)
 
 
 def _pair(joints: Array) -> tuple[Array, Array]:
-    rotations, translations = np.split(joints, 2)
-    return rotations, translations
+    n = len(joints) // 2
+    return joints[:n], joints[n:]
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
@@ -176,13 +189,14 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
-        for x in np.union1d(np.arange(1, count + 1) / count, meetings.get(k, [])):
+        parts = np.arange(1, count + 1) / count
+        for x in np.union1d(parts, meetings[k]) if k in meetings else parts:
             there = b if x == 1 else a + (b - a) * x
             at = float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
-            ahead = follower.step(steps[-1], at, there)
-            if ahead is None:
-                return steps, follower.ends(steps[-1], float(t[k + 1] - t[0]) / span, b)
-            steps.append(ahead)
+            try:
+                steps.append(follower.onwards(steps[-1], at, there))
+            except _SnapError as error:
+                return steps, error.at
             if follower.over:
                 return steps, None
     return steps, None
@@ -226,7 +240,8 @@ def _halves(follower: Follower, link: Link) -> list[Link]:
     """Both halves of a link; raises _SnapError where the branch ends in it."""
     middle = follower.between(link.one, link.other)
     if middle is None:
-        raise _SnapError(follower.ends(link.one, link.other.at, link.other.joints))
+        end = follower.ends(link.one, link.other.at, link.other.joints)
+        raise _SnapError(link.one.at if end is None else end)
     return [Link(link.one, middle), Link(middle, link.other)]
 
 

@@ -64,12 +64,11 @@ PARAMETERS = (
     "step",
     "twist",
     "radius",
-    "clearance",
 )
 """robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,) over the scale, times the unit of
 time and its square; weights (4,) of length, time, effort and margin; order (rows, m) of the joints; step (intervals,)
-share of the time of each interval; twist (intervals,) largest change of a tip rotation, rad; radius (n,) of the arm and
-clearance to keep (1,), m."""
+share of the time of each interval; twist (intervals,) largest change of a tip rotation, rad; radius (n,) of the arm,
+m."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,14 @@ class PathProgram:
     """The program. Unknowns, in units of the scale and by columns: joint values (m, K), rates (m, K), tip rotations
     (n, K), square of the duration, margin.
 
-    `rows`: number of constraints of each kind, in order.   `options`: of IPOPT.
+    `rows`: number of constraints of each kind, in order.
+    `least`: of unknowns and parameters, the smooth least distances by columns (obstacles, K), m.
     """
 
     problem: dict[str, Any]
     hessian: ca.Function
     rows: dict[str, int]
+    least: ca.Function
 
     def solver(self, seconds: float) -> ca.Function:
         """IPOPT, to spend at most so many seconds."""
@@ -120,7 +121,7 @@ def path_program(question: PathQuestion) -> PathProgram:
     n, groups, intervals = question.n, len(question.carriages), question.intervals
     m, knots = n + groups, question.intervals + 1
     sizes = {"robot": 7 * n, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
-    sizes |= {"order": question.rows * m, "step": intervals, "twist": intervals, "radius": n, "clearance": 1}
+    sizes |= {"order": question.rows * m, "step": intervals, "twist": intervals, "radius": n}
     p = {name: ca.MX.sym(name, sizes[name]) for name in PARAMETERS}
     joints, rates, tip = ca.MX.sym("q", m, knots), ca.MX.sym("v", m, knots), ca.MX.sym("z", n, knots)
     square, margin = ca.MX.sym("S"), ca.MX.sym("mu")
@@ -128,8 +129,9 @@ def path_program(question: PathQuestion) -> PathProgram:
     spread = ca.DM(np.array([[float(i in g) for g in question.carriages] for i in range(n)]))
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
     robots = ca.repmat(p["robot"], 1, knots)
-    block = explicit_joints(n, question.eccentric).map(knots)
-    rotations, fields = block(tip, shift, ca.repmat(margin, 1, knots), robots)
+    shown = bool(question.obstacles) or question.extra is not None
+    block = (explicit_arm if shown else explicit_joints)(n, question.eccentric).map(knots)
+    rotations, fields, *arm = block(tip, shift, ca.repmat(margin, 1, knots), robots)
     early, middle, late = _cubic(joints, rates, ca.repmat(p["step"].T, m, 1))
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
     accelerations = ca.vertcat(early, late) / ca.vertcat(force, force)
@@ -149,13 +151,10 @@ def path_program(question: PathQuestion) -> PathProgram:
         "force": ca.vertcat(ca.vec(accelerations), -ca.vec(accelerations)) - square,
         "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
     }
-    arm: Any = None
-    if question.obstacles or question.extra is not None:
-        arm = explicit_arm(n, question.eccentric).map(knots)(tip, shift, ca.DM.zeros(1, knots), robots)
     if question.obstacles:
         distance = _distance(question).map("distance", "serial", knots, [5], [])
-        least = distance(arm[2], arm[3], arm[4], shift, robots, p["radius"])
-        parts["clearance"] = (ca.vec(least) - p["clearance"]) / question.length
+        least = distance(*arm, shift, robots, p["radius"])
+        parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
     delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
     moved = h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30
@@ -173,7 +172,8 @@ def path_program(question: PathQuestion) -> PathProgram:
         extra, bent = _extra(question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x)
         problem["f"] = objective + extra
     rows = {name: part.numel() for name, part in parts.items()}
-    return PathProgram(problem, _hessian({**problem, "f": objective}, rows, bent), rows)
+    distances = ca.Function("least", [x, given], [parts.get("clearance", ca.DM(0, 1)) * question.length])
+    return PathProgram(problem, _hessian({**problem, "f": objective}, rows, bent), rows, distances)
 
 
 PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
@@ -184,8 +184,8 @@ def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> 
     """The mean of an own cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
     assert question.extra is not None
     (expression, weight), knots = question.extra, question.intervals + 1
-    last = [known["arm"][2].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
-    known = {**known, "tip_position": known["arm"][2][:, last], "tip_direction": known["arm"][3][:, last]}
+    last = [known["arm"][0].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
+    known = {**known, "tip_position": known["arm"][0][:, last], "tip_direction": known["arm"][1][:, last]}
     given = ca.vertcat(*(known[one.name] for one in expression.quantities))
     share = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
     y, factor = ca.SX.sym("y", given.shape[0]), ca.SX.sym("share")
@@ -224,7 +224,7 @@ def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Fu
 
 
 def _distance(question: PathQuestion) -> ca.Function:
-    """(obstacles,) smooth least distances of one arm, on the safe side."""
+    """(obstacles,) smooth least distances of one arm, never larger than they are."""
     n = question.n
     count = explicit_arm(n, question.eccentric).size2_out(2)
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]

@@ -43,7 +43,6 @@ class Constants:
     def of(robot: Robot) -> Constants:
         """Those of a robot."""
         home = robot.assembly(robot.home_translations)
-        angle = home.offset_angle
         return Constants(
             straight=home.transition + home.transmission,
             whole=home.end + home.transmission,
@@ -51,7 +50,7 @@ class Constants:
             torsional=home.torsional_stiffness,
             moment=np.abs(home.bending_stiffness * home.curvature),
             offset=np.abs(home.offset),
-            direction=np.column_stack([np.sin(angle), -np.cos(angle)]) * home.offset[:, None],
+            direction=home.across[:, ::-1] * [1.0, -1.0],
             radius=np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + home.offset,
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -200,12 +200,12 @@ def _solve(
         step=share,
         twist=np.maximum(LARGEST_TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
-        clearance=task.clearance + room[1],
     )
     floor = min(task.min_margin + room[0], 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    result = solver(x0=x, p=p, **_bounds(task, program, (q, z), objective, floor))
+    least = np.asarray(program.least(x, p)).reshape(len(q), -1) - _falls(task, z, room[1])
+    result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
@@ -247,11 +247,25 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
+def _falls(task: Task, z: Array, room: float) -> Array:
+    """(K, obstacles) by how much, m, the distances of knots (K, m) from obstacles may fall: to `room` above the
+    clearance to keep; not at all where a knot has no more than that to spare. Negative where they must grow.
+
+    The smooth least distances of the program are bounded by what they are now less this: where much of an arm is about
+    as close as its closest point, they are a few millimetres too small, of all knots alike.
+    """
+    arms = task.chart.arms(z, 0.0)
+    alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
+    spare = np.array([least - task.clearance for least in alone]).reshape(len(task.obstacles), len(z)).T
+    return np.asarray(spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None])))
+
+
 def _bounds(
-    task: Task, program: PathProgram, start: tuple[Array, Array], objective: str, floor: float
+    task: Task, program: PathProgram, start: tuple[Array, Array, Array], objective: str, floor: float
 ) -> dict[str, Array]:
-    """Bounds of unknowns and constraints; both ends, which were checked before, are as they are."""
-    (q, z), space, inf = start, task.chart.space, np.inf
+    """Bounds of unknowns and constraints from knots: joint values, points of the chart, least distances (m) to keep.
+    Both ends, which were checked before, are as they are."""
+    (q, z, least), space, inf = start, task.chart.space, np.inf
     n, (knots, m) = space.robot.n_tubes, q.shape
     low, high = (np.tile(value / task.scale, (knots, 1)) for value in (space.lower, space.upper))
     low[[0, -1]] = high[[0, -1]] = (q / task.scale)[[0, -1]]
@@ -270,7 +284,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
-    limits = {"fields": ROOM, "clearance": 0.0}
+    limits: dict[str, float | Array] = {"fields": ROOM, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()

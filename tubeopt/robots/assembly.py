@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +66,12 @@ class Assembly:
         return bool(self.offset.any())
 
     @property
+    def across(self) -> Array:
+        """(n, 2) m: where each tube runs beside the centreline, d (cos phi, sin phi)."""
+        angle = self.offset_angle
+        return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+    @property
     def coupled(self) -> Mask:
         """(m,) sections in which torsion is not simply linear: two curved tubes, or one where tubes run off-centre."""
         return np.asarray(self.curved.sum(1) >= (1 if self.eccentric else 2))
@@ -103,7 +109,7 @@ def assemble(
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
     curvature = np.array([tube.curvature for tube in tubes])
-    cuts = merge(np.maximum(np.concatenate([[0.0], transition, end]), 0.0))
+    cuts = merge([0.0, *(s for s in (*transition.tolist(), *end.tolist()) if s > 0)])
     present, curved = where(transition, end, curvature, (cuts[:-1] + cuts[1:])[:, None] / 2)
     zero = np.zeros(n)
     return Assembly(
@@ -128,10 +134,10 @@ def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> 
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
-def merge(points: Array) -> Array:
+def merge(points: Iterable[float]) -> Array:
     """Sorted points without those closer than ROUND_OFF to the last one that was kept."""
     kept: list[float] = []
-    for point in np.sort(points).tolist():
+    for point in sorted(points):
         if not kept or point - kept[-1] > ROUND_OFF:
             kept.append(point)
     return np.array(kept)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError, finite, positive
+from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 
 
@@ -83,5 +84,4 @@ class Tube:
     @property
     def straightened_strain(self) -> float:
         """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa)."""
-        bend = self.outer_diameter / 2 * abs(self.curvature)
-        return bend / (1 - bend)
+        return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))

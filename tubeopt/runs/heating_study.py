@@ -2,20 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, model_validator
 
-from ..files.checked import Number, Positive
-from ..files.units import shown
+from ..files.checked import NotNegative, Number, Positive
+from ..files.units import PERCENT, shown, to_si
 from ..robots.tubes import Tube
+from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
+from ..shaping.heating.robust import Band, Uncertainty, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
+from ..shaping.mold.materials import mold_material
 from .base import Progress, RobotPath, Study, Whole
 from .rig_file import load_rig
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Uncertain rigs on which a plan is tried.
+
+    uncertainty: of the rig.   samples: how many.   scaled: whether the duties are scaled to the most likely success.
+    """
+
+    uncertainty: Uncertainty
+    samples: int
+    scaled: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Heating:
+    """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
+
+    scale: by which its duties were scaled to the most likely success.
+    """
+
+    plan: HeatingPlan
+    tables: tuple[HeatingPlan, ...] = ()
+    band: Band | None = None
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    scale: float = 1.0
+
+
+def heating_of(
+    planned: HeatingPlan,
+    charges: tuple[float, ...] = (),
+    ensemble: Ensemble | None = None,
+    progress: Progress | None = None,
+) -> Heating:
+    """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs."""
+    steps = 1 + len(charges) + (ensemble is not None)
+    tell = progress or (lambda done, total: None)
+    tell(1, steps)
+    band, scale = None, 1.0
+    if ensemble is not None and ensemble.scaled:
+        better = most_likely(planned, ensemble.uncertainty, samples=ensemble.samples)
+        planned, band, scale = better.plan, better.band, better.scale
+    elif ensemble is not None:
+        band = assess(planned, ensemble.uncertainty, samples=ensemble.samples)
+    tables: list[HeatingPlan] = []
+    for k, charge in enumerate(charges):
+        tables += charge_tables(planned, [charge])
+        tell(2 + k, steps)
+    tell(steps, steps)
+    return Heating(planned, tuple(tables), band, Uncertainty() if ensemble is None else ensemble.uncertainty, scale)
 
 
 def _load(value: object, info: ValidationInfo) -> Rig:
@@ -34,29 +88,51 @@ RigPath = Annotated[
 """A rig, given as the path of its file."""
 
 
+def _of_the_robot(tube: int, info: ValidationInfo) -> int:
+    robot = info.data.get("robot")
+    if robot is not None and tube > robot.n_tubes:
+        raise ValueError(f"is {tube}; it must be 1 to {robot.n_tubes}")
+    return tube
+
+
 class HeatingStudy(Study):
     """The schedule that holds the curved part of a tube within a window of temperature."""
 
     kind: Literal["heating"]
     rig: RigPath
-    robot: RobotPath | None = Field(None, description="whose tube is heated; by default the rig's own tube")
-    tube: Annotated[Whole, Field(ge=1)] = Field(1, description="which tube of the robot, from 1")
+    robot: RobotPath | None = Field(None, description="robot whose tube is heated; by default the rig's own tube")
+    tube: Annotated[Whole, Field(ge=1), AfterValidator(_of_the_robot)] = Field(
+        1, description="which tube of the robot, from 1"
+    )
     window_degC: Annotated[list[Number], Field(min_length=2, max_length=2)] = Field(
         [Decimal(500), Decimal(550)], description="of the curved part during the hold"
     )
     limit_degC: Number | None = Field(None, description="for every point at all times; by default the window's end")
     hold_s: Positive = Field(Decimal(60), description="length of the hold")
     ramp_K_per_s: Positive = Field(Decimal(20), description="greatest rate of warming")
-    objective: Literal["time", "energy", "margin"] = "time"
+    objective: Literal["time", "energy", "margin"] = Field(
+        "time", description="time: soonest done; energy: least charge; margin: farthest from the window's ends"
+    )
     slot_s: Positive = Field(Decimal("0.5"), description="for how long a duty is kept")
     longest_s: Positive = Field(Decimal(120), description="longest heating before the hold")
-    quench: Literal["water", "air"] = "water"
-    free: list[Literal["clearance", "lead", "vents"]] = Field([], description="what of the rig may be chosen")
+    quench: Literal["water", "air"] = Field("water", description="water or air")
+    free: list[Literal["clearance", "lead", "vents"]] = Field(
+        [], description="choose these of the rig: clearance, lead, vents"
+    )
+    material: str | None = Field(None, description="mold material in place of the rig's")
+    battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
+    charges_percent: list[Positive] = Field([], description="also tables for these states of charge")
+    loss_percent: NotNegative = Field(
+        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
+    )
+    robust: bool = Field(False, description="scale the duties to the most likely success")
+    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         self._tube()
-        self._spec()
+        self._rig()
+        slot_milliseconds(self._spec().slot)
         return self
 
     def _tube(self) -> Tube:
@@ -64,10 +140,17 @@ class HeatingStudy(Study):
             if self.rig.tube is None:
                 raise ValueError("robot is missing; the rig file names no tube")
             return self.rig.tube
-        if self.tube > self.robot.n_tubes:
-            raise ValueError(f"tube is {self.tube}; it must be 1 to {self.robot.n_tubes}")
         chosen: Any = self.robot.tubes[self.tube - 1]
         return chosen  # type: ignore[no-any-return]
+
+    def _rig(self) -> Rig:
+        """The rig with the material and the voltage that are given."""
+        rig = self.rig
+        if self.material is not None:
+            rig = replace(rig, mold=replace(rig.mold, material=mold_material(self.material)))
+        if self.battery_V is not None:
+            rig = rig.with_charge(rig.battery.charge_at(float(self.battery_V)))
+        return rig
 
     def _spec(self) -> HeatingSpec:
         low, high = (float(value) for value in self.window_degC)
@@ -83,6 +166,13 @@ class HeatingStudy(Study):
             free=tuple(self.free),
         )
 
-    def run(self, progress: Progress | None = None) -> HeatingPlan:
+    def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
-        return plan_heating(self._tube(), self.rig, self._spec())
+        charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
+        ensemble = None
+        if self.samples and self.loss_percent:
+            uncertainty = Uncertainty(loss=to_si(self.loss_percent, PERCENT))
+            ensemble = Ensemble(uncertainty, self.samples, scaled=self.robust)
+        if progress is not None:
+            progress(0, 1 + len(charges) + (ensemble is not None))
+        return heating_of(plan_heating(self._tube(), self._rig(), self._spec()), charges, ensemble, progress)

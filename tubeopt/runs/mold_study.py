@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PlainValidator, ValidationInfo, model_validator
 
 from ..files.units import shown
+from ..robots.tubes import Tube
+from ..shaping.mold.heat import HeatSpec
+from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from .base import Progress, RobotPath, Study, Whole
 from .mold_file import load_mold_spec
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Mold materials for a tube, best first.   heat: the heating that they are for."""
+
+    ratings: tuple[MaterialRating, ...]
+    tube: Tube
+    heat: HeatSpec
 
 
 def _load(value: object, info: ValidationInfo) -> MoldSpec:

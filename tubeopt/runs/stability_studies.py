@@ -148,11 +148,15 @@ class FollowStudy(Study):
 
 @dataclass(frozen=True, eq=False)
 class Certification:
-    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for."""
+    """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
+
+    robot_file: what the commands that repeat it name.
+    """
 
     robot: Robot
     verdict: Verdict
     box: WorstCertificate | None
+    robot_file: str = "ROBOT.yaml"
 
 
 class CertifyStudy(Study):

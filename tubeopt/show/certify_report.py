@@ -4,147 +4,258 @@ from __future__ import annotations
 
 import itertools
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..files.files import write_text
+from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
-from .report import report, to_text, two_columns
-from .snap_report import draw_snap
-from .words import MILLI, MM, degrees, flag, millimetres, snap_record
+from .quantities import Quantity, line
+from .report import Report, grid, report, two_columns
+from .snap_report import SNAP
+from .words import degrees, flag
 
 BOX_METHOD = "the DIRECT algorithm, L-BFGS-B from its best point and every corner, Nelder-Mead from the best of all"
 """How the least certificate in a box is found; see `stability.worst_certificate`."""
 
 GRADIENT = {
-    "bending_stiffness": ("bending stiffness EI", "N_mm2", 1e-6),
-    "torsional_stiffness": ("torsional stiffness GJ", "N_mm2", 1e-6),
-    "curvature": ("precurvature", "per_m", 1.0),
-    "straight_length": ("straight length", "mm", 1e-3),
-    "curved_length": ("curved length", "mm", 1e-3),
-    "translation": ("translation", "mm", 1e-3),
+    "bending_stiffness_N_mm2": "bending stiffness EI",
+    "torsional_stiffness_N_mm2": "torsional stiffness GJ",
+    "curvature_per_m": "precurvature",
+    "straight_length_mm": "straight length",
+    "curved_length_mm": "curved length",
+    "translation_mm": "translation",
 }
-"""Parameters of the certificate: their name, unit, and what turns a derivative per SI unit into one per this unit."""
+"""Parameters of the certificate with the unit that its derivatives are per, and their names."""
 
 EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
 """What `tubeopt certify` ends with."""
 
-SIGNS = {"N_mm2": "N mm²", "per_m": "1/m", "mm": "mm"}
+
+def sentence(a: Certification) -> str:
+    """The verdict, with what is proved and what is found, where the snap is, and what is assumed."""
+    return f"{_finding(a.verdict)}, {ASSUMING}"
 
 
-@dataclass(frozen=True)
-class CertificationReport:
-    """What is said and saved about a verdict; `robot_file` is what the commands that repeat it name."""
+def _finding(verdict: Verdict) -> str:
+    proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
+    found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
+    if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricVerdict):
+        return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
+    if verdict.finding is Finding.SNAP_FREE:
+        return f"{verdict.finding} (margin {proved} proved; {found} found)"
+    if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
+        return f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
+    if verdict.snap is None:
+        least = f"least margin found {found}"
+        if verdict.worst is not None and verdict.worst.margin < 0:
+            least += ", an unstable equilibrium, so that some way leads to a snap"
+        return f"not proved (certificate {proved}), and search found no snap ({least})"
+    beyond = "" if verdict.decided else "search found that "
+    where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
+    start, end = (degrees(angles, ".6g") for angles in _way(verdict))
+    return (
+        f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
+        f"(least margin found {found}; certificate {proved})"
+    )
 
-    answer: Certification
-    robot_file: str = "ROBOT.yaml"
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON: in words, the numbers proved and found, what limits them, and how to repeat it."""
-        verdict = self.answer.verdict
-        certificate, worst, box = verdict.certificate, verdict.worst, self.answer.box
-        return {
-            "robot": self.answer.robot.name,
-            "translations_mm": (certificate.translations * MM).tolist(),
-            "finding": verdict.finding.name,
-            "exit_code": EXIT_CODES[verdict.finding],
-            "answer": self.sentence(),
-            "assumed": ASSUMING,
-            "certificate": _number(certificate.margin),
-            "untwisted_margin": verdict.untwisted if isinstance(verdict, EccentricVerdict) else None,
-            "margin_found": None if worst is None else worst.margin,
-            "found_at_deg": None if worst is None else np.degrees(worst.equilibrium.rotations).tolist(),
-            "limiting_tubes": None if certificate.pair is None else [i + 1 for i in certificate.pair],
-            "limiting_section_mm": None if certificate.section is None else [s * MM for s in certificate.section],
-            "shares": [{"tubes": list(pair), "share": share} for pair, share in self._shares()],
-            "gradient": {
-                f"{key}_{unit}": [_number(value * factor) for value in certificate.gradient[key].tolist()]
-                for key, (_, unit, factor) in GRADIENT.items()
-            },
-            "ways_tried": verdict.ways,
-            "ways_lost": verdict.failed,
-            "rotation_limits_deg": np.degrees(self.answer.robot.limits.rotations).tolist(),
-            "within_limits": verdict.within_limits,
-            "way_deg": [np.degrees(angles).tolist() for angles in self._way()],
-            "snap": None if verdict.snap is None else snap_record(verdict.snap),
-            "repeat": self.command(),
-            "box": None if box is None else _box_record(box),
-        }
+def _way(verdict: Verdict) -> list[Array]:
+    """Rotations from the relaxed pose to beyond the snap, none without one."""
+    return [angles for angles in (verdict.start, verdict.end) if angles is not None]
 
-    def sentence(self) -> str:
-        """The verdict, with what is proved and what is found, where the snap is, and what is assumed."""
-        return f"{self._finding()}, {ASSUMING}"
 
-    def _finding(self) -> str:
-        verdict = self.answer.verdict
-        proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
-        found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
-        if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricVerdict):
-            return (
-                f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
-            )
-        if verdict.finding is Finding.SNAP_FREE:
-            return f"{verdict.finding} (margin {proved} proved; {found} found)"
-        if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
-            return (
-                f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
-            )
-        if verdict.snap is None:
-            least = f"least margin found {found}"
-            if verdict.worst is not None and verdict.worst.margin < 0:
-                least += ", an unstable equilibrium, so that some way leads to a snap"
-            return f"not proved (certificate {proved}), and search found no snap ({least})"
-        beyond = "" if verdict.decided else "search found that "
-        where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
-        start, end = (degrees(angles, ".6g") for angles in self._way())
-        return (
-            f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
-            f"(least margin found {found}; certificate {proved})"
-        )
+def command(a: Certification) -> str | None:
+    """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
+    verdict = a.verdict
+    shift = flag(verdict.certificate.translations * TO_MM)
+    file = shlex.quote(a.robot_file)
+    if not verdict.followed:
+        return None
+    if verdict.snap is not None:
+        start, end = (flag(np.degrees(angles)) for angles in _way(verdict))
+        return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
+    if verdict.worst is None:
+        return None
+    angles = flag(np.asarray(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4), dtype=float))
+    return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
 
-    def _way(self) -> list[Array]:
-        """Rotations from the relaxed pose to beyond the snap, none without one."""
-        return [angles for angles in (self.answer.verdict.start, self.answer.verdict.end) if angles is not None]
 
-    def command(self) -> str | None:
-        """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
-        verdict = self.answer.verdict
-        shift = flag(verdict.certificate.translations * MM)
-        file = shlex.quote(self.robot_file)
-        if not verdict.followed:
-            return None
-        if verdict.snap is not None:
-            start, end = (flag(np.degrees(angles)) for angles in self._way())
-            return f"tubeopt snap {file} --from-deg {start} --to-deg {end} --from-mm {shift}"
-        if verdict.worst is None:
-            return None
-        angles = flag(np.asarray(np.round(np.degrees(verdict.worst.equilibrium.rotations), 4), dtype=float))
-        return f"tubeopt equilibria {file} --rotations-deg {angles} --translations-mm {shift}"
+def _shares(a: Certification) -> list[tuple[tuple[int, int], float]]:
+    """Pairs of tubes, from 1, and the part that each takes from a margin of 1; the largest first."""
+    share = a.verdict.certificate.share
+    pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
+    return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
 
-    def _shares(self) -> list[tuple[tuple[int, int], float]]:
-        """Pairs of tubes, from 1, and the part that each takes from a margin of 1; the largest first."""
-        share = self.answer.verdict.certificate.share
-        pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
-        return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
+
+def _takes(a: Certification) -> str:
+    shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in _shares(a)]
+    return ", ".join(shares) or "nothing: no two tubes are coupled"
+
+
+def _certificate(a: Certification) -> str:
+    """The certificate, and what it is a bound of."""
+    margin = a.verdict.certificate.margin
+    if not np.isfinite(margin):
+        return "none"
+    if isinstance(a.verdict, EccentricVerdict):
+        return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still holding"
+    return f"{margin:.6f}, a lower bound of the margin at all rotations"
+
+
+def _least(a: Certification) -> str:
+    worst = a.verdict.worst
+    if worst is None:
+        return "0, a fold"
+    where = degrees(np.radians(np.round(np.degrees(worst.equilibrium.rotations), 4)), ".7g")
+    return f"{worst.margin:.6f}, at rotations {where}"
+
+
+def _limited(a: Certification) -> str | None:
+    certificate = a.verdict.certificate
+    if certificate.section is None:
+        return None
+    start, end = (f"{s * TO_MM:.6g}" for s in certificate.section)
+    section = f"the section from {start} to {end} mm"
+    if certificate.pair is None:
+        return section
+    i, j = certificate.pair
+    return f"tubes {i + 1} and {j + 1}, on {section}"
+
+
+def _searched(a: Certification) -> str | None:
+    verdict = a.verdict
+    if verdict.snap is not None or not verdict.ways:
+        return None
+    lost = f", its equilibria were lost on {verdict.failed} of them" if verdict.failed else ""
+    return f"{verdict.ways} ways from the relaxed pose, none with a snap{lost}"
+
+
+def _snap_words(a: Certification) -> str | None:
+    snap = a.verdict.snap
+    if snap is None:
+        return None
+    return f"the tip jumps {snap.tip_jump * TO_MM:.3f} mm and {snap.energy_released * TO_MILLI:.4f} mJ are released"
+
+
+def _limits(a: Certification) -> str | None:
+    """The limits of the rotations, and whether the snap is inside."""
+    if a.verdict.snap is None:
+        return None
+    inside = "the snap is inside" if a.verdict.within_limits else "the snap is beyond"
+    ranges = (f"{low:.6g} to {high:.6g}" for low, high in np.degrees(a.robot.limits.rotations))
+    implied = "" if a.robot.joint_limits is not None else " where the file gives no limits"
+    return f"{', '.join(ranges)} deg{implied}; {inside}"
+
+
+def _gradient(a: Certification) -> dict[str, list[float | None]]:
+    """Derivatives of the certificate, each per unit of its key."""
+    found = {}
+    for key in GRADIENT:
+        unit = unit_of(key)
+        values = a.verdict.certificate.gradient[key.removesuffix(f"_{unit}")] / per_si(unit)
+        found[key] = [value if np.isfinite(value) else None for value in values.tolist()]
+    return found
+
+
+BOX: tuple[Quantity[WorstCertificate], ...] = (
+    Quantity("lower_mm", "least translations"),
+    Quantity("upper_mm", "greatest translations"),
+    Quantity("method", "how the least certificate in it is found", lambda box: BOX_METHOD),
+    Quantity("evaluations", "certificates computed"),
+)
+
+CERTIFICATION: tuple[Quantity[Certification], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    Quantity("translations_mm", "translations", lambda a: a.verdict.certificate.translations, form=".6g"),
+    Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.verdict.finding.name),
+    Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.verdict.finding]),
+    Quantity("answer", "the verdict in words", sentence),
+    Quantity("assumed", "what all is said under", lambda a: ASSUMING),
+    Quantity("certificate", "certificate", lambda a: _number(a.verdict.certificate.margin), words=_certificate),
+    Quantity(
+        "untwisted_margin",
+        "eccentric robots: margin of the softest untwisted equilibrium, in closed form",
+        lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricVerdict) else None,
+    ),
+    Quantity(
+        "margin_found",
+        "least margin found",
+        lambda a: None if a.verdict.worst is None else a.verdict.worst.margin,
+        words=_least,
+    ),
+    Quantity(
+        "found_at_deg",
+        "rotations of the least margin",
+        lambda a: None if a.verdict.worst is None else a.verdict.worst.equilibrium.rotations,
+    ),
+    Quantity(
+        "limiting_tubes",
+        "the two tubes that limit the certificate, from 1",
+        lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair],
+    ),
+    Quantity(
+        "limiting_section_mm",
+        "the section that limits the certificate",
+        lambda a: a.verdict.certificate.section,
+        label="limited by",
+        words=_limited,
+    ),
+    Quantity(
+        "shares",
+        "what each pair of tubes takes from a margin of 1",
+        lambda a: [{"tubes": list(pair), "share": share} for pair, share in _shares(a)],
+        label="takes from the margin",
+        words=_takes,
+    ),
+    Quantity("gradient", "derivatives of the certificate by each tube's parameters, per unit of the key", _gradient),
+    Quantity("ways_tried", "ways on which a snap was looked for", lambda a: a.verdict.ways),
+    Quantity("ways_lost", "ways on which the equilibria were lost", lambda a: a.verdict.failed),
+    line("the snap", _snap_words),
+    Quantity(
+        "rotation_limits_deg",
+        "rotations allowed",
+        lambda a: np.array(a.robot.limits.rotations),
+        words=_limits,
+    ),
+    line("the search for a snap", _searched),
+    Quantity("within_limits", "whether the snap is within the limits", lambda a: a.verdict.within_limits),
+    Quantity("way_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
+    Quantity("snap", "the snap", lambda a: a.verdict.snap, of=SNAP),
+    Quantity("repeat", "the command that repeats it", command),
+    Quantity(
+        "box",
+        "the box of translations that was searched",
+        of=BOX,
+        label="box",
+        words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm",
+    ),
+    line("searched by", lambda a: None if a.box is None else f"{BOX_METHOD}, {a.box.evaluations} evaluations"),
+)
+
+
+class CertificationReport(Report[Certification]):
+    """What is said and saved about a verdict."""
+
+    command = "certify"
+    quantities = CERTIFICATION
+    file = "certificate.json"
 
     def table(self) -> Group:
         """The verdict in words; what limits it; the gradient; the command that repeats it."""
-        verdict = self.answer.verdict
-        parts: list[Text | Table] = [Text(f"{self.answer.robot.name or 'the robot'} {self.sentence()}", style="bold")]
+        a = self.answer
+        parts: list[Text | Table] = [Text(f"{a.robot.name or 'the robot'} {sentence(a)}", style="bold")]
         parts += [Text(note) for note in self._notes()]
-        parts += [two_columns("", self._rows()), self._gradient()]
-        command = self.command()
-        if command is not None:
-            what = "to repeat the least margin found:" if verdict.snap is None else "to repeat the snap:"
-            parts += [Text(what), Text(f"  {command}", no_wrap=True, overflow="ignore")]
+        parts += [two_columns("", self.rows()), self._gradient()]
+        again = command(a)
+        if again is not None:
+            what = "to repeat the least margin found:" if a.verdict.snap is None else "to repeat the snap:"
+            parts += [Text(what), Text(f"  {again}", no_wrap=True, overflow="ignore")]
         return Group(*parts)
 
     def _notes(self) -> list[str]:
@@ -162,90 +273,33 @@ class CertificationReport:
             notes += _eccentric_notes(verdict)
         return notes
 
-    def _rows(self) -> list[tuple[str, str]]:
-        verdict = self.answer.verdict
-        certificate, worst, box = verdict.certificate, verdict.worst, self.answer.box
-        rows = [
-            ("translations", millimetres(certificate.translations, ".6g")),
-            ("certificate", _certificate(verdict)),
-        ]
-        if worst is None:
-            rows.append(("least margin found", "0, a fold"))
-        else:
-            where = degrees(np.radians(np.round(np.degrees(worst.equilibrium.rotations), 4)), ".7g")
-            rows.append(("least margin found", f"{worst.margin:.6f}, at rotations {where}"))
-        if certificate.pair is not None and certificate.section is not None:
-            i, j = certificate.pair
-            start, end = (f"{s * MM:.6g}" for s in certificate.section)
-            rows.append(("limited by", f"tubes {i + 1} and {j + 1}, on the section from {start} to {end} mm"))
-        elif certificate.section is not None:
-            start, end = (f"{s * MM:.6g}" for s in certificate.section)
-            rows.append(("limited by", f"the section from {start} to {end} mm"))
-        shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in self._shares()]
-        rows.append(("takes from the margin", ", ".join(shares) or "nothing: no two tubes are coupled"))
-        if verdict.snap is not None:
-            jump, energy = verdict.snap.tip_jump * MM, verdict.snap.energy_released * MILLI
-            rows.append(("the snap", f"the tip jumps {jump:.3f} mm and {energy:.4f} mJ are released"))
-            rows.append(("rotations allowed", self._limits()))
-        elif verdict.ways:
-            lost = f", its equilibria were lost on {verdict.failed} of them" if verdict.failed else ""
-            rows.append(("the search for a snap", f"{verdict.ways} ways from the relaxed pose, none with a snap{lost}"))
-        if box is not None:
-            rows += [
-                ("box", f"{millimetres(box.lower, '.6g')} to {millimetres(box.upper, '.6g')}"),
-                ("searched by", f"{BOX_METHOD}, {box.evaluations} evaluations"),
-            ]
-        return rows
-
-    def _limits(self) -> str:
-        """The limits of the rotations, and whether the snap is inside."""
-        inside = "the snap is inside" if self.answer.verdict.within_limits else "the snap is beyond"
-        ranges = (f"{low:.6g} to {high:.6g}" for low, high in np.degrees(self.answer.robot.limits.rotations))
-        implied = "" if self.answer.robot.joint_limits is not None else " where the file gives no limits"
-        return f"{', '.join(ranges)} deg{implied}; {inside}"
-
     def _gradient(self) -> Table | Text:
         certificate = self.answer.verdict.certificate
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
-        table = Table(title="change of the certificate", title_justify="left", box=None, padding=(0, 2, 0, 0))
-        table.add_column("per unit of", style="bold", no_wrap=True)
-        for i in range(self.answer.robot.n_tubes):
-            table.add_column(f"tube {i + 1}", justify="right")
-        for key, (name, unit, factor) in GRADIENT.items():
-            values = certificate.gradient[key] * factor
-            table.add_row(
-                f"{name} ({SIGNS[unit]})", *(f"{value:.4g}" if np.isfinite(value) else "-" for value in values)
-            )
-        return table
-
-    def save(self, directory: Path) -> list[Path]:
-        """Write certificate.json."""
-        path = directory / "certificate.json"
-        write_text(path, to_text(self.record()))
-        return [path]
+        cells = [
+            [
+                f"{GRADIENT[key]} ({SIGNS.get(unit_of(key), unit_of(key))})",
+                *("-" if value is None else f"{value:.4g}" for value in values),
+            ]
+            for key, values in _gradient(self.answer).items()
+        ]
+        tubes = [f"tube {i + 1} >" for i in range(self.answer.robot.n_tubes)]
+        return grid(("per unit of", *tubes), cells, title="change of the certificate", key=True)
 
     def draw(self, directory: Path) -> list[Path]:
         """Write snap.png where a snap was found."""
+        from .plots import plot_snap  # Matplotlib takes longer to load than a solve
+
         snap = self.answer.verdict.snap
-        return [] if snap is None else [draw_snap(directory / "snap.png", snap)]
+        return [] if snap is None else self.drawn(directory, {"snap.png": plot_snap}, snap)
 
 
 def _number(value: float) -> float | None:
     """A number for JSON, which knows neither infinity nor NaN."""
     return value if np.isfinite(value) else None
-
-
-def _certificate(verdict: Verdict) -> str:
-    """The certificate, and what it is a bound of."""
-    margin = verdict.certificate.margin
-    if not np.isfinite(margin):
-        return "none"
-    if isinstance(verdict, EccentricVerdict):
-        return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still holding"
-    return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 
 def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
@@ -268,15 +322,4 @@ def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
     return []
 
 
-def _box_record(box: WorstCertificate) -> dict[str, Any]:
-    return {
-        "lower_mm": (box.lower * MM).tolist(),
-        "upper_mm": (box.upper * MM).tolist(),
-        "method": BOX_METHOD,
-        "evaluations": box.evaluations,
-    }
-
-
-@report.register
-def _(answer: Certification) -> CertificationReport:
-    return CertificationReport(answer)
+report.register(Certification, CertificationReport)

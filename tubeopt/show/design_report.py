@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,19 @@ from rich.table import Table
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
-from ..design.pareto import front_label
+from ..design.optimize import DesignSolution, Dimension
+from ..design.pareto import ParetoFront, front_label
+from ..design.sensitivities import Sensitivity
 from ..design.stock import objective_label
+from ..design.tolerance import ToleranceAnalysis
+from ..design.verify import Check
+from ..equilibrium.result import Equilibrium
 from ..files.files import write_text
+from ..files.units import TO_MM
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
-from .report import report, to_text, two_columns
-from .words import MM
+from .quantities import Quantity, within
+from .report import Report, grid, report, two_columns
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -28,88 +33,107 @@ MAP_SAMPLES = 20
 """Points per axis of the stability maps before and after."""
 
 
-@dataclass(frozen=True)
-class DesignReport:
+DIMENSION: tuple[Quantity[Dimension], ...] = (
+    Quantity("name", "of which tube"),
+    Quantity("unit", "of the numbers"),
+    Quantity("before", "in the robot that was given"),
+    Quantity("after", "in the design"),
+    Quantity("bound", "the bound on which it lies", lambda d: d.bound or None),
+)
+
+BINDING: tuple[Quantity[Sensitivity], ...] = (
+    Quantity("limit", "in words", lambda one: one.limit.words),
+    Quantity("value", "at which it stands", lambda one: one.limit.value * one.limit.factor),
+    Quantity("unit", "of the value", lambda one: one.limit.unit),
+    Quantity("derivative_si", "of the objective by the limit, both in SI", lambda one: one.derivative),
+    Quantity("words", "what easing it would buy", lambda one: one.sentence),
+)
+
+POSE: tuple[Quantity[Equilibrium], ...] = (
+    Quantity("rotations_deg", "rotation of every tube"),
+    Quantity("translations_mm", "translation of every tube"),
+    Quantity("tip_position_mm", "tip in the frame of the plate"),
+    Quantity("margin", "stability margin"),
+)
+
+CHECK: tuple[Quantity[Check], ...] = (
+    Quantity("what", "what was promised"),
+    Quantity("found", "what was found"),
+    Quantity("kept", "whether it is kept"),
+)
+
+TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
+    Quantity("samples", "robots as they may be made", lambda t: len(t.certificate)),
+    Quantity("snap_free_probability", "part of them that stays snap-free", lambda t: t.snap_free),
+    Quantity("interval_95", "its 95 % interval", lambda t: list(t.interval)),
+    Quantity("tip_spread_rms_mm", "RMS distance of a pose's tip from where it should be", lambda t: t.spread),
+    Quantity("tip_spread_95_mm", "the distance within which 95 % of them lie", lambda t: t.spread_95),
+    Quantity("failed", "samples that could not be solved"),
+)
+
+FRONT: tuple[Quantity[ParetoFront], ...] = (
+    Quantity("objective", "what is traded for margin"),
+    Quantity("unit", "of its values", lambda front: front_label(front)[1]),
+    Quantity("points", "margins and what they cost", lambda front: _front_points(front)),
+    Quantity("infeasible_from", "the margin from which there is no design", lambda front: front.ended),
+)
+
+DESIGN: tuple[Quantity[DesignAnswer], ...] = (
+    *within(
+        (
+            Quantity[DesignSolution]("task", "name of the task", lambda s: s.task.name),
+            Quantity[DesignSolution]("robot", "name of the robot", lambda s: s.robot.name),
+            Quantity[DesignSolution]("certificate", "lower bound of the margin at all rotations"),
+            Quantity[DesignSolution](
+                "objectives",
+                "what was wanted, each with its unit",
+                lambda s: {_key(one): s.objectives[key_of(one)] * one.factor for one in s.task.objectives},
+            ),
+            Quantity[DesignSolution]("dimensions", "what was free", lambda s: list(s.dimensions), of=DIMENSION),
+            Quantity[DesignSolution]("binding", "requirements that bind", lambda s: list(s.sensitivities), of=BINDING),
+            Quantity[DesignSolution]("poses", "the poses of the task", lambda s: list(s.equilibria), of=POSE),
+            Quantity[DesignSolution](
+                "checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK
+            ),
+            Quantity[DesignSolution]("starts", "that were tried", lambda s: s.ranking.starts),
+            Quantity[DesignSolution]("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
+            Quantity[DesignSolution]("failures", "of starts, by stage", lambda s: s.ranking.failures),
+            Quantity[DesignSolution]("rounds", "in which worst cases were added"),
+            Quantity[DesignSolution]("seconds", "wall time, s"),
+        ),
+        lambda a: a.solution,
+    ),
+    Quantity("tolerance", "what becomes of it as manufactured, where that was asked for", of=TOLERANCE),
+    Quantity("pareto", "what margin costs, where that was asked for", lambda a: a.front, of=FRONT),
+    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _stock(a)),
+)
+
+
+def _front_points(front: ParetoFront) -> list[dict[str, float]]:
+    factor = front_label(front)[2]
+    return [{"margin": point.margin, "value": point.objective * factor} for point in front.points]
+
+
+def _stock(a: DesignAnswer) -> list[dict[str, Any]] | None:
+    if a.stock is None:
+        return None
+    factor = objective_label(a.solution.task)[2]
+    return [
+        {
+            "sizes": [size.name for size in one.sizes],
+            "value": None if one.objective is None else one.objective * factor,
+            "status": one.status,
+        }
+        for one in a.stock.candidates
+    ]
+
+
+class DesignReport(Report[DesignAnswer]):
     """What is said and saved about a design."""
 
-    answer: DesignAnswer
-
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        s = self.answer.solution
-        return {
-            "task": s.task.name,
-            "robot": s.robot.name,
-            "certificate": s.certificate,
-            "objectives": {_key(one): s.objectives[key_of(one)] * one.factor for one in s.task.objectives},
-            "dimensions": [
-                {"name": d.name, "unit": d.unit, "before": d.before, "after": d.after, "bound": d.bound or None}
-                for d in s.dimensions
-            ],
-            "binding": [
-                {
-                    "limit": one.limit.words,
-                    "value": one.limit.value * one.limit.factor,
-                    "unit": one.limit.unit,
-                    "derivative_si": one.derivative,
-                    "words": one.sentence,
-                }
-                for one in s.sensitivities
-            ],
-            "poses": [
-                {
-                    "rotations_deg": np.degrees(e.rotations).tolist(),
-                    "translations_mm": (e.translations * MM).tolist(),
-                    "tip_position_mm": (e.tip_position * MM).tolist(),
-                    "margin": e.margin,
-                }
-                for e in s.equilibria
-            ],
-            "checks": [{"what": c.what, "found": c.found, "kept": c.kept} for c in s.verification.checks],
-            "starts": s.ranking.starts,
-            "designs": len(s.ranking.designs),
-            "failures": s.ranking.failures,
-            "rounds": s.rounds,
-            "seconds": s.seconds,
-            "tolerance": self._tolerance(),
-            "pareto": self._front(),
-            "stock": self._stock(),
-        }
-
-    def _tolerance(self) -> dict[str, Any] | None:
-        t = self.answer.tolerance
-        if t is None:
-            return None
-        return {
-            "samples": len(t.certificate),
-            "snap_free_probability": t.snap_free,
-            "interval_95": list(t.interval),
-            "tip_spread_rms_mm": (t.spread * MM).tolist(),
-            "tip_spread_95_mm": (t.spread_95 * MM).tolist(),
-            "failed": t.failed,
-        }
-
-    def _front(self) -> dict[str, Any] | None:
-        front = self.answer.front
-        if front is None:
-            return None
-        _, unit, factor = front_label(front)
-        points = [{"margin": p.margin, "value": p.objective * factor} for p in front.points]
-        return {"objective": front.objective, "unit": unit, "points": points, "infeasible_from": front.ended}
-
-    def _stock(self) -> list[dict[str, Any]] | None:
-        choice = self.answer.stock
-        if choice is None:
-            return None
-        factor = objective_label(self.answer.solution.task)[2]
-        return [
-            {
-                "sizes": [size.name for size in one.sizes],
-                "value": None if one.objective is None else one.objective * factor,
-                "status": one.status,
-            }
-            for one in choice.candidates
-        ]
+    command = "design"
+    quantities = DESIGN
+    file = "design.json"
 
     def summary(self) -> list[tuple[str, str]]:
         """The answer in short."""
@@ -133,7 +157,7 @@ class DesignReport:
                 rows.append(
                     (
                         "tip spread",
-                        f"RMS up to {t.spread.max() * MM:.3f} mm, 95 % within {t.spread_95.max() * MM:.3f} mm",
+                        f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm",
                     )
                 )
         if self.answer.stock is not None and self.answer.stock.best is not None:
@@ -146,14 +170,15 @@ class DesignReport:
         """The answer as tables: summary, dimensions, what binds, checks."""
         s = self.answer.solution
         parts: list[Text | Table] = [two_columns(s.robot.name or "design", self.summary())]
-        parts.append(_table("dimensions", ("", "before", "after", ""), self.dimension_rows()))
+        parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
             parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
         rows = [(check.what, check.found, "kept" if check.kept else "BROKEN") for check in s.verification.checks]
-        parts.append(_table("checked again by other code", ("", "found", ""), rows))
+        parts.append(grid(("", "found", ""), rows, title="checked again by other code", key=True))
         if self.answer.stock is not None:
-            parts.append(_table("choices from stock", ("inner to outer", "value", ""), self.stock_rows()))
+            columns = ("inner to outer", "value", "")
+            parts.append(grid(columns, self.stock_rows(), title="choices from stock", key=True))
         return Group(*parts)
 
     def dimension_rows(self) -> Sequence[tuple[str, ...]]:
@@ -187,11 +212,10 @@ class DesignReport:
 
     def save(self, directory: Path) -> list[Path]:
         """Write the robot, design.json and the page report.md."""
-        paths = [directory / name for name in ("robot.yaml", "design.json", "report.md")]
-        save_robot(self.answer.solution.robot, paths[0])
-        write_text(paths[1], to_text(self.record()))
-        write_text(paths[2], self.page())
-        return paths
+        robot, page = directory / "robot.yaml", directory / "report.md"
+        save_robot(self.answer.solution.robot, robot)
+        write_text(page, self.page())
+        return [robot, self.save_record(directory), page]
 
     def pictures(self) -> list[tuple[str, str]]:
         """Name of each picture, and what it shows."""
@@ -256,20 +280,9 @@ def _key(one: AnyObjective) -> str:
     return f"{key_of(one)}{unit}"
 
 
-def _table(title: str, head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        table.add_column(name, style="bold" if k == 0 else None)
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
 def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return lines + [f"| {' | '.join(row)} |" for row in rows]
 
 
-@report.register
-def _(answer: DesignAnswer) -> DesignReport:
-    return DesignReport(answer)
+report.register(DesignAnswer, DesignReport)

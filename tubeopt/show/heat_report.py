@@ -2,100 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from ..files.files import write_text
+from ..files.units import TO_MM
+from ..runs.heating_study import Heating
 from ..runs.rig_file import rig_to_dict, save_rig
-from ..shaping.heating.calibration import RigFit
+from ..shaping.heating.calibration import Estimate, RigFit
+from ..shaping.heating.cures import Cure
 from ..shaping.heating.files import arduino_header, schedule_csv
 from ..shaping.heating.plan import HeatingPlan
-from ..shaping.heating.robust import Band, Uncertainty
+from ..shaping.heating.robust import Band
 from ..shaping.heating.trials import TrialFit
-from .report import report, to_text, two_columns
+from .quantities import Quantity, line, within
+from .report import Report, grid, remarks, report, to_text, two_columns
 
-MM = 1e3
+QUANTILES = (0.05, 0.5, 0.95)
+"""Of the temperatures of uncertain rigs that are told."""
 
-
-def plan_record(plan: HeatingPlan) -> dict[str, Any]:
-    """A plan as JSON."""
-    spec = plan.spec
-    return {
-        "rig": plan.rig.name,
-        "mold_material": plan.rig.mold.material.name,
-        "window_degC": list(spec.window_degC),
-        "limit_degC": spec.limit,
-        "hold_s": spec.hold_time,
-        "slot_s": spec.slot,
-        "feasible": plan.feasible,
-        "shortfall_K": plan.shortfall,
-        "broken": list(plan.broken),
-        "lowest_degC": plan.lowest,
-        "highest_degC": plan.highest,
-        "hottest_degC": plan.hottest,
-        "mesh_error_K": plan.mesh_error,
-        "hold_start_s": plan.hold_start,
-        "hold_end_s": plan.hold_end,
-        "rounding_error_K": plan.rounding_error,
-        "ramp_K_per_s": plan.ramp,
-        "steepest_K_per_s": plan.steepest,
-        "ramp_limit_K_per_s": spec.ramp,
-        "pwm_ripple_K": plan.pwm_ripple,
-        "cold_end_mm": plan.cold_end * MM,
-        "extra_length_mm": plan.extra_length * MM,
-        "growth_mm": plan.growth * MM,
-        "clearance_mm": plan.rig.clamps.clearance * MM,
-        "lead_mm": plan.rig.mold.lead * MM,
-        "gap_um": plan.rig.mold.gap * 1e6,
-        "curved_length_mm": plan.tube.curved_length * MM,
-        "free_length_mm": plan.free_length * MM,
-        "vents_percent": [100 * part for part in plan.rig.mold.vents],
-        "battery_V": plan.rig.battery.voltage,
-        "state_of_charge_percent": 100 * plan.rig.battery.state_of_charge,
-        "charge_used_percent": 100 * float(plan.charge[0] - plan.charge[-1]),
-        "energy_kJ": plan.energy / 1e3,
-        "peak_current_A": plan.peak_current,
-        "mean_current_A": plan.mean_current,
-        "mold_degC": float(plan.mold_temperature.max()),
-        "clamp_degC": float(plan.clamp_temperature.max()),
-        "quench": spec.quench,
-        "quench_s": plan.quench_time,
-        "energy_error": plan.energy_error,
-        "iterations": plan.iterations,
-        "problems": list(plan.problems),
-        "cures": [
-            {"change": c.change, "shortfall_K": c.shortfall, "broken": list(c.broken), "cures": c.cures}
-            for c in plan.cures
-        ],
-        "duty": plan.duty.tolist(),
-    }
-
-
-def band_record(band: Band, uncertainty: Uncertainty) -> dict[str, Any]:
-    """A band as JSON."""
-    return {
-        "loss_percent": 100 * uncertainty.loss,
-        "contact_resistance_percent": 100 * uncertainty.contact_resistance,
-        "resistivity_percent": 100 * uncertainty.resistivity,
-        "samples": len(band.lowest),
-        "probability": band.probability,
-        "too_cold": band.too_cold,
-        "too_hot": band.too_hot,
-        "lowest_degC": [float(np.quantile(band.lowest, q)) for q in (0.05, 0.5, 0.95)],
-        "highest_degC": [float(np.quantile(band.highest, q)) for q in (0.05, 0.5, 0.95)],
-    }
-
-
-def _cold_end(plan: HeatingPlan) -> str:
-    if plan.cold_end == float("inf"):
-        return "the whole tube is below the window"
-    return f"{plan.cold_end * MM:.1f} mm from each clamp are below the window"
+UNLIKELY = 0.02
+"""Probability of the trials below which they, or the rig file, are doubted."""
 
 
 def _verdict(plan: HeatingPlan) -> str:
@@ -104,106 +35,244 @@ def _verdict(plan: HeatingPlan) -> str:
     return f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), {plan.verdict}"
 
 
-def plan_rows(plan: HeatingPlan) -> list[tuple[str, str]]:
-    """A plan as names and values for a person."""
-    hold = plan.duty[plan.in_hold][:-1]
-    rows = [
-        ("window", _verdict(plan)),
-        ("curved part in the hold", f"{plan.lowest:.1f} to {plan.highest:.1f} degC"),
-        ("hottest point, ever", f"{plan.hottest:.1f} degC (limit {plan.spec.limit:g})"),
-        ("heating, then hold", f"{plan.hold_start:g} s, to {plan.hold_end:g} s"),
-        ("duty in the hold", f"{hold.max()} falling to {hold.min()} of 255, {plan.spec.slot:g} s each"),
-        ("fastest warming", f"{plan.steepest:.1f} K/s (limit {plan.spec.ramp:g})"),
-        ("rounding to counts", f"changes temperatures by {plan.rounding_error:.1f} K at most"),
-        ("cold end", _cold_end(plan)),
-        ("extra tube", f"{plan.extra_length * MM:.1f} mm in all, to be cut off afterwards"),
-        ("growth when hot", f"{plan.growth * MM:.2f} mm"),
-        ("battery", f"{plan.rig.battery.voltage:.2f} V at rest, {plan.energy / 1e3:.2f} kJ, "
-                    f"{plan.peak_current:.0f} A while on, {plan.mean_current:.1f} A on average at most"),
-        ("quench", f"in {plan.spec.quench}: below 100 degC after {plan.quench_time:.1f} s"),
-        ("energy balance", f"closed to {plan.energy_error:.1e}; mesh error {plan.mesh_error:.1f} K"),
-    ]  # fmt: skip
-    if plan.spec.free:
-        vents = ", ".join(f"{100 * part:.0f}" for part in plan.rig.mold.vents)
-        chosen = {
-            "clearance": f"clearance {plan.rig.clamps.clearance * MM:.1f} mm",
-            "lead": f"lead {plan.rig.mold.lead * MM:.1f} mm",
-            "vents": f"vents {vents} % from the end of the mold to its middle",
-        }
-        rows.append(("chosen", "; ".join(chosen[name] for name in plan.spec.free)))
-    return rows
+def held_duties(plan: HeatingPlan) -> tuple[int, int]:
+    """Greatest and least duty during the hold."""
+    duties = plan.duty[plan.in_hold][:-1]
+    return int(duties.max()), int(duties.min())
 
 
-@dataclass(frozen=True)
-class HeatReport:
-    """A plan, its tables by the battery's charge, and its band over uncertain rigs."""
+def _duties(plan: HeatingPlan) -> str:
+    most, least = held_duties(plan)
+    return f"{most} falling to {least} of 255, {plan.spec.slot:g} s each"
 
-    plan: HeatingPlan
-    tables: tuple[HeatingPlan, ...]
-    band: Band | None
-    uncertainty: Uncertainty
-    scale: float
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        data = plan_record(self.plan)
-        if self.band is not None:
-            data["band"] = band_record(self.band, self.uncertainty) | {"duty_scale": self.scale}
-        keys = (
-            "state_of_charge_percent",
-            "battery_V",
-            "feasible",
-            "broken",
-            "lowest_degC",
-            "highest_degC",
-            "hottest_degC",
-            "duty",
-        )
-        data["tables"] = [{key: plan_record(table)[key] for key in keys} for table in self.tables]
-        return data
+def _cold_end(plan: HeatingPlan) -> str:
+    if plan.cold_end == float("inf"):
+        return "the whole tube is below the window"
+    return f"{plan.cold_end * TO_MM:.1f} mm from each clamp are below the window"
+
+
+def _chosen(plan: HeatingPlan) -> str | None:
+    vents = ", ".join(f"{100 * part:.0f}" for part in plan.rig.mold.vents)
+    words = {
+        "clearance": f"clearance {plan.rig.clamps.clearance * TO_MM:.1f} mm",
+        "lead": f"lead {plan.rig.mold.lead * TO_MM:.1f} mm",
+        "vents": f"vents {vents} % from the end of the mold to its middle",
+    }
+    return "; ".join(words[name] for name in plan.spec.free) or None
+
+
+CURE: tuple[Quantity[Cure], ...] = (
+    Quantity("change", "what would be changed"),
+    Quantity("shortfall_K", "by how much window and limit would be missed"),
+    Quantity("broken", "which of ramp and currents would be beyond their limits", lambda c: list(c.broken)),
+    Quantity("cures", "whether everything would be kept"),
+)
+
+PLAN: tuple[Quantity[HeatingPlan], ...] = (
+    Quantity("rig", "name of the rig", lambda p: p.rig.name),
+    Quantity("mold_material", "what the mold is made of", lambda p: p.rig.mold.material.name),
+    Quantity("window_degC", "window", lambda p: p.spec.window_degC, words=_verdict),
+    Quantity("limit_degC", "limit for every point at all times", lambda p: p.spec.limit),
+    Quantity("hold_s", "length of the hold", lambda p: p.spec.hold_time),
+    Quantity("slot_s", "for how long a duty is kept", lambda p: p.spec.slot),
+    Quantity("feasible", "whether everything is kept"),
+    Quantity("shortfall_K", "by how much window and limit are missed"),
+    Quantity("broken", "which of ramp and currents are beyond their limits", lambda p: list(p.broken)),
+    line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
+    Quantity("lowest_degC", "of the curved part during the hold"),
+    Quantity("highest_degC", "of the curved part during the hold"),
+    Quantity("hottest_degC", "hottest point, ever", words="{hottest_degC:.1f} degC (limit {limit_degC:g})"),
+    Quantity("mesh_error_K", "estimated error of these temperatures"),
+    line("heating, then hold", "{hold_start_s:g} s, to {hold_end_s:g} s"),
+    line("duty in the hold", _duties),
+    Quantity("hold_start_s", "when the hold begins"),
+    Quantity("hold_end_s", "when the hold ends"),
+    line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
+    Quantity(
+        "rounding_error_K",
+        "largest change of a temperature by rounding to counts",
+        label="rounding to counts",
+        words="changes temperatures by {rounding_error_K:.1f} K at most",
+    ),
+    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot", lambda p: p.ramp),
+    Quantity("steepest_K_per_s", "fastest warming at any instant", lambda p: p.steepest),
+    Quantity("ramp_limit_K_per_s", "its limit", lambda p: p.spec.ramp),
+    Quantity("pwm_ripple_K", "swing of the temperature within a period of the PWM"),
+    Quantity("cold_end_mm", "cold end", words=_cold_end),
+    Quantity("extra_length_mm", "extra tube", words="{extra_length_mm:.1f} mm in all, to be cut off afterwards"),
+    Quantity("growth_mm", "growth when hot", form=".2f"),
+    Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
+    Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
+    Quantity("gap_um", "air between tube and groove", lambda p: p.rig.mold.gap),
+    Quantity("curved_length_mm", "curved part of the tube", lambda p: p.tube.curved_length),
+    Quantity("free_length_mm", "tube between the clamps when cold"),
+    Quantity("vents_percent", "open part of the surface, end of the mold to middle", lambda p: p.rig.mold.vents),
+    line(
+        "battery",
+        "{battery_V:.2f} V at rest, {energy_kJ:.2f} kJ, {peak_current_A:.0f} A while on, "
+        "{mean_current_A:.1f} A on average at most",
+    ),
+    Quantity("battery_V", "voltage of the battery at rest", lambda p: p.rig.battery.voltage),
+    Quantity("state_of_charge_percent", "of the battery", lambda p: p.rig.battery.state_of_charge),
+    Quantity("charge_used_percent", "of the battery's capacity", lambda p: p.charge[0] - p.charge[-1]),
+    Quantity("energy_kJ", "drawn from the battery"),
+    Quantity("peak_current_A", "greatest while the MOSFET conducts"),
+    Quantity("mean_current_A", "greatest current times duty"),
+    Quantity("mold_degC", "hottest place of the groove's wall", lambda p: p.mold_temperature.max()),
+    Quantity("clamp_degC", "hottest of the clamps", lambda p: p.clamp_temperature.max()),
+    Quantity("quench", "water or air", lambda p: p.spec.quench),
+    Quantity(
+        "quench_s",
+        "until all of the tube is below 100 degC",
+        lambda p: p.quench_time,
+        label="quench",
+        words="in {quench}: below 100 degC after {quench_s:.1f} s",
+    ),
+    Quantity(
+        "energy_error",
+        "part of the energy that is not accounted for",
+        label="energy balance",
+        words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K",
+    ),
+    line("chosen", _chosen),
+    Quantity("iterations", "of the optimal control problem, in its last round"),
+    Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
+    Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
+    Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
+)
+
+TABLE = tuple(
+    quantity
+    for quantity in PLAN
+    if quantity.key
+    in (
+        "state_of_charge_percent",
+        "battery_V",
+        "feasible",
+        "broken",
+        "lowest_degC",
+        "highest_degC",
+        "hottest_degC",
+        "duty",
+    )
+)
+"""What is told of the table for a state of charge."""
+
+BAND: tuple[Quantity[Heating], ...] = (
+    Quantity("loss_percent", "half-width of what is not known of the heat loss", lambda a: a.uncertainty.loss),
+    Quantity("contact_resistance_percent", "the same of the contacts", lambda a: a.uncertainty.contact_resistance),
+    Quantity("resistivity_percent", "the same of the tube", lambda a: a.uncertainty.resistivity),
+    *within(
+        (
+            Quantity[Band]("samples", "uncertain rigs", lambda band: len(band.lowest)),
+            Quantity[Band]("probability", "part of them that stays in the window"),
+            Quantity[Band]("too_cold", "part that falls below"),
+            Quantity[Band]("too_hot", "part that rises above"),
+            Quantity[Band](
+                "lowest_degC",
+                f"its quantiles {QUANTILES}",
+                lambda band: [np.quantile(band.lowest, q) for q in QUANTILES],
+            ),
+            Quantity[Band](
+                "highest_degC",
+                f"its quantiles {QUANTILES}",
+                lambda band: [np.quantile(band.highest, q) for q in QUANTILES],
+            ),
+        ),
+        lambda a: a.band,
+    ),
+    Quantity("duty_scale", "by which the duties were scaled", lambda a: a.scale),
+)
+
+HEATING: tuple[Quantity[Heating], ...] = (
+    *within(PLAN, lambda a: a.plan),
+    Quantity(
+        "band",
+        "what uncertain rigs do, where that was asked for",
+        lambda a: None if a.band is None else a,
+        of=BAND,
+        optional=True,
+    ),
+    Quantity("tables", "the same for other states of charge", lambda a: list(a.tables), of=TABLE),
+)
+
+
+class HeatingReport(Report[Heating]):
+    """What is said and saved about a plan, its tables by the battery's charge, and its band over uncertain rigs."""
+
+    command = "heat plan"
+    quantities = HEATING
+    file = "plan.json"
+
+    def title(self) -> str:
+        """The rig's name."""
+        return self.answer.plan.rig.name or "rig"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The plan, and what becomes of it on uncertain rigs."""
+        band = self.answer.band
+        told = super().rows()
+        if band is not None:
+            words = (
+                f"{100 * band.probability:.0f} % of rigs stay in the window; {100 * band.too_cold:.0f} % fall "
+                f"below, {100 * band.too_hot:.0f} % rise above"
+            )
+            told.append((f"loss +-{100 * self.answer.uncertainty.loss:g} %", words))
+        return told
 
     def table(self) -> Group:
-        """The answer for a person."""
-        rows = plan_rows(self.plan)
-        if self.band is not None:
-            band = self.band
-            rows.append(
+        """The rows, the tables by charge, problems, and what would help."""
+        plan, tables = self.answer.plan, self.answer.tables
+        parts: list[Any] = [two_columns(self.title(), self.rows())]
+        if tables:
+            cells = [
                 (
-                    f"loss +-{100 * self.uncertainty.loss:g} %",
-                    f"{100 * band.probability:.0f} % of rigs stay in the window; {100 * band.too_cold:.0f} % fall "
-                    f"below, {100 * band.too_hot:.0f} % rise above",
+                    f"{table.rig.battery.voltage:.2f} V",
+                    f"{100 * table.rig.battery.state_of_charge:.0f} %",
+                    f"{table.lowest:.1f} to {table.highest:.1f} degC",
+                    table.verdict,
                 )
-            )
-        parts: list[Any] = [two_columns(self.plan.rig.name or "rig", rows)]
-        if self.tables:
-            parts.append(_charge_table(self.tables))
-        parts += [Text(f"problem: {words}", style="yellow") for words in self.plan.problems]
-        for cure in self.plan.cures:
-            left = "cures it" if cure.cures else f"leaves {cure.shortfall:.1f} K"
-            left += "".join(f"; {words}" for words in cure.broken)
-            parts.append(Text(f"what would help: {cure.change}: {left}", style="yellow"))
-        if not self.plan.feasible and not self.plan.cures:
-            parts.append(Text("none of the changes that were tried helps", style="yellow"))
+                for table in tables
+            ]
+            columns = ("battery >", "charge >", "curved part in the hold", "window")
+            parts.append(grid(columns, cells, title="pick by the battery's voltage at rest"))
+        parts += remarks(plan.problems, what="problem")
+        parts += remarks((_cure_words(cure) for cure in plan.cures), what="what would help")
+        if not plan.feasible and not plan.cures:
+            parts += remarks(["none of the changes that were tried helps"])
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:
         """Write the plan's schedule.csv, schedule.h and plan.json, and a table and a header for every charge."""
-        paths = save_plan(self.plan, directory, "schedule")
-        for table in self.tables:
-            paths += save_plan(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V")
-        paths.append(directory / "plan.json")
-        write_text(paths[-1], to_text(self.record() | {"rig_data": rig_to_dict(self.plan.rig)}))
-        return paths
+        paths = _save_schedule(self.answer.plan, directory, "schedule")
+        for table in self.answer.tables:
+            paths += _save_schedule(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V")
+        data = self.record() | {"rig_data": rig_to_dict(self.answer.plan.rig)}
+        write_text(directory / self.file, to_text(data))
+        return [*paths, directory / self.file]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write heating.png."""
         from .plots.heating import plot_heating
 
-        plot_heating(self.plan, directory / "heating.png", band=self.band)
-        return [directory / "heating.png"]
+        return self.drawn(directory, {"heating.png": plot_heating}, self.answer.plan, band=self.answer.band)
 
 
-def save_plan(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
+def _cure_words(cure: Cure) -> str:
+    left = "cures it" if cure.cures else f"leaves {cure.shortfall:.1f} K"
+    return f"{cure.change}: {left}" + "".join(f"; {words}" for words in cure.broken)
+
+
+def missed(plan: HeatingPlan) -> str:
+    """What a plan does not keep, in words."""
+    low, high = plan.spec.window_degC
+    window = f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s"
+    cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
+    return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
+
+
+def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
     """Write a schedule as CSV and as a C header; return the paths."""
     paths = [directory / f"{name}.csv", directory / f"{name}.h"]
     write_text(paths[0], schedule_csv(plan))
@@ -211,104 +280,93 @@ def save_plan(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
     return paths
 
 
-def _charge_table(tables: tuple[HeatingPlan, ...]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), title="pick by the battery's voltage at rest", title_justify="left")
-    for name in ("battery", "charge", "curved part in the hold", "window"):
-        table.add_column(name, justify="right" if name in ("battery", "charge") else "left")
-    for plan in tables:
-        table.add_row(
-            f"{plan.rig.battery.voltage:.2f} V",
-            f"{100 * plan.rig.battery.state_of_charge:.0f} %",
-            f"{plan.lowest:.1f} to {plan.highest:.1f} degC",
-            plan.verdict,
-        )
-    return table
+ESTIMATE: tuple[Quantity[Estimate], ...] = (
+    Quantity("name", "what was fitted"),
+    Quantity("factor", "on the value of the rig file"),
+    Quantity("low", "least of its interval"),
+    Quantity("high", "greatest of its interval"),
+    Quantity("held", "whether it was held, since the log does not tell it"),
+)
+
+RIG_FIT: tuple[Quantity[RigFit], ...] = (
+    Quantity("estimates", "the fitted factors", lambda f: list(f.estimates), of=ESTIMATE),
+    Quantity("confidence", "of the intervals"),
+    Quantity("noise", "residuals: temperature in K, voltage in V, current in A"),
+    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+)
 
 
-@dataclass(frozen=True)
-class FitReport:
-    """A rig calibrated to a log."""
+class RigFitReport(Report[RigFit]):
+    """What is said and saved about a rig calibrated to a log."""
 
-    fit: RigFit
-
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        f = self.fit
-        estimates = [
-            {"name": e.name, "factor": e.factor, "low": e.low, "high": e.high, "held": e.held} for e in f.estimates
-        ]
-        return {"estimates": estimates, "confidence": f.confidence, "noise": f.noise, "remarks": list(f.remarks)}
+    command = "heat calibrate"
+    quantities = RIG_FIT
+    file = "calibration.json"
 
     def table(self) -> Group:
-        """The answer for a person."""
-        table = Table(title=self.fit.rig.name or "rig", title_justify="left", box=None, padding=(0, 2, 0, 0))
-        for name in ("factor on", "fitted", f"{100 * self.fit.confidence:g} % interval"):
-            table.add_column(name, justify="left" if name == "factor on" else "right")
-        for e in self.fit.estimates:
-            table.add_row(e.name, *(("held", "–") if e.held else (f"{e.factor:.4f}", f"{e.low:.4f} to {e.high:.4f}")))
+        """A row per factor, the residuals, the remarks."""
+        f = self.answer
+        cells = [
+            (e.name, *(("held", "–") if e.held else (f"{e.factor:.4f}", f"{e.low:.4f} to {e.high:.4f}")))
+            for e in f.estimates
+        ]
+        factors = grid(
+            ("factor on", "fitted >", f"{100 * f.confidence:g} % interval >"), cells, title=f.rig.name or "rig"
+        )
         units = {"temperature": "K", "voltage": "V", "current": "A"}
-        noise = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in self.fit.noise.items())
-        lines = [Text(f"remark: {words}", style="yellow") for words in self.fit.remarks]
-        return Group(table, Text(f"residuals: {noise}"), *lines)
+        noise = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in f.noise.items())
+        return Group(factors, Text(f"residuals: {noise}"), *remarks(f.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and the calibrated rig.yaml."""
-        paths = [directory / "calibration.json", directory / "rig.yaml"]
-        write_text(paths[0], to_text(self.record()))
-        save_rig(self.fit.rig, paths[1], "A shape-setting rig for tubeopt, calibrated to a log.")
-        return paths
+        save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to a log.")
+        return [self.save_record(directory), directory / "rig.yaml"]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write calibration.png."""
         from .plots.heating import plot_rig_fit
 
-        plot_rig_fit(self.fit, directory / "calibration.png")
-        return [directory / "calibration.png"]
+        return self.drawn(directory, {"calibration.png": plot_rig_fit})
 
 
-@dataclass(frozen=True)
-class TrialReport:
-    """A rig calibrated to trials."""
+TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
+    Quantity("loss_factor", "loss factor", lambda f: f.factor, words=lambda f: _factor(f)),
+    Quantity("low", "least of its interval"),
+    Quantity("high", "greatest of its interval"),
+    Quantity("confidence", "of the interval"),
+    Quantity(
+        "end_temperatures_degC",
+        "trials ended at",
+        lambda f: f.temperatures,
+        words="{end_temperatures_degC:.0f} degC by the calibrated rig",
+    ),
+    Quantity("least_probability", "of the least likely trial", lambda f: f.surprise),
+)
 
-    fit: TrialFit
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        f = self.fit
-        return {
-            "loss_factor": f.factor,
-            "low": f.low,
-            "high": f.high,
-            "confidence": f.confidence,
-            "end_temperatures_degC": f.temperatures.tolist(),
-            "least_probability": f.surprise,
-        }
+def _factor(f: TrialFit) -> str:
+    return f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}"
+
+
+class TrialFitReport(Report[TrialFit]):
+    """What is said and saved about a rig calibrated to trials."""
+
+    command = "heat calibrate --trials"
+    quantities = TRIAL_FIT
+    file = "calibration.json"
 
     def table(self) -> Group:
-        """The answer for a person."""
-        f = self.fit
-        ends = ", ".join(f"{value:.0f}" for value in f.temperatures)
-        rows = [
-            ("loss factor", f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}"),
-            ("trials ended at", f"{ends} degC by the calibrated rig"),
-        ]
-        lines = []
-        if f.surprise < 0.02:
-            lines.append(Text("remark: the trials contradict one another or the rig file", style="yellow"))
-        return Group(two_columns(f.rig.name or "rig", rows), *lines)
+        """The factor, and where the trials ended."""
+        f = self.answer
+        doubts = ["the trials contradict one another or the rig file"] if f.surprise < UNLIKELY else []
+        return Group(two_columns(f.rig.name or "rig", self.rows()), *remarks(doubts, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and the calibrated rig.yaml."""
-        paths = [directory / "calibration.json", directory / "rig.yaml"]
-        write_text(paths[0], to_text(self.record()))
-        save_rig(self.fit.rig, paths[1], "A shape-setting rig for tubeopt, calibrated to trials.")
-        return paths
-
-    def draw(self, directory: Path) -> list[Path]:
-        """There is no picture of trials."""
-        return []
+        save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to trials.")
+        return [self.save_record(directory), directory / "rig.yaml"]
 
 
-@report.register
-def _(answer: HeatingPlan) -> HeatReport:
-    return HeatReport(answer, (), None, Uncertainty(), 1.0)
+report.register(Heating, HeatingReport)
+report.register(RigFit, RigFitReport)
+report.register(TrialFit, TrialFitReport)

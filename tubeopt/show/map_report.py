@@ -2,92 +2,90 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.table import Table
 
-from ..files.files import atomic_write
+from ..files.files import save_arrays
 from ..runs.stability_studies import RobotMap
-from .report import report, two_columns
-from .words import MM, degrees, millimetres
+from ..typing import Array
+from .quantities import Quantity, line
+from .report import Report, report
+from .words import degrees
 
 
-@dataclass(frozen=True)
-class RobotMapReport:
+def _nearest(a: RobotMap) -> Array | None:
+    """The snap that needs the least turning of the tube that turns more; None without snaps."""
+    boundary = a.map.boundary
+    boundary = boundary[np.isfinite(boundary).all(1)]
+    return boundary[np.argmin(np.abs(boundary).max(1))] if len(boundary) else None
+
+
+def _least_before(a: RobotMap) -> float | None:
+    snapped = a.map.snaps > 0
+    return None if snapped.all() else float(a.map.margin[~snapped].min())
+
+
+def _snapping(a: RobotMap) -> str:
+    boundary = a.map.boundary
+    return f"in {np.isfinite(boundary).all(1).sum()} of {len(boundary)} directions"
+
+
+def _nearest_words(a: RobotMap) -> str | None:
+    nearest = _nearest(a)
+    return None if nearest is None else f"at {degrees(nearest, '.6f')}"
+
+
+MAP: tuple[Quantity[RobotMap], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    line("axes", "rotations of tubes {tubes[0]} and {tubes[1]} from -180 to 180 deg, {samples} points each"),
+    Quantity("translations_mm", "translations", form=".9g"),
+    Quantity("tubes", "the two tubes that turn, from 1", lambda a: [tube + 1 for tube in a.map.tubes]),
+    Quantity("samples", "points per axis", lambda a: len(a.map.angles)),
+    Quantity("directions", "directions in which the first snap is looked for", lambda a: len(a.map.boundary)),
+    Quantity("least_margin", "least margin", lambda a: a.map.margin.min(), form=".3f"),
+    Quantity("least_margin_before_a_snap", "least margin of what is reached without a snap", _least_before),
+    Quantity(
+        "snapped_fraction",
+        "part of the map that is reached after a snap",
+        lambda a: (a.map.snaps > 0).mean(),
+        label="reached after a snap",
+        words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map",
+    ),
+    Quantity("most_snaps", "most snaps on the way to a point", lambda a: a.map.snaps.max()),
+    line("snaps on the way", _snapping),
+    Quantity(
+        "nearest_snap_deg",
+        "the snap that needs the least turning",
+        _nearest,
+        label="the nearest snap",
+        words=_nearest_words,
+    ),
+    Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
+)
+
+
+class RobotMapReport(Report[RobotMap]):
     """What is said and saved about a stability map."""
 
-    answer: RobotMap
+    command = "stability-map"
+    quantities = MAP
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON: what the map says in numbers, and the snap boundary."""
-        found = self.answer.map
-        snapped, nearest = found.snaps > 0, self._nearest()
-        return {
-            "robot": self.answer.robot.name,
-            "translations_mm": (self.answer.translations * MM).tolist(),
-            "tubes": [tube + 1 for tube in found.tubes],
-            "samples": len(found.angles),
-            "directions": len(found.boundary),
-            "least_margin": float(found.margin.min()),
-            "least_margin_before_a_snap": None if snapped.all() else float(found.margin[~snapped].min()),
-            "snapped_fraction": float(snapped.mean()),
-            "most_snaps": int(found.snaps.max()),
-            "nearest_snap_deg": None if nearest is None else np.degrees(nearest).tolist(),
-            "boundary_deg": np.degrees(found.boundary).tolist(),
-        }
-
-    def _nearest(self) -> np.ndarray | None:
-        """The snap that needs the least turning of the tube that turns more; None without snaps."""
-        boundary = self.answer.map.boundary
-        boundary = boundary[np.isfinite(boundary).all(1)]
-        return boundary[np.argmin(np.abs(boundary).max(1))] if len(boundary) else None
-
-    def table(self) -> Table:
-        """What the map says in numbers."""
-        found, record = self.answer.map, self.record()
-        i, j = record["tubes"]
-        nearest = self._nearest()
-        snapping = int(np.isfinite(found.boundary).all(1).sum())
-        rows = [
-            ("axes", f"rotations of tubes {i} and {j} from -180 to 180 deg, {len(found.angles)} points each"),
-            ("translations", millimetres(self.answer.translations)),
-            ("least margin", f"{record['least_margin']:.3f}"),
-            ("reached after a snap", f"{100 * record['snapped_fraction']:.1f} % of the map"),
-            ("snaps on the way", f"in {snapping} of {len(found.boundary)} directions"),
-        ]
-        if nearest is not None:
-            rows.append(("the nearest snap", f"at {degrees(nearest, '.6f')}"))
-        return two_columns(f"{self.answer.robot.name or 'robot'}: stability map", rows)
+    def title(self) -> str:
+        """The robot's name."""
+        return f"{self.answer.robot.name or 'robot'}: stability map"
 
     def save(self, directory: Path) -> list[Path]:
         """Write map.npz: the fields of `StabilityMap` and the translations, in SI."""
         found = self.answer.map
-        path = directory / "map.npz"
-        with atomic_write(path) as temporary:
-            np.savez(
-                temporary,
-                tubes=np.array(found.tubes),
-                angles=found.angles,
-                margin=found.margin,
-                snaps=found.snaps,
-                boundary=found.boundary,
-                translations=self.answer.translations,
-            )
-        return [path]
+        fields = {name: getattr(found, name) for name in ("tubes", "angles", "margin", "snaps", "boundary")}
+        return [save_arrays(directory / "map.npz", translations=self.answer.translations, **fields)]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write stability_map.png."""
         from .plots import plot_stability_map  # Matplotlib takes longer to load than a solve
 
-        path = directory / "stability_map.png"
-        with atomic_write(path) as temporary:
-            plot_stability_map(self.answer.map, temporary)
-        return [path]
+        return self.drawn(directory, {"stability_map.png": plot_stability_map}, self.answer.map)
 
 
-@report.register
-def _(answer: RobotMap) -> RobotMapReport:
-    return RobotMapReport(answer)
+report.register(RobotMap, RobotMapReport)

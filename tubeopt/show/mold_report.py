@@ -3,166 +3,139 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
-from ..files.files import write_text
+from ..files.units import TO_MM, per_si
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..runs.mold_file import save_springback, springback_to_dict
+from ..runs.mold_study import Ranking
 from ..shaping.mold.checks import Check
 from ..shaping.mold.files import write_mold
-from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.holes import Hole
-from ..shaping.mold.mold import Groove, Mold, predict_tube
+from ..shaping.mold.mold import Clamp, Groove, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.robot import RobotMold
 from ..shaping.mold.springback import Calibration, Springback
-from .report import report, to_text, two_columns
+from .quantities import Quantity, within
+from .report import Report, grid, remarks, report, two_columns
 
-MM = 1e3
+CLAMP: tuple[Quantity[Clamp], ...] = (
+    Quantity("end", "proximal or distal"),
+    Quantity("face_mm", "middle of the face that looks at the plate"),
+    Quantity("direction", "along which the tube enters it", lambda clamp: list(clamp.direction)),
+    Quantity("slides", "whether it gives way when the tube grows"),
+)
+
+GROOVE: tuple[Quantity[Groove], ...] = (
+    Quantity(
+        "wanted_radius_mm",
+        "wanted radius",
+        lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf,
+        form=".4g",
+    ),
+    Quantity("mold_radius_mm", "mold radius", lambda g: g.radius, form=".4g"),
+    Quantity("mold_curvature_per_m", "curvature of the mold", lambda g: g.curvature),
+    Quantity("bend_length_mm", "bend, length", form=".4g"),
+    Quantity("bend_angle_deg", "bend, angle", form=".4g"),
+    Quantity("lead_in_mm", "straight groove before the bend", lambda g: g.centreline.lead_in.length),
+    Quantity("lead_out_mm", "straight groove behind the bend", lambda g: g.centreline.lead_out.length),
+    Quantity("width_mm", "groove, width", form=".4g"),
+    Quantity("depth_mm", "groove, depth", form=".4g"),
+    Quantity("end_mill_mm", "end mill", lambda g: g.mill.diameter, form=".4g"),
+    Quantity("strain_percent", "strain when pressed in", form=".4g"),
+    Quantity("cold_length_mm", "cold end from the clamp", lambda g: g.cold.length, form=".4g"),
+    Quantity("decay_length_mm", "in which the cold end warms up", lambda g: g.cold.decay_length),
+    Quantity("loss_coefficient_W_per_m2_K", "of heat into the mold", lambda g: g.cold.loss_coefficient),
+    Quantity("gaps_mm", "from the plate's edges to the clamps"),
+    Quantity("free_length_mm", "tube between the clamps"),
+    Quantity("growth_mm", "growth when hot", form=".4g"),
+    Quantity("travel_mm", "travel of the sliding clamp", lambda g: max(clamp.travel for clamp in g.clamps), form=".4g"),
+    Quantity("stock_length_mm", "cut the tube to", form=".4g"),
+    Quantity("extra_length_mm", "of which is trimmed", form=".4g"),
+    Quantity("bend_begins_mm", "from the tube's end", lambda g: g.before_bend),
+    Quantity("trim_proximal_mm", "cut off at the proximal end", lambda g: g.trim[0]),
+    Quantity("trim_distal_mm", "cut off at the distal end", lambda g: g.trim[1]),
+    Quantity("clamps", "the two clamps", lambda g: list(g.clamps), of=CLAMP),
+    Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
+)
+
+PREDICTED: tuple[Quantity[Tube], ...] = (
+    Quantity("curvature_per_m", "of the tube that comes out"),
+    Quantity("curved_length_mm", "of the tube that comes out"),
+    Quantity("straight_length_mm", "of the tube that comes out"),
+)
+
+HOLE: tuple[Quantity[Hole], ...] = (
+    Quantity("purpose", "what it is for"),
+    Quantity("centre_mm", "where it is"),
+    Quantity("diameter_mm", "its diameter"),
+)
+
+MOLD: tuple[Quantity[RobotMold], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.name),
+    Quantity("material", "of both plates", lambda a: a.mold.spec.material.name),
+    Quantity("size_mm", "width and height of the plates", lambda a: a.mold.size),
+    Quantity("thickness_mm", "of the lower plate", lambda a: a.mold.spec.plate.thickness),
+    Quantity("lid_thickness_mm", "of the top plate", lambda a: a.mold.spec.plate.lid_thickness),
+    Quantity("base_volume_mm3", "of the lower plate", lambda a: a.mold.base_volume),
+    Quantity("lid_volume_mm3", "of the top plate", lambda a: a.mold.lid_volume),
+    Quantity("springback", "the spring-back, as in a mold file", lambda a: _springback(a.mold.spec.springback)),
+    Quantity(
+        "grooves",
+        "a groove per tube",
+        lambda a: [(a, k) for k in range(len(a.mold.grooves))],
+        of=(
+            Quantity("tube", "which tube of the robot, from 1", lambda at: at[0].numbers[at[1]]),
+            *within(GROOVE, lambda at: at[0].mold.grooves[at[1]]),
+            Quantity("predicted", "what comes out of it", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
+        ),
+    ),
+    Quantity("holes", "for bolts, dowels and vents", lambda a: list(a.mold.holes), of=HOLE),
+    Quantity("checks", "what was checked, and whether it passed", lambda a: [_check(c) for c in a.mold.checks]),
+    Quantity("remarks", "what to beware of", lambda a: [*a.left_out, *a.mold.remarks]),
+)
 
 
-@dataclass(frozen=True)
-class MoldReport:
+class MoldReport(Report[RobotMold]):
     """What is said and saved about the mold for tubes of a robot."""
 
-    answer: RobotMold
+    command = "mold plan"
+    quantities = MOLD
+    file = "mold.json"
 
-    @property
-    def mold(self) -> Mold:
-        """As planned."""
-        return self.answer.mold
-
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON: plates, a mapping per groove, holes, checks, remarks."""
-        mold = self.mold
-        return {
-            "robot": self.answer.name,
-            "material": mold.spec.material.name,
-            "size_mm": [extent * MM for extent in mold.size],
-            "thickness_mm": mold.spec.plate.thickness * MM,
-            "lid_thickness_mm": mold.spec.plate.lid_thickness * MM,
-            "base_volume_mm3": mold.base_volume * MM**3,
-            "lid_volume_mm3": mold.lid_volume * MM**3,
-            "springback": _springback(mold.spec.springback),
-            "grooves": [self._groove(k) for k in range(len(mold.grooves))],
-            "holes": [_hole(hole) for hole in mold.holes],
-            "checks": [_check(check) for check in mold.checks],
-            "remarks": [*self.answer.left_out, *mold.remarks],
-        }
-
-    def _groove(self, k: int) -> dict[str, Any]:
-        groove = self.mold.grooves[k]
-        predicted = predict_tube(self.mold, k)
-        return (
-            {"tube": self.answer.numbers[k]}
-            | groove_record(groove)
-            | {
-                "predicted": {
-                    "curvature_per_m": predicted.curvature,
-                    "curved_length_mm": predicted.curved_length * MM,
-                    "straight_length_mm": predicted.straight_length * MM,
-                }
-            }
-        )
+    def title(self) -> str:
+        """Robot, material and size."""
+        mold = self.answer.mold
+        size = " x ".join(f"{extent * TO_MM:g}" for extent in mold.size)
+        return f"{self.answer.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm"
 
     def table(self) -> Group:
         """A row per property, a column per groove; then the remarks."""
-        mold = self.mold
-        size = " x ".join(f"{extent * MM:g}" for extent in mold.size)
-        title = Text(f"{self.answer.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm", style="italic")
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        table.add_column("tube", style="bold", no_wrap=True)
-        for number in self.answer.numbers:
-            table.add_column(str(number), justify="right")
-        records = [groove_record(groove) for groove in mold.grooves]
-        for key, words in _ROWS.items():
-            table.add_row(words, *(f"{record[key]:.4g}" for record in records))
-        lines = [Text(f"remark: {line}", style="yellow") for line in (*self.answer.left_out, *mold.remarks)]
-        return Group(title, table, *lines)
+        grooves = self.record()["grooves"]
+        cells = [
+            [f"{q.about} ({q.sign})", *(f"{groove[q.key]:{q.form}}" for groove in grooves)] for q in GROOVE if q.form
+        ]
+        numbers = [f"{number} >" for number in self.answer.numbers]
+        lines = remarks((*self.answer.left_out, *self.answer.mold.remarks), what="remark")
+        return Group(Text(self.title(), style="italic"), grid(("tube", *numbers), cells, key=True), *lines)
 
     def save(self, directory: Path) -> list[Path]:
         """Write mold.json, base and lid as DXF, SVG and STL, grooves.nc and the set-up sheet setup.pdf."""
         from .plots.mold import plot_setup_sheet
 
-        record, sheet = directory / "mold.json", directory / "setup.pdf"
-        write_text(record, to_text(self.record()))
-        files = write_mold(self.mold, directory)
-        plot_setup_sheet(self.mold, sheet, title=self.answer.name)
-        return [record, *files, sheet]
+        paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
+        return paths + self.drawn(directory, {"setup.pdf": plot_setup_sheet}, self.answer.mold, title=self.answer.name)
 
     def draw(self, directory: Path) -> list[Path]:
         """Write mold.png."""
         from .plots.mold import plot_mold
 
-        plot_mold(self.mold, directory / "mold.png")
-        return [directory / "mold.png"]
-
-
-_ROWS = {
-    "wanted_radius_mm": "wanted radius (mm)",
-    "mold_radius_mm": "mold radius (mm)",
-    "bend_length_mm": "bend, length (mm)",
-    "bend_angle_deg": "bend, angle (deg)",
-    "width_mm": "groove, width (mm)",
-    "depth_mm": "groove, depth (mm)",
-    "end_mill_mm": "end mill (mm)",
-    "strain_percent": "strain when pressed in (%)",
-    "cold_length_mm": "cold end from the clamp (mm)",
-    "growth_mm": "growth when hot (mm)",
-    "travel_mm": "travel of the sliding clamp (mm)",
-    "stock_length_mm": "cut the tube to (mm)",
-    "extra_length_mm": "of which is trimmed (mm)",
-}
-
-
-def groove_record(groove: Groove) -> dict[str, Any]:
-    """A groove as JSON."""
-    return {
-        "wanted_radius_mm": MM / abs(groove.tube.curvature) if groove.tube.curvature else math.inf,
-        "mold_radius_mm": groove.radius * MM,
-        "mold_curvature_per_m": groove.curvature,
-        "bend_length_mm": groove.bend_length * MM,
-        "bend_angle_deg": math.degrees(groove.bend_angle),
-        "lead_in_mm": groove.centreline.lead_in.length * MM,
-        "lead_out_mm": groove.centreline.lead_out.length * MM,
-        "width_mm": groove.width * MM,
-        "depth_mm": groove.depth * MM,
-        "end_mill_mm": groove.mill.diameter * MM,
-        "strain_percent": groove.strain * 100,
-        "cold_length_mm": groove.cold.length * MM,
-        "decay_length_mm": groove.cold.decay_length * MM,
-        "loss_coefficient_W_per_m2_K": groove.cold.loss_coefficient,
-        "gaps_mm": [gap * MM for gap in groove.gaps],
-        "free_length_mm": groove.free_length * MM,
-        "growth_mm": groove.growth * MM,
-        "travel_mm": max(clamp.travel for clamp in groove.clamps) * MM,
-        "stock_length_mm": groove.stock_length * MM,
-        "extra_length_mm": groove.extra_length * MM,
-        "bend_begins_mm": groove.before_bend * MM,
-        "trim_proximal_mm": groove.trim[0] * MM,
-        "trim_distal_mm": groove.trim[1] * MM,
-        "clamps": [
-            {
-                "end": clamp.end,
-                "face_mm": [x * MM for x in clamp.face],
-                "direction": list(clamp.direction),
-                "slides": clamp.slides,
-            }
-            for clamp in groove.clamps
-        ],
-        "vents": len(groove.vents),
-    }
-
-
-def _hole(hole: Hole) -> dict[str, Any]:
-    return {"purpose": hole.purpose, "centre_mm": [x * MM for x in hole.centre], "diameter_mm": hole.diameter * MM}
+        return self.drawn(directory, {"mold.png": plot_mold}, self.answer.mold)
 
 
 def _springback(back: Springback) -> dict[str, Any]:
@@ -171,151 +144,170 @@ def _springback(back: Springback) -> dict[str, Any]:
     return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in data.items()}
 
 
-_UNITS = {"m": ("_mm", MM), "1": ("_percent", 100.0), "K": ("_K", 1.0)}
+SUFFIXES = {"m": "mm", "1": "percent", "K": "K"}
+"""SI unit of a check -> the unit in which it is told."""
 
 
 def _check(check: Check) -> dict[str, Any]:
-    suffix, factor = _UNITS[check.unit]
+    unit = SUFFIXES[check.unit]
     limit = "at_most" if check.at_most else "at_least"
     return {
         "what": check.name,
-        f"value{suffix}": check.value * factor,
-        f"{limit}{suffix}": check.limit * factor,
+        f"value_{unit}": check.value * per_si(unit),
+        f"{limit}_{unit}": check.limit * per_si(unit),
         "passed": check.passed,
     }
 
 
-@dataclass(frozen=True)
-class CalibrationReport:
-    """Spring-back fitted to trials."""
+def _trials(c: Calibration) -> list[dict[str, float]]:
+    trials = zip(c.mold_curvature.tolist(), c.obtained_curvature.tolist(), c.lost - c.fitted, strict=True)
+    return [
+        {"mold_radius_mm": TO_MM / k, "obtained_radius_mm": TO_MM / o, "residual_percent": 100 * float(r)}
+        for k, o, r in trials
+    ]
 
-    calibration: Calibration
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON: model, numbers with intervals, trials with residuals, remarks."""
-        c = self.calibration
-        trials = zip(c.mold_curvature.tolist(), c.obtained_curvature.tolist(), c.lost - c.fitted, strict=True)
-        return {
-            "model": c.model,
-            **_springback(c.springback),
-            "fraction_interval_percent": None
-            if c.fraction_interval is None
-            else [100 * x for x in c.fraction_interval],
-            "slope_interval_mm": None if c.slope_interval is None else [MM * x for x in c.slope_interval],
-            "noise_percent": 100 * c.noise,
-            "trials": [
-                {"mold_radius_mm": MM / k, "obtained_radius_mm": MM / o, "residual_percent": 100 * float(r)}
-                for k, o, r in trials
-            ],
-            "remarks": list(c.remarks),
-        }
+def _within(interval: tuple[float, float] | None) -> str:
+    return "" if interval is None else f" (95 %: {interval[0] * 100:.3g} to {interval[1] * 100:.3g} %)"
+
+
+def _radii(c: Calibration) -> list[float] | None:
+    """Least and greatest mold radius of the trials, m."""
+    known = c.springback.curvature_range
+    return None if known is None else [1 / max(known), 1 / min(known)]
+
+
+CALIBRATION: tuple[Quantity[Calibration], ...] = (
+    Quantity("trials", "trials", lambda c: _trials(c), words=lambda c: str(len(c.mold_curvature))),
+    Quantity("model", "model", words="{model}"),
+    Quantity(
+        "fraction_percent",
+        "lost at small curvature",
+        lambda c: c.springback.fraction,
+        words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
+    ),
+    Quantity(
+        "slope_mm",
+        "growth of the lost part with the mold's curvature",
+        lambda c: c.springback.slope,
+        label="and per 1/m of curvature",
+        words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear" else None,
+    ),
+    Quantity(
+        "shrinkage_percent", "part of the bend's length that is lost on cooling", lambda c: c.springback.shrinkage
+    ),
+    Quantity("radius_range_mm", "least and greatest mold radius of the trials", _radii, digits=9, optional=True),
+    Quantity("fraction_interval_percent", "95 % interval of the fraction"),
+    Quantity("slope_interval_mm", "95 % interval of the slope"),
+    Quantity(
+        "noise_percent",
+        "scatter of one tube",
+        lambda c: c.noise,
+        words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %",
+    ),
+    Quantity("remarks", "what to beware of", lambda c: list(c.remarks)),
+)
+
+
+class CalibrationReport(Report[Calibration]):
+    """What is said and saved about spring-back fitted to trials."""
+
+    command = "mold calibrate"
+    quantities = CALIBRATION
+    file = "calibration.json"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The model, and what the molds of the trials yield by it."""
+        back = self.answer.springback
+        assert back.curvature_range is not None
+        yields = [
+            (f"mold radius {TO_MM / kappa:.4g} mm yields", f"{TO_MM / back.obtained(kappa):.4g} mm")
+            for kappa in sorted(set(back.curvature_range), reverse=True)
+        ]
+        return super().rows() + yields
 
     def table(self) -> Group:
         """The answer as a table, and the remarks."""
-        c, back = self.calibration, self.calibration.springback
-        rows = [
-            ("trials", str(len(c.mold_curvature))),
-            ("model", c.model),
-            ("lost at small curvature", f"{back.fraction * 100:.3g} %{_within(c.fraction_interval, 100, ' %')}"),
-        ]
-        if c.model == "linear":
-            rows.append(("and per 1/m of curvature", f"{back.slope * 100:.3g} %{_within(c.slope_interval, 100, ' %')}"))
-        rows.append(("scatter of one tube", "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"))
-        assert back.curvature_range is not None
-        for kappa in sorted(set(back.curvature_range), reverse=True):
-            wanted = back.obtained(kappa)
-            rows.append((f"mold radius {MM / kappa:.4g} mm yields", f"{MM / wanted:.4g} mm"))
-        lines = [Text(f"remark: {line}", style="yellow") for line in c.remarks]
-        return Group(two_columns("spring-back", rows), *lines)
+        return Group(two_columns("spring-back", self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and springback.yaml."""
-        paths = [directory / "calibration.json", directory / "springback.yaml"]
-        write_text(paths[0], to_text(self.record()))
-        save_springback(self.calibration, paths[1])
-        return paths
+        save_springback(self.answer, directory / "springback.yaml")
+        return [self.save_record(directory), directory / "springback.yaml"]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write springback.png."""
         from .plots.mold import plot_springback
 
-        plot_springback(self.calibration, directory / "springback.png")
-        return [directory / "springback.png"]
+        return self.drawn(directory, {"springback.png": plot_springback})
 
 
-def _within(interval: tuple[float, float] | None, factor: float, unit: str) -> str:
-    return "" if interval is None else f" (95 %: {interval[0] * factor:.3g} to {interval[1] * factor:.3g}{unit})"
+RATING: tuple[Quantity[MaterialRating], ...] = (
+    Quantity("material", "its name", lambda r: r.material.name),
+    Quantity("suitable", "whether it suits"),
+    Quantity("heat_drawn_J_per_m", "per length of tube during the hold"),
+    Quantity("heat_flow_W_per_m", "per length of tube at the end of the hold"),
+    Quantity("energy_J", "that it takes to heat and hold the tube"),
+    Quantity("leak", "part of the current that goes astray"),
+    Quantity("limit_degC", "that it endures", lambda r: r.material.limit_temperature_degC),
+    Quantity("limit_margin_K", "that are left to it"),
+    Quantity("conductivity_W_per_m_K", "thermal", lambda r: r.material.conductivity),
+    Quantity("density_kg_per_m3", "density", lambda r: r.material.density),
+    Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
+    Quantity("resistivity_ohm_m", "electrical", lambda r: r.material.resistivity),
+    Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
+    Quantity("reasons", "what speaks for it and against it", lambda r: list(r.reasons)),
+    Quantity("source", "of its constants", lambda r: r.material.source),
+)
+
+RANKING: tuple[Quantity[Ranking], ...] = (
+    Quantity("outer_diameter_mm", "of the tube", lambda a: a.tube.outer_diameter),
+    Quantity("curved_length_mm", "of the tube", lambda a: a.tube.curved_length),
+    Quantity("set_degC", "to which it is heated", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
+    Quantity("hold_s", "for how long", lambda a: a.heat.hold_time),
+    Quantity("materials", "the materials, best first", lambda a: list(a.ratings), of=RATING),
+)
 
 
-@dataclass(frozen=True)
-class MaterialsReport:
-    """Mold materials for a tube, best first."""
+class RankingReport(Report[Ranking]):
+    """What is said and saved about mold materials for a tube, best first."""
 
-    ratings: tuple[MaterialRating, ...]
-    tube: Tube
-    heat: HeatSpec
+    command = "mold materials"
+    quantities = RANKING
+    file = "materials.json"
 
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON: a mapping per material, best first."""
-        return {
-            "outer_diameter_mm": self.tube.outer_diameter * MM,
-            "curved_length_mm": self.tube.curved_length * MM,
-            "set_degC": self.heat.set_temperature - ZERO_CELSIUS,
-            "hold_s": self.heat.hold_time,
-            "materials": [_rating(rating) for rating in self.ratings],
-        }
+    def title(self) -> str:
+        """The tube and its heating."""
+        known = self.record()
+        tube = f"a tube of {known['outer_diameter_mm']:g} mm, {known['curved_length_mm']:g} mm of it"
+        return f"molds for {tube} at {known['set_degC']:g} degC for {known['hold_s']:g} s"
 
     def table(self) -> Group:
         """A row per material, then why."""
-        degrees = self.heat.set_temperature - ZERO_CELSIUS
-        tube = f"a tube of {self.tube.outer_diameter * MM:g} mm, {self.tube.curved_length * MM:g} mm of it"
-        title = Text(f"molds for {tube} at {degrees:g} degC for {self.heat.hold_time:g} s", style="italic")
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        table.add_column("material", style="bold", no_wrap=True)
-        for name in ("draws J/m", "energy kJ", "limit degC", "leak", "price", "suits"):
-            table.add_column(name, justify="right", no_wrap=True)
-        for r in self.ratings:
-            m = r.material
-            limit, suits = f"{m.limit_temperature_degC:.0f}", "yes" if r.suitable else "no"
-            table.add_row(
-                m.name, f"{r.heat_drawn:.0f}", f"{r.energy / 1e3:.3g}", limit, f"{r.leak:.1g}", m.price_class, suits
+        ratings = self.answer.ratings
+        cells = [
+            (
+                r.material.name,
+                f"{r.heat_drawn:.0f}",
+                f"{r.energy * per_si('kJ'):.3g}",
+                f"{r.material.limit_temperature_degC:.0f}",
+                f"{r.leak:.1g}",
+                r.material.price_class,
+                "yes" if r.suitable else "no",
             )
-        return Group(title, table, *(Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in self.ratings))
-
-    def save(self, directory: Path) -> list[Path]:
-        """Write materials.json."""
-        write_text(directory / "materials.json", to_text(self.record()))
-        return [directory / "materials.json"]
+            for r in ratings
+        ]
+        columns = ("material", "draws J/m >", "energy kJ >", "limit degC >", "leak >", "price >", "suits >")
+        reasons = [Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in ratings]
+        return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
 
     def draw(self, directory: Path) -> list[Path]:
         """Write materials.png."""
         from .plots.mold import plot_materials
 
-        plot_materials(self.ratings, directory / "materials.png")
-        return [directory / "materials.png"]
+        return self.drawn(directory, {"materials.png": plot_materials}, self.answer.ratings)
 
 
-def _rating(r: MaterialRating) -> dict[str, Any]:
-    m = r.material
-    return {
-        "material": m.name,
-        "suitable": r.suitable,
-        "heat_drawn_J_per_m": r.heat_drawn,
-        "heat_flow_W_per_m": r.heat_flow,
-        "energy_J": r.energy,
-        "leak": r.leak,
-        "limit_degC": m.limit_temperature_degC,
-        "limit_margin_K": r.limit_margin,
-        "conductivity_W_per_m_K": m.conductivity,
-        "density_kg_per_m3": m.density,
-        "heat_capacity_J_per_kg_K": m.heat_capacity,
-        "resistivity_ohm_m": m.resistivity,
-        "price_class": m.price_class,
-        "reasons": list(r.reasons),
-        "source": m.source,
-    }
-
-
-@report.register
-def _(answer: RobotMold) -> MoldReport:
-    return MoldReport(answer)
+report.register(RobotMold, MoldReport)
+report.register(Calibration, CalibrationReport)
+report.register(Ranking, RankingReport)

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from ..files.csv_file import to_csv
-from ..files.files import atomic_write, write_text
+from ..files.files import write_text
+from ..files.units import TO_MM
 from ..planning import Proof, Trajectory
 from ..planning.file import save_trajectory
 from ..robots.file import save_robot
 from ..runs.plan_study import Checked
 from ..stability import ASSUMING
-from .report import report, to_text, two_columns
-from .words import MM, degrees, millimetres
-
-DEG = 180 / np.pi
+from .quantities import Quantity, line, rows, within
+from .report import Report, report, two_columns
 
 HOW = {
     "straight": "straight",
@@ -34,185 +31,162 @@ HOW = {
 }
 
 
-def proof_record(proof: Proof) -> dict[str, Any]:
-    """A proof as JSON."""
-    p = proof
-    return {
-        "proved": p.holds,
-        "assumed": ASSUMING,
-        "faults": list(p.faults),
-        "followed_percent": 100 * p.followed,
-        "snap_at_percent": None if p.snap is None else 100 * p.snap,
-        "least_margin": p.least_margin,
-        "least_clearance_mm": p.least_clearance * MM,
-        "clearance_bound_mm": p.clearance_bound * MM,
-        "measured_clearance_mm": p.measured_clearance * MM,
-        "largest_rotation_rate_deg_per_s": p.largest_rotation_rate * DEG,
-        "largest_translation_rate_mm_per_s": p.largest_translation_rate * MM,
-        "largest_rotation_acceleration_deg_per_s2": p.largest_rotation_acceleration * DEG,
-        "largest_translation_acceleration_mm_per_s2": p.largest_translation_acceleration * MM,
-        "largest_tip_step_mm": p.largest_tip_step * MM,
-        "tip_length_mm": p.tip_length * MM,
-        "reintegration_mm": p.reintegration * MM,
-        "equilibria": p.equilibria,
-    }
-
-
-def proof_rows(proof: Proof) -> list[tuple[str, str]]:
-    """A proof as lines of a table."""
-    p = proof
-    rows = [("least margin", f"{p.least_margin:.4f}")]
+def _clearance(p: Proof) -> str | None:
     if np.isfinite(p.least_clearance):
-        shown, measured = _down(p.least_clearance * MM), p.measured_clearance * MM
-        rows.append(("clearance", f"at least {shown:.3f} mm at all times ({measured:.3f} mm measured)"))
-    elif p.least_clearance < 0:
-        rows.append(("clearance", f"none is shown ({p.measured_clearance * MM:.3f} mm measured)"))
-    return [
-        *rows,
-        (
-            "largest rates",
-            f"{p.largest_rotation_rate * DEG:.2f} deg/s, {p.largest_translation_rate * MM:.2f} mm/s; "
-            f"{p.largest_rotation_acceleration * DEG:.2f} deg/s^2, "
-            f"{p.largest_translation_acceleration * MM:.2f} mm/s^2",
-        ),
-        ("way of the tip", f"{p.tip_length * MM:.2f} mm, in steps of at most {p.largest_tip_step * MM:.2f} mm"),
-        (
-            "followed again",
-            f"through {p.equilibria} equilibria"
-            + (f", re-integrated to {p.reintegration * MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""),
-        ),
-    ]
+        # Rounded down to what is printed, so that a bound stays one.
+        shown = np.floor(p.least_clearance * TO_MM * 1e3) / 1e3
+        return f"at least {shown:.3f} mm at all times ({p.measured_clearance * TO_MM:.3f} mm measured)"
+    return f"none is shown ({p.measured_clearance * TO_MM:.3f} mm measured)" if p.least_clearance < 0 else None
 
 
-def _down(value: float) -> float:
-    """Rounded down to what is printed, so that a bound stays one."""
-    return float(np.floor(value * 1e3) / 1e3)
+def _again(p: Proof) -> str:
+    checked = f", re-integrated to {p.reintegration * TO_MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""
+    return f"through {p.equilibria} equilibria{checked}"
 
 
-@dataclass(frozen=True)
-class TrajectoryReport:
-    """What is said and saved about a plan."""
+PROOF: tuple[Quantity[Proof], ...] = (
+    Quantity("proved", "whether all that was asked for holds", lambda p: p.holds),
+    Quantity("assumed", "what all is said under", lambda p: ASSUMING),
+    Quantity("faults", "what does not hold, in words", lambda p: list(p.faults)),
+    Quantity("followed_percent", "part of the motion that was followed", lambda p: p.followed),
+    Quantity("snap_at_percent", "where it snaps", lambda p: p.snap),
+    Quantity("least_margin", "least margin", form=".4f"),
+    Quantity("least_clearance_mm", "proved distance of the arm from obstacles", label="clearance", words=_clearance),
+    Quantity("clearance_bound_mm", "bound of the distance between the instants that were looked at"),
+    Quantity("measured_clearance_mm", "least distance at the instants that were looked at"),
+    line(
+        "largest rates",
+        "{largest_rotation_rate_deg_per_s:.2f} deg/s, {largest_translation_rate_mm_per_s:.2f} mm/s; "
+        "{largest_rotation_acceleration_deg_per_s2:.2f} deg/s^2, "
+        "{largest_translation_acceleration_mm_per_s2:.2f} mm/s^2",
+    ),
+    Quantity("largest_rotation_rate_deg_per_s", "of a tube"),
+    Quantity("largest_translation_rate_mm_per_s", "of a tube"),
+    Quantity("largest_rotation_acceleration_deg_per_s2", "of a tube"),
+    Quantity("largest_translation_acceleration_mm_per_s2", "of a tube"),
+    line("way of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
+    Quantity("largest_tip_step_mm", "of the tip between equilibria"),
+    Quantity("tip_length_mm", "way of the tip"),
+    Quantity("reintegration_mm", "largest difference of a tip to an adaptive re-integration"),
+    Quantity("equilibria", "equilibria through which it was followed", label="followed again", words=_again),
+)
 
-    answer: Trajectory
 
-    def record(self) -> dict[str, Any]:
-        """The plan as JSON; joint values over time are in the CSV file."""
+def _ends(k: int, name: str, about: str) -> Quantity[Trajectory]:
+    """Joint values at an end of a trajectory."""
+    joints: tuple[Quantity[Trajectory], ...] = (
+        Quantity("rotations_deg", "rotation of every tube", lambda t: t.rotations[k]),
+        Quantity("translations_mm", "translation of every tube", lambda t: t.translations[k]),
+    )
+    words = f"rotations {{{name}[rotations_deg]:.4g}} deg, translations {{{name}[translations_mm]:.4g}} mm"
+    return Quantity(name, about, lambda t: t, of=joints, words=words)
+
+
+def _smoothed(t: Trajectory) -> str | None:
+    s = t.statistics
+    words = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
+    return f"{words}, {s.smooth_seconds:.1f} s" if s.smoothed else None
+
+
+TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
+    Quantity("robot", "name of the robot", lambda t: t.robot.name),
+    _ends(0, "start", "from"),
+    _ends(-1, "goal", "to"),
+    Quantity("tip_position_mm", "tip at the end", lambda t: t.tip_position[-1], form=".3f"),
+    Quantity("duration_s", "duration", lambda t: t.time[-1], words="{duration_s:.2f} s, {samples} samples"),
+    Quantity("samples", "instants at which joint values are given", lambda t: len(t.time)),
+    Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
+    Quantity(
+        "turns",
+        "whole turns added",
+        lambda t: list(t.turns),
+        words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None,
+    ),
+    Quantity("status", "how the planning ended"),
+    Quantity(
+        "largest_deviation_mm",
+        "largest deviation",
+        lambda t: None if t.deviation is None else t.deviation.max(),
+        form=".3f",
+    ),
+    Quantity("proof", "what was proved", of=PROOF),
+    Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
+)
+
+FOUND: tuple[Quantity[Trajectory], ...] = (
+    *within(PROOF, lambda t: t.proof),
+    line("found", lambda t: _found(t)),
+    line("smoothed", _smoothed),
+)
+"""What is told below the motion itself."""
+
+
+def _found(t: Trajectory) -> str:
+    s = t.statistics
+    return f"{HOW[s.how]}, {s.motions} motions, {s.search_seconds:.1f} s"
+
+
+class TrajectoryReport(Report[Trajectory]):
+    """What is said and saved about a plan; joint values over time are in the CSV file."""
+
+    command = "plan"
+    quantities = TRAJECTORY
+    file = "plan.json"
+
+    def title(self) -> str:
+        """Whether it is proved."""
         t = self.answer
-        return {
-            "robot": t.robot.name,
-            "duration_s": float(t.time[-1]),
-            "samples": len(t.time),
-            "start": {
-                "rotations_deg": np.degrees(t.rotations[0]).tolist(),
-                "translations_mm": (t.translations[0] * MM).tolist(),
-            },
-            "goal": {
-                "rotations_deg": np.degrees(t.rotations[-1]).tolist(),
-                "translations_mm": (t.translations[-1] * MM).tolist(),
-            },
-            "tip_position_mm": (t.tip_position[-1] * MM).tolist(),
-            "tip_rotations_deg": np.degrees(t.end.tip_rotations).tolist(),
-            "turns": list(t.turns),
-            "status": t.status,
-            "largest_deviation_mm": None if t.deviation is None else float(t.deviation.max()) * MM,
-            "proof": proof_record(t.proof),
-            "statistics": asdict(t.statistics),
-        }
-
-    def table(self) -> Group:
-        """The plan, its proof, and how it was found."""
-        t, s = self.answer, self.answer.statistics
-        rows = [
-            (
-                "from",
-                f"rotations {degrees(t.rotations[0], '.4g')}, translations {millimetres(t.translations[0], '.4g')}",
-            ),
-            (
-                "to",
-                f"rotations {degrees(t.rotations[-1], '.4g')}, translations {millimetres(t.translations[-1], '.4g')}",
-            ),
-            ("tip at the end", millimetres(t.tip_position[-1], ".3f")),
-            ("duration", f"{t.time[-1]:.2f} s, {len(t.time)} samples"),
-        ]
-        if any(t.turns):
-            rows.append(("whole turns added", ", ".join(str(turn) for turn in t.turns)))
-        if t.deviation is not None:
-            rows.append(("largest deviation", f"{t.deviation.max() * MM:.3f} mm"))
-        rows += proof_rows(t.proof)
-        found = f"{HOW[s.how]}, {s.motions} motions, {s.search_seconds:.1f} s"
-        rows.append(("found", found))
-        if s.smoothed:
-            words = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
-            rows.append(("smoothed", f"{words}, {s.smooth_seconds:.1f} s"))
         what = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
-        return Group(two_columns(f"{t.robot.name or 'robot'}: {what}", rows))
+        return f"{super().title()}: {what}"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The plan, its proof, and how it was found."""
+        return super().rows() + rows(self.answer, FOUND)
 
     def save(self, directory: Path) -> list[Path]:
         """Write trajectory.csv, with robot.yaml beside it, tip.csv, and plan.json."""
-        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv", "plan.json")]
+        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv")]
         save_robot(self.answer.robot, paths[0])
         save_trajectory(self.answer, paths[1], robot_file="robot.yaml")
         columns = ["time_s", "x_mm", "y_mm", "z_mm", "margin", "clearance_mm"]
         write_text(paths[2], to_csv(columns, self._tip()))
-        write_text(paths[3], to_text(self.record()))
-        return paths
+        return [*paths, self.save_record(directory)]
 
     def _tip(self) -> Iterator[Sequence[object]]:
         t = self.answer
         for time, tip, margin, clear in zip(t.time, t.tip_position, t.margin, t.clearance, strict=True):
-            shown = round(float(clear) * MM, 6) if np.isfinite(clear) else ""
-            yield [float(time), *(round(float(x) * MM, 6) + 0.0 for x in tip), float(margin), shown]
+            shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
+            yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
     def draw(self, directory: Path) -> list[Path]:
         """Write trajectory.png and trajectory.gif."""
         from .plots.trajectory import animate_trajectory, plot_trajectory
 
-        picture, film = directory / "trajectory.png", directory / "trajectory.gif"
-        with atomic_write(picture) as temporary:
-            plot_trajectory(self.answer, temporary)
-        animate_trajectory(self.answer, film)
-        return [picture, film]
+        return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
 
 
-@dataclass(frozen=True)
-class CheckedReport:
+CHECKED: tuple[Quantity[Checked], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.joints.robot.name),
+    Quantity("duration_s", "from the first instant to the last", lambda a: a.joints.time[-1] - a.joints.time[0]),
+    Quantity("samples", "instants at which joint values are given", lambda a: len(a.joints.time)),
+    *within(PROOF, lambda a: a.proof),
+)
+
+
+class CheckedReport(Report[Checked]):
     """What is said about a trajectory that was checked."""
 
-    answer: Checked
-
-    def record(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        j = self.answer.joints
-        return {
-            "robot": j.robot.name,
-            "duration_s": float(j.time[-1] - j.time[0]),
-            "samples": len(j.time),
-        } | proof_record(self.answer.proof)
+    command = "verify"
+    quantities = CHECKED
+    file = "verify.json"
 
     def table(self) -> Group:
         """Whether it holds, what is wrong, and the numbers."""
         a = self.answer
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
-        table: Table = two_columns("", proof_rows(a.proof))
-        return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, table)
-
-    def save(self, directory: Path) -> list[Path]:
-        """Write verify.json."""
-        path = directory / "verify.json"
-        write_text(path, to_text(self.record()))
-        return [path]
-
-    def draw(self, directory: Path) -> list[Path]:
-        """No picture."""
-        return []
+        return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, two_columns("", self.rows()))
 
 
-@report.register
-def _(answer: Trajectory) -> TrajectoryReport:
-    return TrajectoryReport(answer)
-
-
-@report.register
-def _(answer: Checked) -> CheckedReport:
-    return CheckedReport(answer)
+report.register(Trajectory, TrajectoryReport)
+report.register(Checked, CheckedReport)

@@ -5,41 +5,90 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import typer
 from pydantic_core import to_json
 from rich.console import Console, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from ..errors import InputError
+from ..files.files import write_text
+from . import quantities
+from .quantities import Quantity
+
+A = TypeVar("A")
 
 
-class Report(Protocol):
-    """An answer, ready to be shown and saved. Keys and columns carry their unit."""
+@dataclass(frozen=True)
+class Report(Generic[A]):
+    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say.
+
+    Args:
+        answer: what is reported.
+    """
+
+    answer: A
+
+    command: ClassVar[str] = ""
+    """What is typed after `tubeopt` for such an answer."""
+
+    quantities: ClassVar[tuple[Quantity[Any], ...]] = ()
+    """What `--json` holds, and the rows of the table."""
+
+    file: ClassVar[str] = ""
+    """Name under which the record is saved; "" where it is not."""
 
     def record(self) -> dict[str, Any]:
-        """What `--json` prints: plain numbers, text, lists and mappings."""
+        """What `--json` prints: plain numbers, text, lists and mappings; keys carry their unit."""
+        return quantities.record(self.answer, self.quantities)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The quantities that a person wants to see, as names and values."""
+        return quantities.rows(self.answer, self.quantities)
+
+    def title(self) -> str:
+        """What the table is headed by."""
+        answer: Any = self.answer
+        return answer.robot.name or "robot"
 
     def table(self) -> RenderableType:
         """What a person reads."""
+        return two_columns(self.title(), self.rows())
 
     def save(self, directory: Path) -> list[Path]:
         """Write everything but the pictures into `directory`; return the paths."""
+        return [self.save_record(directory)] if self.file else []
+
+    def save_record(self, directory: Path) -> Path:
+        """Write the record as JSON under its name in `directory`."""
+        write_text(directory / self.file, to_text(self.record()))
+        return directory / self.file
 
     def draw(self, directory: Path) -> list[Path]:
         """Write the pictures into `directory`; return the paths."""
+        return []
+
+    def drawn(
+        self, directory: Path, pictures: Mapping[str, Callable[..., object]], what: Any = None, **options: Any
+    ) -> list[Path]:
+        """Draw `what`, by default the answer, once for every name, by the function that plots it; return the paths."""
+        for name, plot in pictures.items():
+            plot(self.answer if what is None else what, directory / name, **options)
+        return [directory / name for name in pictures]
 
 
 @functools.singledispatch
-def report(answer: object) -> Report:
+def report(answer: object) -> Report[Any]:
     """The report on an answer; every kind of answer registers its own."""
     raise TypeError(f"there is no report on a {type(answer).__name__}")
 
 
-def present(answer: Report, *, out: Path | None, as_json: bool, plot: bool = False) -> None:
+def present(answer: Report[Any], *, out: Path | None, as_json: bool, plot: bool = False) -> None:
     """Save `answer` into `out` where that is given, and print it.
 
     With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
@@ -80,8 +129,25 @@ def two_columns(title: str, rows: Sequence[tuple[str, str]]) -> Table:
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(name, Text(value))  # as it is: a name may have brackets, which rich takes for markup
     return table
+
+
+def grid(columns: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", key: bool = False) -> Table:
+    """A table with a heading for every column, to the right where that ends in " >"; `key`: the first is in bold."""
+    table = Table(title=title or None, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(columns):
+        bold = key and k == 0
+        justify: Literal["left", "right"] = "right" if name.endswith(" >") else "left"
+        table.add_column(name.removesuffix(" >"), justify=justify, style="bold" if bold else None, no_wrap=bold)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def remarks(lines: Iterable[str], *, what: str = "", style: str = "yellow") -> list[Text]:
+    """Lines below a table, each after the word that says what it is."""
+    return [Text(f"{what}: {words}" if what else words, style=style) for words in lines]
 
 
 def has_display() -> bool:

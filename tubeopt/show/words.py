@@ -1,17 +1,12 @@
-"""Numbers of an answer as a person reads them, and equilibria and snaps as JSON."""
+"""Numbers of an answer as a person reads them."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium.result import Equilibrium
-from ..stability import Snap
+from ..files.units import TO_MM
 from ..typing import Array
-
-MM = MILLI = 1e3
 
 CLOSE_TO_A_SNAP = 0.05
 """Margin below which the table warns."""
@@ -36,7 +31,7 @@ def degrees(angles: Array, form: str = ".9g") -> str:
 
 def millimetres(lengths: Array, form: str = ".9g") -> str:
     """Lengths (m) in mm, with their unit."""
-    return f"{row(np.asarray(lengths) * MM, form)} mm"
+    return f"{row(np.asarray(lengths) * TO_MM, form)} mm"
 
 
 def flag(values: Array) -> str:
@@ -44,27 +39,8 @@ def flag(values: Array) -> str:
     return row(np.round(values, 6), ".12g").replace(" ", "")
 
 
-def state(equilibrium: Equilibrium) -> dict[str, Any]:
-    """An equilibrium in short, as JSON."""
-    return {
-        "stable": equilibrium.stable,
-        "margin": equilibrium.margin,
-        "index": equilibrium.index,
-        "energy_mJ": equilibrium.energy * MILLI,
-        "tip_position_mm": (equilibrium.tip_position * MM).tolist(),
-        "tip_direction": equilibrium.tip_rotation[:, 2].tolist(),
-        "tip_rotations_deg": np.degrees(equilibrium.tip_rotations).tolist(),
-    }
-
-
-def snap_record(snap: Snap) -> dict[str, Any]:
-    """A snap as JSON."""
-    return {
-        "fraction": snap.fraction,
-        "rotations_deg": np.degrees(snap.rotations).tolist(),
-        "translations_mm": (snap.translations * MM).tolist(),
-        "tip_jump_mm": snap.tip_jump * MM,
-        "energy_released_mJ": snap.energy_released * MILLI,
-        "before": state(snap.before),
-        "after": state(snap.after),
-    }
+def counted(count: int, one: str, many: str = "", *, none: str = "") -> str:
+    """A number of things in words: "1 snap", "2 snaps"; `none` in place of 0."""
+    if count == 0 and none:
+        return none
+    return f"1 {one}" if count == 1 else f"{count} {many or one + 's'}"

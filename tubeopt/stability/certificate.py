@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import vector
-from ..physics.certificate import PARAMETERS, Pattern, certificate_function
+from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot
+from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
@@ -28,7 +29,7 @@ class Certificate:
         margin: mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where
             nothing can be proved: tubes off the centreline that are not three equal ones per segment.
         translations: (n,) m.
-        gradient: of the margin with respect to `mechanics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
+        gradient: of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where
             the eigenvalue is double, so that the margin has no derivative.
         pair: the two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and
             for tubes off the centreline, of which three take it together.
@@ -79,13 +80,11 @@ def _problem(robot: Robot, shift: Array) -> ReducedProblem:
     return reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
 
 
-def pair_couplings(problem: ReducedProblem) -> Array:
-    """(N, n, n) |c_ij| at the collocation points."""
-    pull = np.abs(problem.moment)
-    pairs = pull[:, :, None] * pull[:, None, :] / problem.stiffness.sum(1)[:, None, None]
-    diagonal = np.arange(pull.shape[1])
-    pairs[:, diagonal, diagonal] = 0.0
-    return np.asarray(pairs)
+def _at_worst(problem: ReducedProblem) -> tuple[Array, Array]:
+    """(N, n, n) V'' at the collocation points at rotations that are worst for every pair of tubes, and |c_ij|."""
+    count, n = problem.moment.shape
+    found = mapped(worst_function(n), count)(problem.stiffness, problem.moment, np.zeros((count, n)))
+    return found[0].reshape(count, n, n).copy(), found[3].reshape(count, n, n).copy()
 
 
 def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
@@ -94,10 +93,8 @@ def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
     y = np.zeros((count, n))
     if not problem.size:
         return 1.0, y, 1.0
-    pairs = pair_couplings(problem)
-    laplacian = pairs - np.eye(n) * pairs.sum(2)[:, :, None]
     second = np.zeros(problem.size**2)
-    second[problem.places] = laplacian.ravel()[problem.entries] * problem.entry_weight
+    second[problem.places] = _at_worst(problem)[0].ravel()[problem.entries] * problem.entry_weight
     values, vectors = np.linalg.eigh(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
@@ -117,7 +114,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
-    work = pair_couplings(problem) * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
+    work = _at_worst(problem)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
     share = work.sum(0) / (1 - margin)
     i, j = np.unravel_index(int(np.argmax(np.triu(share))), share.shape)
     mesh, assembly = problem.mesh, problem.assembly
@@ -143,7 +140,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """The order of breakpoints, as `mechanics.certificate.certificate_function` takes it. Of breakpoints that coincide
+    """The order of breakpoints, as `physics.certificate.certificate_function` takes it. Of breakpoints that coincide
     the first tube's is taken."""
     ends = []
     for stop in assembly.start + assembly.length:
@@ -155,7 +152,7 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
 
 
 def parameter_values(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Values of `mechanics.certificate.PARAMETERS` for a robot."""
+    """Values of `physics.certificate.PARAMETERS` for a robot."""
     values = {
         name: np.array([getattr(tube, name) for tube in robot.tubes]) for name in PARAMETERS if name != "translation"
     }

@@ -187,7 +187,7 @@ def _cross_section(theta: Array, delta: float) -> tuple[Array, Array]:
 
 
 def _changed(assembly: Assembly, name: str, tubes: list[int], change: float) -> Assembly:
-    """An assembly with one parameter of `mechanics.certificate.PARAMETERS` of some tubes changed."""
+    """An assembly with one parameter of `physics.certificate.PARAMETERS` of some tubes changed."""
     if name in ("bending_stiffness", "torsional_stiffness", "curvature"):
         values = getattr(assembly, name).copy()
         values[tubes] += change

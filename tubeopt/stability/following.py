@@ -127,8 +127,9 @@ def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | Non
             )
     if len(alpha) != len(shift):
         raise InputError(f"rotations have {len(alpha)} rows, translations {len(shift)}; they must be as many")
-    for row in shift:
-        robot.assembly(row)
+    for k, row in enumerate(shift):
+        if not k or (row != shift[k - 1]).any():
+            robot.assembly(row)
     return alpha, shift
 
 

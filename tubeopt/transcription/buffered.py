@@ -48,7 +48,7 @@ def _mapped(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -
 
 
 def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
-    """`mechanics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
+    """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
     return _mapped(kind, count, n_tubes, eccentric, threading.get_ident())
 
 

@@ -9,12 +9,10 @@ import casadi as ca
 
 from ..physics.matrix import determinant
 from ..physics.shape import quaternion_product, rotation_matrix
+from ..physics.strain import bend_from_own
 from .collocated import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
-
-SMOOTH = 1e-6
-"""Curvature (1/m) within which the root of a bend is rounded off at 0."""
 
 
 @lru_cache(maxsize=64)
@@ -72,9 +70,7 @@ def bend_function(grid: Grid) -> ca.Function:
     for k in range(grid.degree):
         theta = piece.inner[:, k]
         here = piece.section(theta)
-        across = [here.curvature[0] / here.stretch, here.curvature[1] / here.stretch]
-        gap = across[0] - natural * ca.cos(theta), across[1] - natural * ca.sin(theta)
-        columns.append(ca.sqrt(gap[0] ** 2 + gap[1] ** 2 + SMOOTH**2) - SMOOTH)
+        columns.append(bend_from_own((ca.cos(theta), ca.sin(theta)), here.curvature, natural, here.stretch))
     return ca.Function("bend", [*piece.arguments, natural], [ca.horzcat(*columns)], OPTIONS)
 
 

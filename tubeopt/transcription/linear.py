@@ -8,14 +8,15 @@ of the cross-section, and the boundary conditions at the plate and at the tip cl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from ..errors import SolveError
-from ..physics.shape import GAUSS_POINTS, step_function
 from ..typing import Array
-from .buffered import mapped, section_function
+from .buffered import section_function
 from .collocated import ENDS
 from .tableau import Tableau, tableau
 
@@ -26,8 +27,9 @@ class Arm:
 
     start, length: (P,) m.  stiffness, moment: (P, n) kb_i of the tubes present and m_i of the tubes curved.
     torsional_stiffness, transmission: (n,).  place: offset and angle (n,), or nothing for concentric tubes.
-    theta, twist: (P, n) where pieces begin.  inner: (P, K, n) theta at the points.
-    position (4 P + 1, 3), frame (4 P + 1, 3, 3): at the shape points.
+    theta, twist: (P, n) where pieces begin.  inner: (P, K, n) theta at the points.  tip: (n,) theta at the tip.
+    position (4 P + 1, 3), frame (4 P + 1, 3, 3), curvature (4 P + 1, 2): at the shape points, curvature of the piece
+    that ends there.
     """
 
     tableau: Tableau
@@ -41,8 +43,25 @@ class Arm:
     theta: Array
     twist: Array
     inner: Array
+    tip: Array
     position: Array
     frame: Array
+    curvature: Array
+
+    @cached_property
+    def flat(self) -> tuple[Array, Array, Array]:
+        """theta, kb, m (P K, n) at the points."""
+        return self.inner.reshape(-1, self.n_tubes), *self.repeated(self.tableau.degree)
+
+    def repeated(self, count: int) -> tuple[Array, Array]:
+        """kb, m (P count, n) at `count` places of every piece."""
+        return np.repeat(self.stiffness, count, axis=0), np.repeat(self.moment, count, axis=0)
+
+    @cached_property
+    def states(self) -> tuple[Array, Array]:
+        """(P + 1, n) theta and w between the pieces."""
+        tip = self.tip[None]
+        return np.concatenate([self.theta, tip]), np.concatenate([self.twist, np.zeros_like(tip)])
 
     @property
     def n_tubes(self) -> int:
@@ -81,7 +100,7 @@ def slopes_at(arm: Arm, theta: Array) -> Slopes:
         u, bend = np.zeros((0, count, 2)), np.zeros((0, count, 2, 3 * n))
         return Slopes(tubes, slopes, tubes, slopes, u, bend, np.zeros((0, count)), np.zeros((0, count, 3 * n)))
     function = section_function("linear", pieces * count, n, bool(arm.place))
-    kb, m = (np.repeat(table, count, axis=0) for table in (arm.stiffness, arm.moment))
+    kb, m = arm.flat[1:] if theta is arm.inner else arm.repeated(count)
     out = [part.copy() for part in function(theta.reshape(-1, n), kb, m, *arm.place)]
     # CasADi stores (rows, 3n) by columns: (points, 3n, rows).
     moment, stretch, u, bending = (out[k].reshape(pieces, count, -1) for k in range(4))
@@ -92,7 +111,7 @@ def slopes_at(arm: Arm, theta: Array) -> Slopes:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Linear maps of every piece; columns of `data` are kb, m, kt (3n).
+    """Linear maps of every piece; columns of `data` are kb, m, kt (3n), or none where these do not change.
 
     inner_state (P, K n, 2n), inner_data (P, K n, 3n): of the rotations at the points.
     end_state (P, 2n, 2n), end_data (P, 2n, 3n): of theta and w where the piece ends.
@@ -105,15 +124,12 @@ class Chain:
 
 
 @lru_cache(maxsize=32)
-def _kron_of(family: str, degree: int, n: int) -> tuple[Array, Array, Array]:
+def _kron(family: str, degree: int, n: int) -> tuple[Array, Array, Array, Array]:
+    """Matrix, adjoint and weights of a tableau for n tubes at once, and the same value at all of its points."""
     t = tableau(family, degree)
-    matrix, adjoint, weights = (np.asarray(np.kron(part, np.eye(n))) for part in (t.matrix, t.adjoint, t.weights))
-    return matrix, adjoint, weights
-
-
-def _kron(t: Tableau, n: int) -> tuple[Array, Array, Array]:
-    """Matrix, adjoint and weights of a tableau for n tubes at once."""
-    return _kron_of(t.family, t.degree, n)
+    parts = (t.matrix, t.adjoint, t.weights[None], np.ones((degree, 1)))
+    matrix, adjoint, weights, same = (np.asarray(np.kron(part, np.eye(n))) for part in parts)
+    return matrix, adjoint, weights, same
 
 
 @lru_cache(maxsize=64)
@@ -132,58 +148,51 @@ def _spread(matrix: Array, blocks: Array) -> Array:
     return np.asarray(out.reshape(pieces, count * n, count * c))
 
 
-def _diagonal(values: Array) -> Array:
-    """(..., n, n) of (..., n)."""
-    return np.asarray(values[..., None] * np.eye(values.shape[-1]))
+def _diagonal(matrices: Array) -> Array:
+    """(P, r) view of the diagonals of matrices (P, r, c), c at least r."""
+    rows, columns = matrices.shape[1:]
+    return np.asarray(matrices.reshape(len(matrices), rows * columns)[:, : rows * columns : columns + 1])
 
 
-def chain_of(arm: Arm, at: Slopes) -> Chain:
-    """The linear maps of all pieces."""
+def chain_of(arm: Arm, at: Slopes, *, dimensions: bool) -> Chain:
+    """The linear maps of all pieces; with the columns of `data` where `dimensions` of the tubes change."""
     t, n, pieces, count = arm.tableau, arm.n_tubes, arm.n_pieces, arm.tableau.degree
     h = arm.length[:, None, None]
+    spread, adjoint, weights, same = _kron(t.family, count, n)
     rate = at.rate_slope[..., :n]
-    by_data = np.concatenate([at.rate_slope[..., n:], -_diagonal(at.rate / arm.torsional_stiffness)], axis=3)
-    gained = by_data.reshape(pieces, count * n, 3 * n)
-    adjoint = _kron(t, n)[1]
-    # Of w at the points: by theta at the points, by the data.
-    twist_inner, twist_data = h * _spread(t.adjoint, rate), h * (adjoint @ gained)
-    stretch = at.stretch.reshape(pieces, count * n, 1)
-    slope_inner, slope_data = stretch * twist_inner, stretch * twist_data
-    slope_state = np.zeros((pieces, count * n, 2 * n))
-    slope_state[:, :, n:] = (stretch.reshape(pieces, count, n, 1) * np.eye(n)).reshape(pieces, count * n, n)
+    # Columns: theta, w where the piece begins, then the data. Of theta' / g at the points, by them and by the data.
+    size = 2 * n + 3 * n * dimensions
+    twist_inner, twist_given = h * _spread(t.adjoint, rate), np.zeros((pieces, count * n, size))
+    twist_given[:, :, n : 2 * n] = same
+    if dimensions:
+        gained = np.zeros((pieces, count * n, 3 * n))
+        by_data = gained.reshape(pieces, count, n, 3 * n)
+        by_data[..., : 2 * n] = at.rate_slope[..., n:]
+        by_data[..., range(n), range(2 * n, 3 * n)] = -at.rate / arm.torsional_stiffness
+        twist_given[:, :, 2 * n :] = h * (adjoint @ gained)
     if arm.place:
+        stretch = at.stretch.reshape(pieces, count * n, 1)
+        twist_inner, twist_given = stretch * twist_inner, stretch * twist_given
         inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
         more = inside[..., None] * at.stretch_slope
         for k in range(count):
             block = slice(k * n, (k + 1) * n)
-            slope_inner[:, block, block] += more[:, k, :, :n]
-            slope_data[:, block, : 2 * n] += more[:, k, :, n:]
-    spread = _kron(t, n)[0]
-    matrix = np.eye(count * n) - h * (spread @ slope_inner)
-    right_state = h * (spread @ slope_state)
-    right_state[:, :, :n] += np.tile(np.eye(n), (count, 1))
-    right = np.concatenate([right_state, h * (spread @ slope_data)], axis=2)
-    solved = np.linalg.solve(matrix, right)
-    return _ends(t, h, (rate, gained, slope_inner, slope_state, slope_data), solved)
-
-
-def _ends(t: Tableau, h: Array, slopes: tuple[Array, ...], solved: Array) -> Chain:
-    """The maps of the ends of the pieces from those of their points."""
-    rate, gained, slope_inner, slope_state, slope_data = slopes
-    pieces, count, n, _ = rate.shape
-    state, data = solved[:, :, : 2 * n], solved[:, :, 2 * n :]
-    weights = _kron(t, n)[2]
-    turned = h * (weights @ slope_inner)
+            twist_inner[:, block, block] += more[:, k, :, :n]
+            if dimensions:
+                twist_given[:, block, 2 * n : 4 * n] += more[:, k, :, n:]
+    matrix = -h * (spread @ twist_inner)
+    _diagonal(matrix)[:] += 1.0
+    right = h * (spread @ twist_given)
+    right[:, :, :n] += same
+    inner = np.asarray(np.linalg.solve(matrix, right), dtype=float)
     moved = h * (t.weights[None, :, None, None] * rate).transpose(0, 2, 1, 3).reshape(pieces, n, count * n)
-    identity = np.eye(n)
-    end_state, end_data = np.zeros((pieces, 2 * n, 2 * n)), np.zeros((pieces, 2 * n, 3 * n))
-    end_state[:, :n] = turned @ state + h * (weights @ slope_state)
-    end_state[:, :n, :n] += identity
-    end_state[:, n:] = moved @ state
-    end_state[:, n:, n:] += identity
-    end_data[:, :n] = turned @ data + h * (weights @ slope_data)
-    end_data[:, n:] = moved @ data + h * (weights @ gained)
-    return Chain(state, data, end_state, end_data)
+    end = np.empty((pieces, 2 * n, size))
+    end[:, :n] = h * (weights @ (twist_inner @ inner + twist_given))
+    end[:, n:] = moved @ inner
+    if dimensions:
+        end[:, n:, 2 * n :] += h * (weights @ gained)
+    _diagonal(end)[:] += 1.0
+    return Chain(inner[:, :, : 2 * n], inner[:, :, 2 * n :], end[:, :, : 2 * n], end[:, :, 2 * n :])
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,24 +219,27 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
     """
     n, pieces, size = arm.n_tubes, arm.n_pieces, base.shape[1]
     # Columns: Q parameters, then n unit changes of w at the plate.
-    state = np.zeros((pieces + 1, 2 * n, size + n))
-    end = np.zeros_like(state)
+    state, end = np.zeros((2, pieces + 1, 2 * n, size + n))
     end[0, :n, :size] = base
-    end[0, :n, size:] = np.diag(arm.transmission)
-    end[0, n:, size:] = np.eye(n)
-    forced = chain.end_data @ data
+    for tube, transmission in enumerate(arm.transmission.tolist()):
+        end[0, tube, size + tube] = transmission
+        end[0, n + tube, size + tube] = 1.0
+    dimensions = chain.end_data.shape[2] > 0
+    forced = chain.end_data @ data if dimensions else None
     for k in range(pieces + 1):
         state[k] = end[k]
         state[k, :, :size] += jumps[k]
         if k < pieces:
-            end[k + 1] = chain.end_state[k] @ state[k]
-            end[k + 1, :, :size] += forced[k]
-    try:
-        twist = -np.linalg.solve(state[-1, n:, size:], state[-1, n:, :size])
-    except np.linalg.LinAlgError:
-        raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite") from None
+            np.matmul(chain.end_state[k], state[k], out=end[k + 1])
+            if forced is not None:
+                end[k + 1, :, :size] += forced[k]
+    *_, twist, singular = scipy.linalg.lapack.dgesv(-state[-1, n:, size:], state[-1, n:, :size])
+    if singular:
+        raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     state, end = (table[..., :size] + table[..., size:] @ twist for table in (state, end))
-    inner = chain.inner_state @ state[:-1] + chain.inner_data @ data
+    inner = chain.inner_state @ state[:-1]
+    if dimensions:
+        inner += chain.inner_data @ data
     return Response(state, end, inner.reshape(pieces, arm.tableau.degree, n, size))
 
 
@@ -241,24 +253,42 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
     return np.asarray(theta)
 
 
-def poses_inside(arm: Arm, at: Slopes) -> tuple[Array, Array]:
-    """Frames (P, K, 3, 3) and positions (P, K, 3) at the points, by a step from the shape point before each."""
-    nodes, n, steps = arm.tableau.nodes, arm.n_tubes, len(ENDS) - 1
-    before = np.minimum((nodes * steps).astype(int), steps - 1)
-    part = nodes - ENDS[before]
-    x = (ENDS[before][:, None] + part[:, None] * GAUSS_POINTS).ravel()
-    theta = rotations_at(arm, at, x).reshape(-1, n)
-    kb, m = (np.repeat(table, len(x), axis=0) for table in (arm.stiffness, arm.moment))
-    if not len(theta):
-        return np.zeros((0, len(nodes), 3, 3)), np.zeros((0, len(nodes), 3))
-    u = section_function("curvature", len(theta), n, bool(arm.place))(theta, kb, m, *arm.place)[0]
-    step = mapped(step_function(), arm.n_pieces * len(nodes))
-    turn, shift = step(u.reshape(-1, 6), (arm.length[:, None] * part).reshape(-1, 1))
-    turn = turn.reshape(arm.n_pieces, len(nodes), 3, 3).swapaxes(2, 3)
-    index = np.arange(arm.n_pieces)[:, None] * steps + before
-    frame = arm.frame[index]
-    moved = (frame @ shift.reshape(arm.n_pieces, len(nodes), 3, 1))[..., 0]
-    return frame @ turn, arm.position[index] + moved
+@lru_cache(maxsize=16)
+def _hermite(family: str, degree: int) -> Array:
+    """(K, 9) values at the points from those at ENDS and slopes at ENDS but the first."""
+    return interpolation(tableau(family, degree).nodes, ENDS, ENDS[1:])
+
+
+def interpolation(x: Array, values: Array, slopes: Array) -> Array:
+    """(len(x), v + s) value at x of the polynomial that is told by its values (v,) and slopes (s,) at given places."""
+    power = np.arange(len(values) + len(slopes))
+    rates = power * slopes[:, None] ** np.maximum(power - 1, 0)
+    conditions = np.concatenate([values[:, None] ** power, rates])
+    return np.asarray(np.linalg.solve(conditions.T, (x[:, None] ** power).T).T)
+
+
+def poses_inside(arm: Arm) -> tuple[Array, Array]:
+    """Frames (P, K, 3, 3) and positions (P, K, 3) at the points: polynomials through the shape points of a piece, with
+    the slopes R hat(u) and R e3 there (where it begins, u is another one's)."""
+    pieces, count, t = arm.n_pieces, 2 * len(ENDS) - 1, arm.tableau
+    index = shape_points(pieces)
+    frame, step = arm.frame[index], arm.length[:, None, None, None]
+    turning = (arm.curvature[index] @ _HAT).reshape(frame.shape)
+    frames = np.concatenate([frame, step * (frame @ turning)[:, 1:]], 1)
+    places = np.concatenate([arm.position[index], step[..., 0] * frame[:, 1:, :, 2]], 1)
+    matrix = _hermite(t.family, t.degree)
+    return (matrix @ frames.reshape(pieces, count, 9)).reshape(pieces, t.degree, 3, 3), matrix @ places
+
+
+_HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0]])
+"""hat(u) by rows from (u_x, u_y)."""
+
+
+@lru_cache(maxsize=64)
+def shape_points(pieces: int) -> NDArray[np.intp]:
+    """(P, 5) which of the shape points lie at ENDS of every piece."""
+    steps = len(ENDS) - 1
+    return np.asarray(np.arange(pieces)[:, None] * steps + np.arange(steps + 1), dtype=np.intp)
 
 
 def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:

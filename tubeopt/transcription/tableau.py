@@ -6,7 +6,7 @@ Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (II.7) and II
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -37,7 +37,7 @@ class Tableau:
         """Number of collocation points K."""
         return len(self.nodes)
 
-    @property
+    @cached_property
     def adjoint(self) -> Array:
         """(K, K) matrix b_j - a_ji b_j / b_i that makes a pair with `matrix` symplectic: itself for Gauss points.
 
@@ -45,6 +45,11 @@ class Tableau:
         Numerical Integration, II.1.4 and VI.4).
         """
         return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
+
+    @cached_property
+    def compliance(self) -> Array:
+        """(K, K) collocated min(x, y) on an interval of length 1, A diag(1 / b) A'."""
+        return np.asarray(self.matrix @ (self.matrix / self.weights).T)
 
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""

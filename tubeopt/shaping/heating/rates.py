@@ -1,4 +1,4 @@
-"""The thermal model at one instant for many members: `mechanics.heat` on arrays, and where the energy goes."""
+"""The thermal model at one instant for many members: `physics.heat` on arrays, and where the energy goes."""
 
 from __future__ import annotations
 

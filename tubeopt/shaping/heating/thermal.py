@@ -1,6 +1,6 @@
 """The numbers of the thermal model for tubes on rigs: grids, properties, and batches of perturbed rigs.
 
-The physics is that of `mechanics.heat`. The PWM period is far below every time constant of the tube, so the duty counts
+The physics is that of `physics.heat`. The PWM period is far below every time constant of the tube, so the duty counts
 as a mean power; `HeatingPlan.pwm_ripple` says how far that is true.
 """
 
@@ -88,8 +88,8 @@ class ThermalModel:
     Attributes:
         resolution: the grid. position, width: (n,) middle of each cell from the outer end of the clamp, and its width,
             m. half_length: m.
-        properties: (B, P) by the names of `mechanics.heat.PROPERTIES`.
-        volumes: (B, V) columns of `mechanics.heat.Volumes`.
+        properties: (B, P) by the names of `physics.heat.PROPERTIES`.
+        volumes: (B, V) columns of `physics.heat.Volumes`.
     """
 
     resolution: Resolution
@@ -210,7 +210,7 @@ def leak_resistance(tube: Tube, rig: Rig) -> float:
 
 
 def properties(tube: Tube, rig: Rig) -> Properties:
-    """What `mechanics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
+    """What `physics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
     data, section, girth = thermal_data(tube), cross_section(tube), math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
     factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
@@ -246,7 +246,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
 
 
 def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array, Array]]:
-    """The values of `mechanics.heat.PROPERTIES`, and of the shells cross-sections (M,), m^2, and log ratios (M-1,)."""
+    """The values of `physics.heat.PROPERTIES`, and of the shells cross-sections (M,), m^2, and log ratios (M-1,)."""
     faces, nodes = shell_radii(rig, tube, shells)
     values = properties(tube, rig)
     k = values["mold_k"]

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import choice
+from ...files.units import TO_MM
 from ...typing import Array
 from .groove import Arc, Line, Piece, Point, way_to_edge
 from .mold import Clamp, Groove, Mold
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
 PARTS = ("base", "lid")
-MM = 1e3
 TEXT_HEIGHT_MM = 2.2
 
 
@@ -37,7 +37,7 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
         InputError: no such part.
     """
     choice("part", part, PARTS)
-    width, height = (extent * MM for extent in mold.size)
+    width, height = (extent * TO_MM for extent in mold.size)
     corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
     outline = tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
     centre = tuple(_scaled(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
@@ -54,7 +54,7 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
             "HOLES": (),
             "TEXT": jaws if base else (),
         },
-        circles=tuple(((hole.centre[0] * MM, hole.centre[1] * MM), hole.diameter * MM) for hole in holes),
+        circles=tuple(((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM), hole.diameter * TO_MM) for hole in holes),
         texts=tuple(_texts(mold, part)),
     )
 
@@ -93,14 +93,17 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Line]:
 def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
     """Lines of text below the plate: what it is, and a line per groove."""
     plate, spec = mold.spec.plate, mold.spec
-    thickness = (plate.thickness if part == "base" else plate.lid_thickness) * MM
-    lines = [f"{part} plate, {spec.material.name}, {mold.size[0] * MM:g} x {mold.size[1] * MM:g} x {thickness:g} mm"]
+    thickness = (plate.thickness if part == "base" else plate.lid_thickness) * TO_MM
+    lines = [
+        f"{part} plate, {spec.material.name}, {mold.size[0] * TO_MM:g} x {mold.size[1] * TO_MM:g} x {thickness:g} mm"
+    ]
     for groove in mold.grooves:
         lines.append(
-            f"tube {groove.number}: OD {groove.tube.outer_diameter * MM:g}, mold radius {groove.radius * MM:.3f}, bend "
-            f"{math.degrees(groove.bend_angle):.3f} deg, groove {groove.width * MM:.3f} wide "
-            f"{groove.depth * MM:.3f} deep, end mill {groove.mill.diameter * MM:g}, cut tube to "
-            f"{groove.stock_length * MM:.1f} mm"
+            f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, "
+            f"mold radius {groove.radius * TO_MM:.3f}, bend {math.degrees(groove.bend_angle):.3f} deg, "
+            f"groove {groove.width * TO_MM:.3f} wide "
+            f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
+            f"{groove.stock_length * TO_MM:.1f} mm"
         )
     step = 1.6 * TEXT_HEIGHT_MM
     below = -max(3 * TEXT_HEIGHT_MM, -lowest_mm(mold) + 2 * TEXT_HEIGHT_MM)
@@ -112,7 +115,7 @@ def lowest_mm(mold: Mold) -> float:
     ends = [
         y for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold) for _, y in (line.start,)
     ]
-    return min(0.0, *ends) * MM
+    return min(0.0, *ends) * TO_MM
 
 
 def _line(a: Array, b: Array) -> Line:
@@ -122,6 +125,6 @@ def _line(a: Array, b: Array) -> Line:
 def _scaled(piece: Piece) -> Piece:
     """A piece in m, in mm."""
     if isinstance(piece, Line):
-        return Line((piece.start[0] * MM, piece.start[1] * MM), (piece.end[0] * MM, piece.end[1] * MM))
-    centre = (piece.centre[0] * MM, piece.centre[1] * MM)
-    return Arc(centre, piece.radius * MM, piece.start_angle, piece.sweep)
+        return Line((piece.start[0] * TO_MM, piece.start[1] * TO_MM), (piece.end[0] * TO_MM, piece.end[1] * TO_MM))
+    centre = (piece.centre[0] * TO_MM, piece.centre[1] * TO_MM)
+    return Arc(centre, piece.radius * TO_MM, piece.start_angle, piece.sweep)

@@ -11,8 +11,9 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
+from ...files.units import TO_MM
 from ...typing import Array
-from .drawing import LAYERS, MM, TEXT_HEIGHT_MM, draw_plate
+from .drawing import LAYERS, TEXT_HEIGHT_MM, draw_plate
 from .groove import Arc, Line, Piece
 from .mold import Mold
 
@@ -69,11 +70,11 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
     for entity in document.modelspace().query('*[layer=="CENTERLINE"]'):
         dxf = entity.dxf
         if entity.dxftype() == "LINE":
-            pieces.append(Line((dxf.start.x / MM, dxf.start.y / MM), (dxf.end.x / MM, dxf.end.y / MM)))
+            pieces.append(Line((dxf.start.x / TO_MM, dxf.start.y / TO_MM), (dxf.end.x / TO_MM, dxf.end.y / TO_MM)))
         elif entity.dxftype() == "ARC":
             sweep = math.radians((dxf.end_angle - dxf.start_angle) % 360.0)
-            centre = (dxf.center.x / MM, dxf.center.y / MM)
-            pieces.append(Arc(centre, dxf.radius / MM, math.radians(dxf.start_angle), sweep))
+            centre = (dxf.center.x / TO_MM, dxf.center.y / TO_MM)
+            pieces.append(Arc(centre, dxf.radius / TO_MM, math.radians(dxf.start_angle), sweep))
     return tuple(pieces)
 
 

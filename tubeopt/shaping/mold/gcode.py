@@ -17,10 +17,10 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...files.files import write_text
+from ...files.units import TO_MM
 from .groove import Arc, Centreline, Line, Piece
 from .mold import Groove, Mold
 
-MM = 1e3
 PER_MINUTE = 60.0
 OVERRUN = 1e-3
 """The cutter's edge clears the plate by this much (m) before it goes down or up."""
@@ -67,7 +67,7 @@ def gcode(mold: Mold) -> str:
     for groove in sorted(mold.grooves, key=lambda groove: (groove.mill.diameter, groove.number)):
         if groove.mill != cutter:
             cutter = groove.mill
-            lines += [f"G0 Z{_mm(milling.safe_height)}", "M5", f"M0 (end mill {cutter.diameter * MM:g} mm)"]
+            lines += [f"G0 Z{_mm(milling.safe_height)}", "M5", f"M0 (end mill {cutter.diameter * TO_MM:g} mm)"]
             lines += [f"M3 S{milling.spindle * PER_MINUTE:.0f}"]
         lines.append(f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})")
         lines += _passes(groove, mold)
@@ -94,9 +94,9 @@ def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
             x, y = way.lead_in.start
             yield f"G0 Z{_mm(milling.safe_height)}"
             yield f"G0 X{_mm(x)} Y{_mm(y)}"
-            yield f"G1 Z{_mm(-depth)} F{milling.plunge_feed * MM * PER_MINUTE:.1f}"
+            yield f"G1 Z{_mm(-depth)} F{milling.plunge_feed * TO_MM * PER_MINUTE:.1f}"
             for k, piece in enumerate(way.pieces):
-                yield _move(piece) + (f" F{milling.feed * MM * PER_MINUTE:.1f}" if k == 0 else "")
+                yield _move(piece) + (f" F{milling.feed * TO_MM * PER_MINUTE:.1f}" if k == 0 else "")
     yield f"G0 Z{_mm(milling.safe_height)}"
 
 
@@ -126,15 +126,15 @@ def read_gcode(text: str) -> tuple[Cut, ...]:
             if letter == "G" and value in (0, 1, 2, 3):
                 motion = int(value)
         given = dict(words)
-        feed = given.get("F", feed * MM * PER_MINUTE) / MM / PER_MINUTE
-        z = given.get("Z", z * MM) / MM
+        feed = given.get("F", feed * TO_MM * PER_MINUTE) / TO_MM / PER_MINUTE
+        z = given.get("Z", z * TO_MM) / TO_MM
         if "X" not in given and "Y" not in given:
             continue
-        end = (given.get("X", x * MM) / MM, given.get("Y", y * MM) / MM)
+        end = (given.get("X", x * TO_MM) / TO_MM, given.get("Y", y * TO_MM) / TO_MM)
         if motion == 1:
             cuts.append(Cut(Line((x, y), end), z, feed))
         elif motion > 1:
-            centre = (x + given.get("I", 0.0) / MM, y + given.get("J", 0.0) / MM)
+            centre = (x + given.get("I", 0.0) / TO_MM, y + given.get("J", 0.0) / TO_MM)
             cuts.append(Cut(_arc(number, (x, y), end, centre=centre, left=motion == 3), z, feed))
         x, y = end
     return tuple(cuts)
@@ -146,7 +146,7 @@ def _arc(
     radius, other = math.dist(start, centre), math.dist(end, centre)
     if abs(radius - other) > 5e-6:
         raise InputError(
-            f"line {number} of the G-code: the arc's ends lie {radius * MM:g} and {other * MM:g} mm off centre"
+            f"line {number} of the G-code: the arc's ends lie {radius * TO_MM:g} and {other * TO_MM:g} mm off centre"
         )
     first = math.atan2(start[1] - centre[1], start[0] - centre[0])
     turn = (math.atan2(end[1] - centre[1], end[0] - centre[0]) - first) % (2 * math.pi)
@@ -176,4 +176,4 @@ def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
 
 def _mm(length: float) -> str:
     """A length (m) in mm with 0.1 um, and never -0."""
-    return f"{round(length * MM, 4) + 0.0:.4f}"
+    return f"{round(length * TO_MM, 4) + 0.0:.4f}"

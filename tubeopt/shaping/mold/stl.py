@@ -10,7 +10,8 @@ import numpy as np
 
 from ...errors import InputError, SolveError, choice
 from ...files.files import atomic_write
-from .drawing import MM, PARTS
+from ...files.units import TO_MM
+from .drawing import PARTS
 from .groove import polygon
 from .mold import Mold
 
@@ -60,7 +61,7 @@ def check_stl(mold: Mold, path: str | PathLike[str], *, part: str = "base", name
     if not mesh.is_watertight:
         raise SolveError(f"{name or path}: the solid of the {part} is not watertight")
     wanted = mold.base_volume if part == "base" else mold.lid_volume
-    off = float(mesh.volume) / MM**3 / wanted - 1
+    off = float(mesh.volume) / TO_MM**3 / wanted - 1
     if abs(off) > VOLUME_TOLERANCE:
         raise SolveError(f"{name or path}: the volume of the {part} is off by {off * 100:.3g} %")
     return off
@@ -74,8 +75,8 @@ def _base(mold: Mold) -> Any:
         # Beyond the edge by more than an oblique exit needs.
         curve = groove.centreline.lengthened(20 * groove.width)
         corners = polygon(curve, groove.width, SAGITTA)
-        cutter = manifold.Manifold.extrude(manifold.CrossSection([corners * MM]), (groove.depth + ABOVE) * MM)
-        solid -= cutter.translate((0.0, 0.0, -groove.depth * MM))
+        cutter = manifold.Manifold.extrude(manifold.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
+        solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
     return _drilled(solid, mold.holes, thickness, -thickness)
 
 
@@ -85,15 +86,15 @@ def _lid(mold: Mold) -> Any:
 
 
 def _box(mold: Mold, thickness: float, bottom: float) -> Any:
-    box = _manifold().Manifold.cube((mold.size[0] * MM, mold.size[1] * MM, thickness * MM))
-    return box.translate((0.0, 0.0, bottom * MM))
+    box = _manifold().Manifold.cube((mold.size[0] * TO_MM, mold.size[1] * TO_MM, thickness * TO_MM))
+    return box.translate((0.0, 0.0, bottom * TO_MM))
 
 
 def _drilled(solid: Any, holes: Any, thickness: float, bottom: float) -> Any:
     manifold = _manifold()
     for hole in holes:
-        drill = manifold.Manifold.cylinder((thickness + 2 * ABOVE) * MM, hole.diameter / 2 * MM, -1.0, HOLE_SIDES)
-        solid -= drill.translate((hole.centre[0] * MM, hole.centre[1] * MM, (bottom - ABOVE) * MM))
+        drill = manifold.Manifold.cylinder((thickness + 2 * ABOVE) * TO_MM, hole.diameter / 2 * TO_MM, -1.0, HOLE_SIDES)
+        solid -= drill.translate((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM, (bottom - ABOVE) * TO_MM))
     return solid
 
 

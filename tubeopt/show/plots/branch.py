@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...errors import InputError
 from ...typing import Array
-from .style import FAINT, INK, angle_locator, finish, new_figure, number, styled, tube_colour
+from .style import FAINT, INK, angle_locator, new_figure, number, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,10 +25,9 @@ DOT_COLOUR = "#0072B2"
 FINE_POINTS = 2000
 
 
-@styled
+@picture
 def plot_branch(
     branch: Branch,
-    path: str | PathLike[str] | None = None,
     *,
     tube: int = 0,
     reference: int | None = None,
@@ -44,7 +42,6 @@ def plot_branch(
 
     Args:
         branch: of `trace_branch`.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         tube: the tube that turns, 0 is the innermost.
         reference: the tube from which both angles are measured; by default the outermost, or the innermost if the
             outermost turns.
@@ -78,7 +75,7 @@ def plot_branch(
         axis.set_major_locator(angle_locator())
     axes.margins(x=0.07)
     axes.legend(loc="upper left" if (tips[-1] > tips[0]) == (inputs[-1] > inputs[0]) else "upper right")
-    return finish(figure, path)
+    return figure
 
 
 def smooth(branch: Branch) -> Branch:

@@ -14,9 +14,10 @@ from ...design import Avoid, Corridor, DesignSolution, DesignTask, ParetoFront, 
 from ...design.pareto import front_label
 from ...design.requirements import of_kind
 from ...design.stock import objective_label
+from ...files.units import TO_MM
 from ...typing import Array
 from .maps import draw_map
-from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+from .style import FAINT, INK, finish, headed, new_figure, picture, styled, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from ...equilibrium.result import Equilibrium
     from ...stability import StabilityMap
 
-MM = 1e3
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
 FREE, LOST = "#0072B2", "#D55E00"
@@ -33,13 +33,10 @@ VIEWS = ((1, 2), (0, 2))
 """Coordinates across and up of the two views."""
 
 
-@styled
-def plot_poses(solution: DesignSolution, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_poses(solution: DesignSolution) -> Figure:
     """A design in its task poses, seen from two sides: every tube in its colour where it shows, the corridor and
     obstacles behind, targets as rings.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(8.2, 4.8)
     views = figure.subplots(1, 2, sharey=True)
@@ -53,12 +50,7 @@ def plot_poses(solution: DesignSolution, path: str | PathLike[str] | None = None
     views[0].set_ylabel("z (mm)")
     least = min((e.margin for e in solution.equilibria), default=1.0)
     count = len(solution.equilibria)
-    figure.suptitle(
-        f"{solution.robot.name or 'design'}: {count} task poses, least margin {least:.3f}",
-        fontsize=9,
-        x=0.02,
-        ha="left",
-    )
+    headed(figure, f"{solution.robot.name or 'design'}: {count} task poses, least margin {least:.3f}")
     handles = [
         *(
             views[0].plot([], [], color=tube_colour(k), lw=2 + k, label=f"tube {k + 1}")[0]
@@ -70,15 +62,14 @@ def plot_poses(solution: DesignSolution, path: str | PathLike[str] | None = None
     if of_kind(solution.task.requirements, Corridor):
         handles += views[0].plot([], [], color=CORRIDOR, lw=8, label="corridor")
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-    return finish(figure, path)
+    return figure
 
 
 def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
     s, ends = equilibrium.arc_length, equilibrium.tube_end
     fine = np.linspace(0.0, s[-1], 200)
-    points = (
-        scipy.interpolate.CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])(fine)[:, [i, j]] * MM
-    )
+    spline = scipy.interpolate.CubicHermiteSpline(s, equilibrium.position, equilibrium.frame[:, :, 2])
+    points = spline(fine)[:, [i, j]] * TO_MM
     start = 0.0
     for tube in reversed(range(len(ends))):
         part = (fine >= start - 1e-9) & (fine <= ends[tube] + s[-1] / 200)
@@ -91,15 +82,15 @@ def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
     from matplotlib.patches import Circle
 
     for corridor in of_kind(solution.task.requirements, Corridor):
-        _draw_tube(axes, np.array(corridor.centreline)[:, [i, j]] * MM, corridor.radius * MM, CORRIDOR)
+        _draw_tube(axes, np.array(corridor.centreline)[:, [i, j]] * TO_MM, corridor.radius * TO_MM, CORRIDOR)
     for avoid in of_kind(solution.task.requirements, Avoid):
         for body in avoid.obstacles:
             if isinstance(body, Sphere):
-                centre = body.centre[i] * MM, body.centre[j] * MM
-                axes.add_patch(Circle(centre, body.radius * MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
+                centre = body.centre[i] * TO_MM, body.centre[j] * TO_MM
+                axes.add_patch(Circle(centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
             elif isinstance(body, Capsule):
-                line = np.array([body.start, body.end])[:, [i, j]] * MM
-                _draw_tube(axes, line, body.radius * MM, BODY)
+                line = np.array([body.start, body.end])[:, [i, j]] * TO_MM
+                _draw_tube(axes, line, body.radius * TO_MM, BODY)
 
 
 def _draw_tube(axes: Axes, line: Array, radius: float, colour: str) -> None:
@@ -118,7 +109,7 @@ def _draw_tube(axes: Axes, line: Array, radius: float, colour: str) -> None:
 
 def _draw_targets(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
     for reach in of_kind(solution.task.requirements, Reach):
-        points = np.array([target.position for target in reach.targets]) * MM
+        points = np.array([target.position for target in reach.targets]) * TO_MM
         axes.plot(points[:, i], points[:, j], "o", ms=6, mfc="none", mec=INK, mew=0.9, ls="", zorder=5)
 
 
@@ -144,13 +135,9 @@ def plot_before_after(before: StabilityMap, after: StabilityMap, path: str | Pat
     return finish(figure, path)
 
 
-@styled
-def plot_front(front: ParetoFront, path: str | PathLike[str] | None = None) -> Figure:
-    """The objective against the margin that is demanded, one dot per design.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+@picture
+def plot_front(front: ParetoFront) -> Figure:
+    """The objective against the margin that is demanded, one dot per design."""
     figure = new_figure(4.8, 3.4)
     axes = figure.add_subplot()
     name, unit, factor = front_label(front)
@@ -166,16 +153,13 @@ def plot_front(front: ParetoFront, path: str | PathLike[str] | None = None) -> F
     axes.set_xlabel("margin demanded")
     axes.set_ylabel(f"{name} ({unit})" if unit else name)
     axes.set_title(front.task.name or front.task.robot.name, loc="left")
-    return finish(figure, path)
+    return figure
 
 
-@styled
-def plot_tolerance(analysis: ToleranceAnalysis, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_tolerance(analysis: ToleranceAnalysis) -> Figure:
     """The certificate of robots as they may be made, those that may snap apart from the others; and how far the tips of
     the task poses spread.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     poses = analysis.tip.shape[1]
     figure = new_figure(7.4 if poses else 4.6, 3.2)
@@ -195,13 +179,13 @@ def plot_tolerance(analysis: ToleranceAnalysis, path: str | PathLike[str] | None
     if poses:
         beside = figure.add_subplot(1, 2, 2)
         at = np.arange(1, poses + 1)
-        beside.bar(at, analysis.spread_95 * MM, color="#B8CEDF", width=0.7, label="95 % within")
-        beside.bar(at, analysis.spread * MM, color=FREE, width=0.35, label="RMS")
+        beside.bar(at, analysis.spread_95 * TO_MM, color="#B8CEDF", width=0.7, label="95 % within")
+        beside.bar(at, analysis.spread * TO_MM, color=FREE, width=0.35, label="RMS")
         beside.set_xticks(at)
         beside.set_xlabel("task pose")
         beside.set_ylabel("distance of the tip (mm)")
         beside.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    return finish(figure, path)
+    return figure
 
 
 @styled

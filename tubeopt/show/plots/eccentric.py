@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...typing import Array
 from . import mesh as surfaces
 from .mesh import Centreline
 from .shape import PLATE_COLOUR
-from .stage import MM, Box, View, draw_box, facets
-from .style import FAINT, INK, finish, new_figure, number, styled, tube_colour
+from .stage import Box, View, draw_box, facets
+from .style import FAINT, INK, headed, new_figure, number, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,10 +44,9 @@ def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:
     return Curve(line.position(np.linspace(0.0, line.length, ARM_POINTS)), value)
 
 
-@styled
+@picture
 def plot_reach(
     curves: Sequence[Curve],
-    path: str | PathLike[str] | None = None,
     *,
     title: str,
     label: str,
@@ -58,20 +57,16 @@ def plot_reach(
 
     Args:
         curves: what to draw, coloured by their values.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: heading.
         label: name of the values, with their unit.
         view: elevation and azimuth of the viewer of the scene, deg.
         opacity: of the lines, 0 to 1; tips are opaque.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     figure = new_figure(7.4, 4.6)
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    headed(figure, title)
     values = np.concatenate([np.ravel(curve.value) for curve in curves])
     scale = Normalize(float(values.min()), float(values.max()))
     grid = figure.add_gridspec(2, 3, width_ratios=[2.5, 1.3, 0.06])
@@ -83,7 +78,7 @@ def plot_reach(
     draw_box(scene, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), seen)
     scene.add_collection(facets(plate, seen))
     _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)
-    flat = [(curve, curve.points * MM) for curve in curves]
+    flat = [(curve, curve.points * TO_MM) for curve in curves]
     _draw_curves(above, flat, scale, opacity)
     # A line around the axis is a point in the meridian: its mark is drawn there even where it is no tip.
     _draw_curves(side, [(replace(curve, tip=True), _meridian(at)) for curve, at in flat], scale, opacity)
@@ -93,7 +88,7 @@ def plot_reach(
         axes.set_aspect("equal")
     bar = figure.colorbar(ScalarMappable(scale, MAP), cax=figure.add_subplot(grid[:, 2]), label=label)
     bar.outline.set_visible(False)
-    return finish(figure, path)
+    return figure
 
 
 def _meridian(points: Array) -> Array:
@@ -151,34 +146,28 @@ class Permutations:
     published: tuple[float, str]
 
 
-@styled
-def plot_permutations(
-    data: Permutations, path: str | PathLike[str] | None = None, *, title: str, arms: Sequence[Equilibrium] = ()
-) -> Figure:
+@picture
+def plot_permutations(data: Permutations, *, title: str, arms: Sequence[Equilibrium] = ()) -> Figure:
     """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
 
     Args:
         data: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: heading.
         arms: the six and the reference, for a picture at true scale.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(7.4, 3.3)
-    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    headed(figure, title)
     scene, hexagon, curve = figure.subplots(1, 3, width_ratios=[1.0, 1.15, 1.45])
     _draw_arms(scene, arms)
     _draw_hexagon(hexagon, data)
     _draw_deviation(curve, data)
-    return finish(figure, path)
+    return figure
 
 
 def _draw_arms(axes: Axes, arms: Sequence[Equilibrium]) -> None:
     """All arms in the meridian of their bend, where nobody can tell them apart."""
     for k, arm in enumerate(arms):
-        seen = _meridian(arm_curve(arm, 0.0).points * MM)
+        seen = _meridian(arm_curve(arm, 0.0).points * TO_MM)
         axes.plot(seen[:, 0], seen[:, 1], color=tube_colour(k) if k < 6 else INK, lw=1.2, ls="-" if k < 6 else ":")
     axes.set(xlabel="distance from the axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
     axes.set_aspect("equal")
@@ -204,16 +193,16 @@ def _draw_hexagon(axes: Axes, data: Permutations) -> None:
 
 def _draw_deviation(axes: Axes, data: Permutations) -> None:
     """Largest distance from the reference over separation, beside the published one."""
-    x, y = np.degrees(data.separation), data.deviation * MM
+    x, y = np.degrees(data.separation), data.deviation * TO_MM
     axes.semilogy(x, y, color=tube_colour(2), lw=1.6)
     k = int(np.argmax(y))
     axes.plot(x[k], y[k], "o", color=tube_colour(2), ms=4)
     largest = f"{y[k]:.4f} mm at {number(float(x[k]), 0)}°"
     axes.annotate(largest, (x[k], y[k]), (0, 6), textcoords="offset points", ha="left", color=tube_colour(2))
     value, source = data.published
-    axes.axhline(value * MM, color=tube_colour(0), lw=1.2, ls="--")
-    text = f"{source}: {number(value * MM, 3)} mm"
-    axes.annotate(text, (x[0], value * MM), (6, 4), textcoords="offset points", color=tube_colour(0))
+    axes.axhline(value * TO_MM, color=tube_colour(0), lw=1.2, ls="--")
+    text = f"{source}: {number(value * TO_MM, 3)} mm"
+    axes.annotate(text, (x[0], value * TO_MM), (6, 4), textcoords="offset points", color=tube_colour(0))
     axes.set(xlabel="separation (deg)", ylabel="mm", title="largest distance from d = 0", xlim=(x[0], x[-1]))
-    axes.set_ylim(bottom=1e-4, top=2 * value * MM)
+    axes.set_ylim(bottom=1e-4, top=2 * value * TO_MM)
     axes.set_xticks(np.arange(x[0], x[-1] + 1, 30))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...robots.materials import ZERO_CELSIUS
-from .style import FAINT, INK, finish, new_figure, styled
+from .style import FAINT, INK, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,24 +18,17 @@ if TYPE_CHECKING:
     from ...shaping.heating.plan import HeatingPlan
     from ...shaping.heating.robust import Band
 
-MM = 1e3
 TUBE, IDEAL, WINDOW, BATTERY, COLD = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9"
 WINDOW_ALPHA = 0.16
 
 
-@styled
-def plot_heating(
-    plan: HeatingPlan, path: str | PathLike[str] | None = None, *, band: Band | None = None, title: str = ""
-) -> Figure:
+@picture
+def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = "") -> Figure:
     """Picture of a plan: temperature and duty over time, battery voltage, temperature along the tube as the hold ends.
 
     Args:
         plan: what to draw. band: what it may do on uncertain rigs, drawn behind.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: heading; default the rig's name.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(9.4, 6.4)
     grid = figure.add_gridspec(4, 2, width_ratios=(1.35, 1.0), height_ratios=(1.7, 1.7, 1.0, 0.55))
@@ -48,8 +41,8 @@ def plot_heating(
     for axes in (over_time, close, duty):
         axes.tick_params(labelbottom=False)
     _draw_along(figure.add_subplot(grid[:, 1]), plan)
-    figure.suptitle(_heading(plan, title), fontsize=9, x=0.01, ha="left")
-    return finish(figure, path)
+    headed(figure, _heading(plan, title))
+    return figure
 
 
 def _heading(plan: HeatingPlan, title: str) -> str:
@@ -116,7 +109,7 @@ def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
 
 
 def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
-    x = plan.position * MM
+    x = plan.position * TO_MM
     start, end = (int(np.flatnonzero(plan.in_hold)[k]) for k in (0, -1))
     _window(axes, plan, label=False)
     axes.plot(x, plan.temperature[start], color=COLD, lw=1.1, label="hold begins")
@@ -134,8 +127,8 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
     """Names of clamp, clearance, lead and curved part, and the lines between them."""
     rig, tube = plan.rig, plan.tube
     lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, tube.curved_length]
-    edges = np.cumsum(lengths) * MM
-    total = float(2 * sum(lengths[:3]) + lengths[3]) * MM
+    edges = np.cumsum(lengths) * TO_MM
+    total = float(2 * sum(lengths[:3]) + lengths[3]) * TO_MM
     for at in (*edges[:3], *(total - edges[:3])):
         axes.axvline(at, color=FAINT, lw=0.5, ls=":")
     top = axes.get_xaxis_transform()
@@ -150,16 +143,12 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
         axes.text(float(at), 0.985, name, rotation=0 if name == "curved part" else 90, **style)
 
 
-@styled
-def plot_rig_fit(fit: RigFit, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_rig_fit(fit: RigFit) -> Figure:
     """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel.
 
     Args:
         fit: of `calibrate`.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     names = {"temperature": "temperature (°C)", "voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
@@ -174,5 +163,5 @@ def plot_rig_fit(fit: RigFit, path: str | PathLike[str] | None = None) -> Figure
     rows[0].legend(fontsize=7, ncols=3, loc="lower right")
     rows[-1].set_xlabel("time (s)")
     words = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)
-    figure.suptitle(f"{fit.rig.name or 'rig'}:  {words or 'nothing is determined'}", fontsize=9, x=0.01, ha="left")
-    return finish(figure, path)
+    headed(figure, f"{fit.rig.name or 'rig'}:  {words or 'nothing is determined'}")
+    return figure

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...errors import InputError
+from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from .style import angle_locator, finish, new_figure, styled
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from ...equilibrium.result import Equilibrium
     from ...stability import Path, Snap
 
-MM = 1e3
-MILLI = 1e3
 WAYS = (("forth", "#D55E00", 2.6, "-"), ("back", "#0072B2", 1.3, "-"))
 """Name and look of both ways: the thin line of the way back lies on the wide one where both are the same."""
 
@@ -64,8 +63,8 @@ def plot_hysteresis(
     figure = new_figure(6.4, 6.0)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.5, 1.2, 1.0])
     quantities: list[tuple[str, Callable[[Equilibrium], float]]] = [
-        (f"tip {'xyz'[chosen]} (mm)", lambda e: float(e.tip_position[chosen]) * MM),
-        ("elastic energy (mJ)", lambda e: e.energy * MILLI),
+        (f"tip {'xyz'[chosen]} (mm)", lambda e: float(e.tip_position[chosen]) * TO_MM),
+        ("elastic energy (mJ)", lambda e: e.energy * TO_MILLI),
         ("stability margin", lambda e: e.margin),
     ]
     for panel, (name, quantity) in zip(panels, quantities, strict=True):
@@ -146,7 +145,7 @@ def _name_snaps(
     for snap in walked.snaps:
         x = snap_angle(snap, angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
-        text = f"{x:.2f}°\ntip jumps {snap.tip_jump * MM:.1f} mm\n{snap.energy_released * MILLI:.2f} mJ released"
+        text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"
         axes.annotate(
             text.replace("-", "\N{MINUS SIGN}"),
             (x, y),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from .mesh import Mesh
 from .shape import draw_scenes, robot_mesh
 from .stage import Box, View, draw_box, facets, note, widest_view
-from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
+from .style import FAINT, INK, caption, headed, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,10 +25,9 @@ ARROW_SHARE = 0.12
 """Length of the arrow of a wanted direction, as a share of the arm."""
 
 
-@styled
+@picture
 def plot_inverse(
     solutions: InverseSolution | Sequence[InverseSolution],
-    path: str | PathLike[str] | None = None,
     *,
     view: tuple[float, float] | None = None,
 ) -> Figure:
@@ -37,22 +35,18 @@ def plot_inverse(
 
     Args:
         solutions: one answer, or several of the same target, the best first.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     found = list(solutions) if isinstance(solutions, Sequence) else [solutions]
     first, *others = found
     arms = [each.equilibrium for each in found]
     seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in arms]))
     figure = new_figure(7.0, 5.0)
-    figure.suptitle(caption(first.equilibrium) + _alternatives(others), fontsize=9, x=0.02, ha="left")
+    headed(figure, caption(first.equilibrium) + _alternatives(others))
     ghosts = [each.equilibrium for each in others]
     (scene,) = draw_scenes(figure, [first.equilibrium], [ghosts], (seen.elevation, seen.azimuth))
     _draw_target(scene, first, seen)
-    return finish(figure, path)
+    return figure
 
 
 def _alternatives(others: Sequence[InverseSolution]) -> str:
@@ -78,10 +72,9 @@ def _draw_target(scene: Axes, solution: InverseSolution, view: View) -> None:
         note(scene, f"{solution.position_error * 1e3:.2f} mm short", middle, np.array([6.0, 0.0]), colour=TARGET)
 
 
-@styled
+@picture
 def plot_targets(
     solutions: Sequence[InverseSolution],
-    path: str | PathLike[str] | None = None,
     *,
     title: str = "",
     shown: int = 5,
@@ -101,19 +94,17 @@ def plot_targets(
     figure = new_figure(9.0, 5.0)
     name = title or arms[-1].robot.name or "robot"
     worst = max(each.position_error for each in solutions)
-    figure.suptitle(
+    headed(
+        figure,
         f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least "
         f"{min(each.margin for each in solutions):.3f}",
-        fontsize=9,
-        x=0.02,
-        ha="left",
     )
     grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
     scene = figure.add_subplot(grid[:, 0])
     _draw_arms(scene, [arms[k] for k in chosen], targets, view)
     rows = [figure.add_subplot(grid[k, 1]) for k in range(3)]
     _draw_joints(rows, arms, arc_length(targets) * 1e3)
-    return finish(figure, path)
+    return figure
 
 
 def _draw_arms(scene: Axes, arms: Sequence[Equilibrium], targets: Array, view: tuple[float, float] | None) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import InputError
+from ...files.units import TO_MILLI
 from ...typing import Array
-from .style import INK, angle_locator, finish, new_figure, number, styled
+from .style import INK, angle_locator, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 MAP = "cividis"
 SNAP_COLOUR = "#D55E00"
 HATCH_COLOUR = INK
-MILLI = 1e3
 ENERGY_LEVELS = 24
 MOST_MAPS = 4
 
@@ -31,10 +30,8 @@ MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: un
 """Sign and name of an equilibrium, by its index; the last one for all that are higher."""
 
 
-@styled
-def plot_energy_maps(
-    maps: Sequence[EnergyMap], path: str | PathLike[str] | None = None, *, titles: Sequence[str] = ()
-) -> Figure:
+@picture
+def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -> Figure:
     """Filled contours of elastic energy over two tip angles, up to four maps at one scale of colours.
 
     Levels are closer where the energy is low. The line through each saddle, above which a robot must be lifted to leave
@@ -42,7 +39,6 @@ def plot_energy_maps(
 
     Args:
         maps: of `energy_map`.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         titles: a heading for each; default its joint rotations.
 
     Raises:
@@ -71,13 +67,13 @@ def plot_energy_maps(
     bar.set_ticks(levels[::4].tolist(), labels=[f"{level:.1f}" for level in levels[::4]])
     bar.outline.set_visible(False)
     _name_marks(figure, maps)
-    return finish(figure, path)
+    return figure
 
 
 def energy_levels(energies: Sequence[Array]) -> Array:
     """Levels (mJ) for maps of energy in J, spread as the square root from the least: even rings around a minimum."""
-    low = min(float(energy.min()) for energy in energies) * MILLI
-    high = max(float(energy.max()) for energy in energies) * MILLI
+    low = min(float(energy.min()) for energy in energies) * TO_MILLI
+    high = max(float(energy.max()) for energy in energies) * TO_MILLI
     span = max(high - low, 1e-9 * max(abs(high), 1e-12))
     return np.asarray(low + span * np.linspace(0, 1, ENERGY_LEVELS + 1) ** 2)
 
@@ -94,10 +90,10 @@ def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet
     from matplotlib.colors import BoundaryNorm
 
     first, second = np.degrees(energy_map.first), np.degrees(energy_map.second)
-    energy = energy_map.energy.T * MILLI
+    energy = energy_map.energy.T * TO_MILLI
     filled = axes.contourf(first, second, energy, levels=levels, cmap=MAP, norm=BoundaryNorm(levels, 256))
     axes.contour(first, second, energy, levels=levels, colors=INK, linewidths=0.3, alpha=0.5)
-    saddles = sorted({e.energy * MILLI for e in energy_map.equilibria if e.index == 1})
+    saddles = sorted({e.energy * TO_MILLI for e in energy_map.equilibria if e.index == 1})
     if saddles:
         axes.contour(first, second, energy, levels=saddles, colors="white", linewidths=1.1)
     for e in energy_map.equilibria:
@@ -122,21 +118,15 @@ def _name_marks(figure: Figure, maps: Sequence[EnergyMap]) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
-@styled
-def plot_stability_map(
-    stability_map: StabilityMap, path: str | PathLike[str] | None = None, *, title: str = ""
-) -> Figure:
+@picture
+def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figure:
     """Margin over the rotations of two tubes relative to the others, turned together straight from home.
 
     Hatched cells were reached through a snap; the line is where the robot snaps, computed exactly.
 
     Args:
         stability_map: of `stability_map`.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: a heading.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(5.6, 4.9)
     axes = figure.add_subplot()
@@ -148,7 +138,7 @@ def plot_stability_map(
     bar = figure.colorbar(image, ax=axes, label="stability margin", pad=0.02, shrink=0.9, aspect=28)
     bar.outline.set_visible(False)
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
-    return finish(figure, path)
+    return figure
 
 
 def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...shaping.mold.drawing import draw_plate
 from ...shaping.mold.groove import Arc, Piece
 from ...typing import Array
-from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+from .style import FAINT, INK, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ...shaping.mold.ranking import MaterialRating
     from ...shaping.mold.springback import Calibration
 
-MM = 1e3
 INCH = 25.4
 PLATE, SLOT, VENT, CLAMP = "#F1EEE6", "#C9D6E3", "#FFFFFF", "#B9BDC2"
 A4 = (297.0, 210.0)
@@ -33,16 +32,12 @@ SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
 """Reductions of the drawing on the set-up sheet."""
 
 
-@styled
-def plot_mold(mold: Mold, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+@picture
+def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     """The base plate from above, with grooves, bolts, dowels and clamps, and where the vents of the lid lie.
 
     Args:
         mold: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     low, high = _extent(mold)
     wide, tall = high - low
@@ -51,9 +46,9 @@ def plot_mold(mold: Mold, path: str | PathLike[str] | None = None, *, title: str
     draw_mold(axes, mold)
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
-    radii = ",  ".join(f"tube {groove.number}: {groove.radius * MM:.2f} mm" for groove in mold.grooves)
+    radii = ",  ".join(f"tube {groove.number}: {groove.radius * TO_MM:.2f} mm" for groove in mold.grooves)
     axes.set_title(f"{title or _heading(mold)}\nradius of the groove  {radii}", loc="left")
-    return finish(figure, path)
+    return figure
 
 
 def draw_mold(axes: Axes, mold: Mold) -> None:
@@ -67,8 +62,8 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
         _draw_groove(axes, groove, mold, plate)
     for hole in mold.holes:
         face = "white" if hole.purpose == "bolt" else FAINT
-        centre = (hole.centre[0] * MM, hole.centre[1] * MM)
-        axes.add_patch(Circle(centre, hole.diameter / 2 * MM, fc=face, ec=INK, lw=0.6, zorder=3))
+        centre = (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
+        axes.add_patch(Circle(centre, hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.6, zorder=3))
     low, high = _extent(mold)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -88,16 +83,16 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
     colour = tube_colour(groove.number - 1)
     axes.plot(*middle.T, color=colour, lw=0.8, ls=(0, (8, 2, 1.5, 2)), zorder=2)
     for vent in groove.vents:
-        centre = (vent.centre[0] * MM, vent.centre[1] * MM)
-        axes.add_patch(Circle(centre, vent.diameter / 2 * MM, fc=VENT, ec=colour, lw=0.5, zorder=3))
+        centre = (vent.centre[0] * TO_MM, vent.centre[1] * TO_MM)
+        axes.add_patch(Circle(centre, vent.diameter / 2 * TO_MM, fc=VENT, ec=colour, lw=0.5, zorder=3))
     for clamp in groove.clamps:
         along = np.asarray(clamp.direction)
-        across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2 * MM
-        near = np.asarray(clamp.face) * MM
-        far = near + along * mold.spec.clamps.grip * MM
+        across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2 * TO_MM
+        near = np.asarray(clamp.face) * TO_MM
+        far = near + along * mold.spec.clamps.grip * TO_MM
         axes.add_patch(Polygon([near - across, far - across, far + across, near + across], fc=CLAMP, ec=INK, lw=0.6))
         mouth = curve.lead_in.start if clamp.end == "proximal" else curve.lead_out.end
-        axes.plot(*np.array([np.asarray(mouth) * MM, far]).T, color=colour, lw=1.2, zorder=3)
+        axes.plot(*np.array([np.asarray(mouth) * TO_MM, far]).T, color=colour, lw=1.2, zorder=3)
         if clamp.slides:
             start, end = (far + way * along for way in (1.5, 6.5))
             axes.annotate(
@@ -111,7 +106,7 @@ def _line(pieces: Sequence[Piece]) -> Array:
     """(N, 2) points in mm, fine on arcs."""
     counts = [200 if isinstance(piece, Arc) else 2 for piece in pieces]
     points = [piece.point(np.linspace(0, piece.length, count)) for piece, count in zip(pieces, counts, strict=True)]
-    return np.asarray(np.vstack(points) * MM)
+    return np.asarray(np.vstack(points) * TO_MM)
 
 
 def _extent(mold: Mold) -> tuple[Array, ...]:
@@ -122,29 +117,25 @@ def _extent(mold: Mold) -> tuple[Array, ...]:
         for groove in mold.grooves
         for clamp in groove.clamps
     ]
-    points = np.array([(0.0, 0.0), mold.size, *tips]) * MM
+    points = np.array([(0.0, 0.0), mold.size, *tips]) * TO_MM
     return points.min(axis=0) - 4, points.max(axis=0) + 4
 
 
 def _heading(mold: Mold) -> str:
     plate = mold.spec.plate
     return (
-        f"Mold of {mold.spec.material.name.replace('_', ' ')}, {mold.size[0] * MM:g} × {mold.size[1] * MM:g} mm, base "
-        f"{plate.thickness * MM:g} mm, lid {plate.lid_thickness * MM:g} mm"
+        f"Mold of {mold.spec.material.name.replace('_', ' ')}, {mold.size[0] * TO_MM:g} × {mold.size[1] * TO_MM:g} mm, "
+        f"base {plate.thickness * TO_MM:g} mm, lid {plate.lid_thickness * TO_MM:g} mm"
     )
 
 
-@styled
-def plot_setup_sheet(mold: Mold, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+@picture
+def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
     """The set-up sheet for the workshop: one page A4, the drawing to scale, a column of numbers per tube, the steps.
 
     Args:
         mold: what to set up.
-        path: where to save the sheet, mostly a PDF; None saves nothing.
         title: what the mold is for.
-
-    Raises:
-        InputError: the name does not end in a known format.
     """
     figure = new_figure(A4[0] / INCH, A4[1] / INCH)
     figure.set_layout_engine("none")
@@ -164,7 +155,7 @@ def plot_setup_sheet(mold: Mold, path: str | PathLike[str] | None = None, *, tit
     _text(figure, EDGE, EDGE + 3, key)
     _numbers(figure, mold, top - 4)
     _steps(figure, mold, top - 4)
-    return finish(figure, path)
+    return figure
 
 
 def _text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
@@ -177,23 +168,23 @@ def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     radius = "straight" if tube.curvature == 0 else f"{1e3 / abs(tube.curvature):.2f}"
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return [
-        ("tube, outer / inner diameter", f"{tube.outer_diameter * MM:.3f} / {tube.inner_diameter * MM:.3f}"),
+        ("tube, outer / inner diameter", f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"),
         ("wanted radius", radius),
-        ("mold radius", f"{groove.radius * MM:.3f}"),
+        ("mold radius", f"{groove.radius * TO_MM:.3f}"),
         (
             "spring-back of the curvature",
             f"{(1 - back.obtained(1.0)) * 100 if back.slope == 0 else _lost(groove):.2f} %",
         ),
-        ("bend, length / angle", f"{groove.bend_length * MM:.2f} / {math.degrees(groove.bend_angle):.2f}°"),
-        ("groove, width / depth", f"{groove.width * MM:.3f} / {groove.depth * MM:.3f}"),
-        ("end mill / passes", f"{groove.mill.diameter * MM:g} / {passes} × {len(groove.cutter_offsets)}"),
+        ("bend, length / angle", f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°"),
+        ("groove, width / depth", f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}"),
+        ("end mill / passes", f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}"),
         ("strain when pressed in", f"{groove.strain * 100:.2f} %"),
-        ("cut the tube to", f"{groove.stock_length * MM:.1f}"),
-        ("mark: bend begins at / ends at", f"{groove.before_bend * MM:.1f} / {_bend_end(groove) * MM:.1f}"),
-        ("plate to clamp, proximal / distal", f"{groove.gaps[0] * MM:.1f} / {groove.gaps[1] * MM:.1f}"),
-        ("cold end from the clamp", f"{groove.cold.length * MM:.1f}"),
-        ("growth / travel of the sliding clamp", f"{groove.growth * MM:.2f} / {_travel(groove) * MM:.1f}"),
-        ("trim, proximal / distal", f"{groove.trim[0] * MM:.1f} / {groove.trim[1] * MM:.1f}"),
+        ("cut the tube to", f"{groove.stock_length * TO_MM:.1f}"),
+        ("mark: bend begins at / ends at", f"{groove.before_bend * TO_MM:.1f} / {_bend_end(groove) * TO_MM:.1f}"),
+        ("plate to clamp, proximal / distal", f"{groove.gaps[0] * TO_MM:.1f} / {groove.gaps[1] * TO_MM:.1f}"),
+        ("cold end from the clamp", f"{groove.cold.length * TO_MM:.1f}"),
+        ("growth / travel of the sliding clamp", f"{groove.growth * TO_MM:.2f} / {_travel(groove) * TO_MM:.1f}"),
+        ("trim, proximal / distal", f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}"),
     ]
 
 
@@ -234,11 +225,11 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     degrees = heat.set_temperature - 273.15
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     steps = [
-        f"Mill the grooves (grooves.nc). Drill {bolts} bolt holes of {spec.plate.bolt_diameter * MM:g} mm and ream 2 "
-        f"dowel holes of {spec.plate.dowel_diameter * MM:g} mm through both plates, {len(mold.vents)} vents of "
-        f"{spec.vents.diameter * MM:g} mm through the lid (base.dxf, lid.dxf).",
+        f"Mill the grooves (grooves.nc). Drill {bolts} bolt holes of {spec.plate.bolt_diameter * TO_MM:g} mm and ream "
+        f"2 dowel holes of {spec.plate.dowel_diameter * TO_MM:g} mm through both plates, {len(mold.vents)} vents of "
+        f"{spec.vents.diameter * TO_MM:g} mm through the lid (base.dxf, lid.dxf).",
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the arc; dowels, lid, bolts.",
-        f"Clamps at the distances of the table from the plate, {clamps.grip * MM:g} mm of tube in each. The {fixed} "
+        f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
         "buckles.",
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
@@ -249,13 +240,9 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     _text(figure, 158.0, top, "\n".join(lines))
 
 
-@styled
-def plot_springback(calibration: Calibration, path: str | PathLike[str] | None = None) -> Figure:
-    """The part of the mold's curvature that tubes lost, over the mold's radius, with the fitted model.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+@picture
+def plot_springback(calibration: Calibration) -> Figure:
+    """The part of the mold's curvature that tubes lost, over the mold's radius, with the fitted model."""
     c = calibration
     figure = new_figure(5.2, 3.4)
     axes = figure.add_subplot()
@@ -280,7 +267,7 @@ def plot_springback(calibration: Calibration, path: str | PathLike[str] | None =
     radii = np.unique(np.round(1e3 / c.mold_curvature, 3))
     upper.set_xticks(radii if len(radii) <= 6 else radii[np.linspace(0, len(radii) - 1, 5).astype(int)])
     axes.legend(loc="lower right")
-    return finish(figure, path)
+    return figure
 
 
 def _reciprocal(values: Any) -> Any:
@@ -288,13 +275,9 @@ def _reciprocal(values: Any) -> Any:
     return np.asarray(1e3 / np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-9))
 
 
-@styled
-def plot_materials(ratings: Sequence[MaterialRating], path: str | PathLike[str] | None = None) -> Figure:
-    """Mold materials side by side: heat drawn, temperature to spare, current that leaks; the unsuitable hatched.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
-    """
+@picture
+def plot_materials(ratings: Sequence[MaterialRating]) -> Figure:
+    """Mold materials side by side: heat drawn, temperature to spare, current that leaks; the unsuitable hatched."""
     figure = new_figure(9.0, 0.5 * len(ratings) + 1.3)
     panels = figure.subplots(1, 3, sharey=True)
     names = [rating.material.name.replace("_", " ") for rating in ratings]
@@ -314,4 +297,4 @@ def plot_materials(ratings: Sequence[MaterialRating], path: str | PathLike[str] 
     panels[1].axvline(0, color=INK, lw=0.8)
     panels[2].set_xscale("log")
     panels[2].axvline(0.01, color=INK, lw=0.8, ls=(0, (4, 3)))
-    return finish(figure, path)
+    return figure

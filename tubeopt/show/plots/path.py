@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, finish, new_figure, number, styled
+from .style import FAINT, INK, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from ...stability import Path
 
-MM = 1e3
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""
@@ -25,26 +24,24 @@ MOST_NAMES = 12
 """Snaps that are named in the picture; more would cover each other."""
 
 
-@styled
-def plot_path(path: Path, to: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_path(path: Path) -> Figure:
     """Picture of a motion: tip position over the waypoints, and the margin below it.
 
     At a snap the curves break: an open mark where the robot was, a full one where it lands.
 
     Args:
-        path: of `follow`.
-        to: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     waypoint, tip, margin = _curves(path)
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for k, (name, colour) in enumerate(COORDINATES):
-        above.plot(waypoint, tip[:, k] * MM, color=colour, lw=1.4, label=name)
+        above.plot(waypoint, tip[:, k] * TO_MM, color=colour, lw=1.4, label=name)
         _mark_ends(
-            above, path, [(s.before.tip_position[k] * MM, s.after.tip_position[k] * MM) for s in path.snaps], colour
+            above,
+            path,
+            [(s.before.tip_position[k] * TO_MM, s.after.tip_position[k] * TO_MM) for s in path.snaps],
+            colour,
         )
     below.plot(waypoint, margin, color=INK, lw=1.4)
     _mark_ends(below, path, [(s.before.margin, s.after.margin) for s in path.snaps], INK)
@@ -61,8 +58,8 @@ def plot_path(path: Path, to: str | PathLike[str] | None = None) -> Figure:
         axes.grid(axis="y", color="#E6E8EB", lw=0.5)
         axes.set_axisbelow(True)
     above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.4)
-    figure.suptitle(_heading(path), fontsize=9, x=0.02, ha="left")
-    return finish(figure, to)
+    headed(figure, _heading(path))
+    return figure
 
 
 def _curves(path: Path) -> tuple[Array, Array, Array]:
@@ -98,7 +95,7 @@ def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
             axes.axvline(at, color=FAINT, lw=0.7, ls=(0, (4, 3)), zorder=0)
         if len(path.snaps) <= MOST_NAMES:
             above.annotate(
-                f"snap {k}\n{number(snap.tip_jump * MM, 1)} mm",
+                f"snap {k}\n{number(snap.tip_jump * TO_MM, 1)} mm",
                 (at, 1),
                 (0, 2),
                 xycoords=("data", "axes fraction"),

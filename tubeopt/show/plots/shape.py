@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...typing import Array
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
-from .stage import MM, Box, View, draw_box, facets, note, rule_step, widest_view
-from .style import FAINT, INK, caption, finish, new_figure, number, styled, tube_colour
+from .stage import Box, View, draw_box, facets, note, rule_step, widest_view
+from .style import FAINT, INK, caption, headed, new_figure, number, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,10 +30,9 @@ BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
 SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
 
 
-@styled
+@picture
 def plot_shape(
     equilibrium: Equilibrium,
-    path: str | PathLike[str] | None = None,
     *,
     ghosts: Sequence[Equilibrium] = (),
     view: tuple[float, float] | None = None,
@@ -42,23 +41,18 @@ def plot_shape(
 
     Args:
         equilibrium: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         ghosts: other equilibria, drawn translucent.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     figure = new_figure(7.0, 5.0)
-    figure.suptitle(caption(equilibrium), fontsize=9, x=0.02, ha="left")
+    headed(figure, caption(equilibrium))
     draw_scenes(figure, [equilibrium], [ghosts], view)
-    return finish(figure, path)
+    return figure
 
 
-@styled
+@picture
 def plot_shapes(
     equilibria: Sequence[Equilibrium],
-    path: str | PathLike[str] | None = None,
     *,
     titles: Sequence[str] | None = None,
     view: tuple[float, float] | None = None,
@@ -74,7 +68,7 @@ def plot_shapes(
     scenes = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):
         scene.set_title(caption(equilibrium, title, narrow=True), fontsize=8, loc="left")
-    return finish(figure, path)
+    return figure
 
 
 def draw_scenes(
@@ -224,7 +218,7 @@ def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view:
     """Every centreline as it falls straight down onto the floor."""
     for equilibrium in equilibria:
         fallen = equilibrium.position.copy()
-        fallen[:, 2] = box.low[2] / MM
+        fallen[:, 2] = box.low[2] / TO_MM
         shadow = view.project(fallen)
         axes.plot(shadow[:, 0], shadow[:, 1], color=FAINT, lw=1.3, alpha=0.4, solid_capstyle="round", zorder=1)
 
@@ -235,14 +229,14 @@ def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     for bundle in bundles(equilibrium):
         middle = (bundle.start + bundle.end) / 2
         beside = _beside(line, middle, view)
-        at = view.project(line.position([middle])[0])[:2] + bundle.radius * MM * beside
+        at = view.project(line.position([middle])[0])[:2] + bundle.radius * TO_MM * beside
         for row, i in enumerate(bundle.tubes):
             lower = np.array([0.0, 10.0 * ((len(bundle.tubes) - 1) / 2 - row)])
             several = len(bundle.tubes) > 1
             shift = (12 if several else 5) * beside + lower
             note(axes, f"tube {i + 1}", at, shift, colour=tube_colour(i), level=several)
     beside = _beside(line, line.length, view)
-    at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * MM * beside
+    at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * TO_MM * beside
     note(axes, "tip", at, -3 * beside)
 
 
@@ -267,28 +261,28 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
     radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
     shown = facets(robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius)), view, centre)
-    rim = Circle((0, 0), radius * MM, facecolor="white", edgecolor=FAINT, lw=0.8)
+    rim = Circle((0, 0), radius * TO_MM, facecolor="white", edgecolor=FAINT, lw=0.8)
     axes.add_patch(rim)
     axes.add_collection(shown)
     shown.set_clip_path(rim)
-    limit = 1.04 * radius * MM
+    limit = 1.04 * radius * TO_MM
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     axes.set_aspect("equal")
     axes.axis("off")
     first = bundle.tubes[0]
-    diameter = number(equilibrium.robot.tubes[first].outer_diameter * MM, 3)
+    diameter = number(equilibrium.robot.tubes[first].outer_diameter * TO_MM, 3)
     if len(bundle.tubes) == 1:
         name, colour = f"tube {first + 1}, \N{EMPTY SET} {diameter} mm", tube_colour(first)
     else:
         name, colour = f"tubes {first + 1}\N{EN DASH}{bundle.tubes[-1] + 1}, \N{EMPTY SET} {diameter} mm", INK
-    axes.text(0, 1.08 * radius * MM, name, color=colour, ha="center", va="bottom")
+    axes.text(0, 1.08 * radius * TO_MM, name, color=colour, ha="center", va="bottom")
     at = view.project(centre)
-    ring = Circle((at[0], at[1]), radius * MM, fill=False, edgecolor=FAINT, lw=0.6, zorder=5)
+    ring = Circle((at[0], at[1]), radius * TO_MM, fill=False, edgecolor=FAINT, lw=0.6, zorder=5)
     scene.add_patch(ring)
     link = ConnectionPatch(
-        xyA=(at[0] + radius * MM, at[1]),
+        xyA=(at[0] + radius * TO_MM, at[1]),
         coordsA=scene.transData,
-        xyB=(-radius * MM, 0),
+        xyB=(-radius * TO_MM, 0),
         coordsB=axes.transData,
         color=FAINT,
         lw=0.5,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MILLI, TO_MM
 from .shape import draw_scenes
 from .stage import View, widest_view
-from .style import INK, finish, new_figure, number, styled
+from .style import INK, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,14 +18,10 @@ if TYPE_CHECKING:
     from ...equilibrium.result import Equilibrium
     from ...stability import Snap
 
-MM = 1e3
-MILLI = 1e3
 
-
-@styled
+@picture
 def plot_snap(
     snap: Snap,
-    path: str | PathLike[str] | None = None,
     *,
     title: str = "",
     view: tuple[float, float] | None = None,
@@ -36,23 +32,19 @@ def plot_snap(
 
     Args:
         snap: of `find_snap` or `follow`.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: heading; default the robot's name.
         view: elevation and azimuth of the viewer, deg; None looks across the jump of the tip.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     before, after = snap.before, snap.after
     seen = View(*view) if view is not None else _view_across(snap)
     figure = new_figure(7.0, 4.9)
-    figure.suptitle(_heading(snap, title), fontsize=9, x=0.02, ha="left")
+    headed(figure, _heading(snap, title))
     angles = (seen.elevation, seen.azimuth)
     scenes = draw_scenes(figure, [before, after], [(), (before,)], angles, close_ups=False)
     scenes[0].set_title("before\n" + _state(before, at_fold=True), fontsize=8, loc="left")
     scenes[1].set_title("after\n" + _state(after), fontsize=8, loc="left")
     _draw_jump(scenes[1], snap, seen)
-    return finish(figure, path)
+    return figure
 
 
 def _view_across(snap: Snap) -> View:
@@ -67,16 +59,16 @@ def _heading(snap: Snap, title: str) -> str:
     name = title or robot.name or f"Robot with {robot.n_tubes} tubes"
     joints = "rotations (" + ", ".join(f"{number(angle, 3)}°" for angle in np.degrees(snap.rotations)) + ")"
     if np.any(snap.translations):
-        joints += ", translations (" + ", ".join(number(shift * MM, 1) for shift in snap.translations) + ") mm"
-    jump, energy = f"{snap.tip_jump * MM:.1f}", f"{snap.energy_released * MILLI:.2f}"
+        joints += ", translations (" + ", ".join(number(shift * TO_MM, 1) for shift in snap.translations) + ") mm"
+    jump, energy = f"{snap.tip_jump * TO_MM:.1f}", f"{snap.energy_released * TO_MILLI:.2f}"
     return f"{name}:  snap at {joints}\nthe tip jumps by {jump} mm, {energy} mJ are released"
 
 
 def _state(equilibrium: Equilibrium, *, at_fold: bool = False) -> str:
     """Tip, margin and energy, in two lines; at a fold the margin is 0 but for round-off."""
-    tip = ", ".join(number(length * MM, 1) for length in equilibrium.tip_position)
+    tip = ", ".join(number(length * TO_MM, 1) for length in equilibrium.tip_position)
     margin = "0, the fold" if at_fold else f"{equilibrium.margin:.3f}"
-    return f"tip ({tip}) mm\nmargin {margin},  energy {equilibrium.energy * MILLI:.2f} mJ"
+    return f"tip ({tip}) mm\nmargin {margin},  energy {equilibrium.energy * TO_MILLI:.2f} mJ"
 
 
 def _draw_jump(scene: Axes, snap: Snap, view: View) -> None:
@@ -87,7 +79,7 @@ def _draw_jump(scene: Axes, snap: Snap, view: View) -> None:
     # The label stands above the arrow, to the side that the arrow leaves free.
     slope = (old[1] - new[1]) * (new[0] - old[0])
     scene.annotate(
-        f"{snap.tip_jump * MM:.1f} mm",
+        f"{snap.tip_jump * TO_MM:.1f} mm",
         tuple(((old + new) / 2).tolist()),
         (3.0 * float(np.sign(slope)), 3.0),
         textcoords="offset points",

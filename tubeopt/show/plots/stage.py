@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MM
 from ...typing import Array
 from .mesh import Mesh
 from .style import INK, number
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
 
-MM = 1e3
 RULE = "#DADDE1"
 FLOOR = "#F6F7F8"
 
@@ -52,7 +52,7 @@ class View:
 
     def project(self, points: Array) -> Array:
         """(..., 3) millimetres to the right, upwards and towards the viewer, of points (..., 3) in m."""
-        seen: Array = points @ self.axes.T * MM
+        seen: Array = points @ self.axes.T * TO_MM
         return seen
 
 
@@ -76,7 +76,7 @@ class Box:
     @classmethod
     def around(cls, points: Array) -> Box:
         """The box around points (k, 3) in m, its sides on whole rules, its floor at the lowest point."""
-        low, high = points.min(0) * MM, points.max(0) * MM
+        low, high = points.min(0) * TO_MM, points.max(0) * TO_MM
         step = rule_step(float((high - low).max()))
         lower, upper = np.floor(low / step + 1e-9) * step, np.ceil(high / step - 1e-9) * step
         lower[2] = low[2]
@@ -115,13 +115,13 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
                 line = np.tile(corner, (2, 1))
                 line[:, across], line[:, along] = at, [box.low[along], box.high[along]]
                 lines.append(line)
-    faces = view.project(np.array(outlines) / MM)[..., :2]
+    faces = view.project(np.array(outlines) / TO_MM)[..., :2]
     axes.add_collection(
         PolyCollection(
             list(faces), facecolors=["white", "white", FLOOR], edgecolors="#B8BCC2", linewidths=0.6, zorder=0
         )
     )
-    ruled = view.project(np.array(lines) / MM)[..., :2]
+    ruled = view.project(np.array(lines) / TO_MM)[..., :2]
     axes.add_collection(LineCollection(list(ruled), colors=RULE, linewidths=0.5, zorder=0.5))
     _draw_scales(axes, box, view, back, front)
     axes.set_aspect("equal")
@@ -132,14 +132,14 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
 def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) -> None:
     """Numbers and names along the front edges of the floor and the left upright edge."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    outline = view.project((box.low + corners * (box.high - box.low)) / MM)[:, :2]
+    outline = view.project((box.low + corners * (box.high - box.low)) / TO_MM)[:, :2]
     middle, height = outline.mean(0), float(np.ptp(outline[:, 1]))
     left = min(((front[0], back[1]), (back[0], front[1])), key=lambda xy: view.project(np.array([*xy, 0.0]))[0])
     for axis, name in enumerate("xyz"):
         edge = np.array([front[0], front[1], box.low[2]]) if axis < 2 else np.array([*left, 0.0])
         ends = np.tile(edge, (2, 1))
         ends[:, axis] = box.low[axis], box.high[axis]
-        start, stop = view.project(ends / MM)[:, :2]
+        start, stop = view.project(ends / TO_MM)[:, :2]
         if np.linalg.norm(stop - start) < 1e-6 * height:
             continue  # seen end-on
         outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
@@ -150,7 +150,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
             rules = rules[np.abs(rules - front[axis]) > box.step / 2]
         points = np.tile(edge, (len(rules), 1))
         points[:, axis] = rules
-        for value, at in zip(rules, view.project(points / MM)[:, :2], strict=True):
+        for value, at in zip(rules, view.project(points / TO_MM)[:, :2], strict=True):
             note(axes, number(value, 3), at, 5 * outward)
         if axis < 2:
             note(axes, f"{name} (mm)", (start + stop) / 2, 21 * outward, size=9)

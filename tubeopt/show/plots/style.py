@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 T = TypeVar("T")
+D = TypeVar("D", contravariant=True)
 
 TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
 """Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
@@ -75,6 +76,29 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return wrapper
 
 
+class Picture(Protocol[D, P]):
+    """A function that makes a picture of what it is given, and saves it where a name is."""
+
+    def __call__(
+        self, data: D, path: str | PathLike[str] | None = None, /, *args: P.args, **kwargs: P.kwargs
+    ) -> Figure: ...
+
+
+def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
+    """The frame of every picture around a function that draws one: its look, its layout, and how it is saved.
+
+    The function that comes out takes, after what is drawn, a `path` to save the picture under (PNG, PDF or SVG by its
+    ending; None, the default, saves nothing), and raises InputError where the name does not end so.
+    """
+
+    @wraps(draw)
+    @styled
+    def wrapper(data: D, path: str | PathLike[str] | None = None, /, *args: P.args, **kwargs: P.kwargs) -> Figure:
+        return finish(draw(data, *args, **kwargs), path)
+
+    return wrapper
+
+
 def tube_colour(index: int) -> str:
     """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
     return TUBE_COLOURS[index % len(TUBE_COLOURS)]
@@ -87,6 +111,12 @@ def new_figure(width: float, height: float) -> Figure:
 
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def headed(figure: Figure, heading: str) -> Figure:
+    """Put a heading above everything in a figure, to the left."""
+    figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
 
 

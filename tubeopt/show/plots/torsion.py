@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
+from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, caption, finish, new_figure, styled, tube_colour
+from .style import FAINT, INK, caption, new_figure, picture, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 
     from ...equilibrium.result import Equilibrium
 
-MM = 1e3
 
-
-@styled
-def plot_torsion(equilibrium: Equilibrium, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_torsion(equilibrium: Equilibrium) -> Figure:
     """Picture of the rotation and the torsion of every tube over arc length.
 
     theta_i(s) in deg stands above theta_i'(s) in deg/mm; each curve ends where its tube ends. Curves of outer tubes are
@@ -30,18 +28,13 @@ def plot_torsion(equilibrium: Equilibrium, path: str | PathLike[str] | None = No
 
     Args:
         equilibrium: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
-    return plot_torsions([equilibrium], path)
+    return _torsions([equilibrium], [""])
 
 
-@styled
+@picture
 def plot_torsions(
     equilibria: Sequence[Equilibrium],
-    path: str | PathLike[str] | None = None,
     *,
     titles: Sequence[str] | None = None,
 ) -> Figure:
@@ -49,13 +42,16 @@ def plot_torsions(
 
     Args:
         equilibria: what to draw, left to right.
-        path: as in `plot_torsion`.
         titles: a heading for each; None is the robot's name.
     """
+    return _torsions(equilibria, titles or [""] * len(equilibria))
+
+
+def _torsions(equilibria: Sequence[Equilibrium], titles: Sequence[str]) -> Figure:
     count = len(equilibria)
     figure = new_figure(7.0 if count == 1 else 4.0 * count, 5.0)
     panels = figure.subplots(2, count, sharex=True, sharey="row", squeeze=False)
-    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles or [""] * count, strict=True):
+    for (above, below), equilibrium, title in zip(panels.T, equilibria, titles, strict=True):
         _draw_curves(above, below, equilibrium)
         _draw_inputs(above, equilibrium)
         rows = _mark_sections(above, below, equilibrium, room=0.12 if count == 1 else 0.22)
@@ -65,22 +61,22 @@ def plot_torsions(
     above.set_ylabel("rotation \N{GREEK SMALL LETTER THETA} (deg)")
     below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")
     length = max(float(each.tube_end.max()) for each in equilibria)
-    below.set_xlim(0, 1.02 * MM * length if length > 0 else 1.0)
+    below.set_xlim(0, 1.02 * TO_MM * length if length > 0 else 1.0)
     _widen(above, 20.0)
     _widen(below, 0.02)
     _add_legend(figure, above)
-    return finish(figure, path)
+    return figure
 
 
 def _draw_curves(above: Axes, below: Axes, equilibrium: Equilibrium) -> None:
     """theta_i in deg into `above` and theta_i' in deg/mm into `below`, up to the end of each tube."""
     for i, end in reversed(list(enumerate(equilibrium.tube_end))):
         s, rotation, torsion = _curve(equilibrium, i, float(end))
-        for axes, values in ((above, np.degrees(rotation)), (below, np.degrees(torsion) / MM)):
+        for axes, values in ((above, np.degrees(rotation)), (below, np.degrees(torsion) / TO_MM)):
             look: dict[str, Any] = {"color": tube_colour(i), "clip_on": False}
-            axes.plot(s * MM, values, lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}", **look)
+            axes.plot(s * TO_MM, values, lw=1.2 + 0.9 * i, solid_capstyle="butt", label=f"tube {i + 1}", **look)
             if end > 0:
-                axes.plot(s[-1:] * MM, values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
+                axes.plot(s[-1:] * TO_MM, values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
     for axes in (above, below):
         axes.grid(axis="y", color="#E6E8EB", lw=0.5)
         axes.set_axisbelow(True)
@@ -125,7 +121,7 @@ def breakpoints(equilibrium: Equilibrium) -> dict[float, str]:
         end = float(equilibrium.tube_end[i])
         for s, what in ((end - tube.curved_length, "curves"), (end, "ends")):
             if s > 1e-9 and (what == "ends" or tube.curved_length > 0):
-                events.setdefault(round(s * MM, 6), []).append(f"{i + 1} {what}")
+                events.setdefault(round(s * TO_MM, 6), []).append(f"{i + 1} {what}")
     return {s: "tube " + ", ".join(events[s]) for s in sorted(events)}
 
 
@@ -134,7 +130,7 @@ def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: 
 
     Names less than `room` (a fraction of the width) apart go into different rows.
     """
-    width = float(equilibrium.tube_end.max()) * MM
+    width = float(equilibrium.tube_end.max()) * TO_MM
     reached: list[float] = []
     for s, what in breakpoints(equilibrium).items():
         for axes in (above, below):

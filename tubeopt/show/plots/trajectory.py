@@ -16,11 +16,12 @@ from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.files import atomic_write
+from ...files.units import TO_MM
 from ...typing import Array
 from .mesh import Centreline, Mesh, _quads, tube_mesh
 from .shape import exposed
-from .stage import MM, Box, View, draw_box, facets, widest_view
-from .style import FAINT, INK, finish, new_figure, number, styled, tube_colour
+from .stage import Box, View, draw_box, facets, widest_view
+from .style import FAINT, INK, headed, new_figure, number, picture, styled, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +39,9 @@ OBSTACLE = np.array([0.55, 0.55, 0.58, 0.35])
 VESSEL = np.array([0.80, 0.47, 0.65, 0.10])
 
 
-@styled
+@picture
 def plot_trajectory(
     trajectory: Trajectory,
-    path: str | PathLike[str] | None = None,
     *,
     title: str = "",
     view: tuple[float, float] | None = None,
@@ -50,12 +50,8 @@ def plot_trajectory(
     with obstacles, clearance over time.
 
     Args:
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         title: heading; by default the robot's name.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the motion.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     t = trajectory
     figure = new_figure(10.0, 5.4)
@@ -68,8 +64,8 @@ def plot_trajectory(
     first: Axes = figure.add_subplot(grid[0, 1])
     axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
     _draw_curves(axes, t)
-    figure.suptitle(_heading(t, title), fontsize=9, x=0.02, ha="left")
-    return finish(figure, path)
+    headed(figure, _heading(t, title))
+    return figure
 
 
 @styled
@@ -243,7 +239,7 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     """Joint values, margin, clearance and deviation over time."""
     for i in range(t.robot.n_tubes):
         axes[0].plot(t.time, np.degrees(t.rotations[:, i]), color=tube_colour(i), lw=1.4, label=f"tube {i + 1}")
-        axes[1].plot(t.time, t.translations[:, i] * MM, color=tube_colour(i), lw=1.4)
+        axes[1].plot(t.time, t.translations[:, i] * TO_MM, color=tube_colour(i), lw=1.4)
     axes[0].set_ylabel("rotation (deg)")
     axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     axes[1].set_ylabel("translation (mm)")
@@ -255,13 +251,13 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     margin.set_ylabel("margin")
     if np.isfinite(t.clearance).all():
         clear = next(rest)
-        clear.plot(t.time, t.clearance * MM, color=INK, lw=1.4)
-        clear.axhline(t.min_clearance * MM, color=FAINT, lw=0.8, ls="--")
+        clear.plot(t.time, t.clearance * TO_MM, color=INK, lw=1.4)
+        clear.axhline(t.min_clearance * TO_MM, color=FAINT, lw=0.8, ls="--")
         clear.set_ylim(bottom=0)
         clear.set_ylabel("clearance (mm)")
     if t.deviation is not None:
         off = next(rest)
-        off.plot(t.time, t.deviation * MM, color=INK, lw=1.4)
+        off.plot(t.time, t.deviation * TO_MM, color=INK, lw=1.4)
         off.set_ylim(bottom=0)
         off.set_ylabel("deviation (mm)")
     for each in axes:
@@ -274,6 +270,7 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
 
 def _heading(t: Trajectory, title: str) -> str:
     least = f"least margin {t.proof.least_margin:.3f}"
-    clear = f",  least clearance {t.proof.least_clearance * MM:.2f} mm" if np.isfinite(t.proof.least_clearance) else ""
+    gap = t.proof.least_clearance
+    clear = f",  least clearance {gap * TO_MM:.2f} mm" if np.isfinite(gap) else ""
     proved = "proved" if t.proved else "not proved"
     return f"{title or t.robot.name or 'robot'}\n{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}"

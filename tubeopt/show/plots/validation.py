@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from ...files.units import TO_MM
 from ...typing import Array
-from .style import FAINT, INK, finish, new_figure, styled, tube_colour
+from .style import FAINT, INK, finish, headed, new_figure, picture, styled, tube_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from ...validation import ErrorTable, Validation
 
-MM = 1e3
 GRID = "#E6E8EB"
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -26,18 +26,14 @@ LONG_ENOUGH = 0.16
 """Arrows are lengthened by a round factor until the longest is this part of the picture's width."""
 
 
-@styled
-def plot_residuals(validation: Validation, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_residuals(validation: Validation) -> Figure:
     """Predicted tips with arrows towards the measured ones, seen along the plate's axis and from the side.
 
     Arrows are to scale, or lengthened by the factor that the heading tells.
 
     Args:
         validation: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     v = validation
     figure = new_figure(8.0, 4.6)
@@ -45,21 +41,19 @@ def plot_residuals(validation: Validation, path: str | PathLike[str] | None = No
     spread = float(np.ptp(v.predicted, axis=0).max()) or 1e-3
     factor = _round_factor(LONG_ENOUGH * spread / max(float(v.errors.max()), 1e-12))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
-        _draw_arrows(axes, v.predicted[:, [i, j]] * MM, v.residuals[:, [i, j]] * MM, factor)
+        _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
         axes.set_xlabel(f"{'xyz'[i]} (mm)")
         axes.set_ylabel(f"{'xyz'[j]} (mm)")
     above.set_title("seen along the axis of the base", loc="left")
     beside.set_title("seen from the side", loc="left")
     scale = "to scale" if factor == 1 else f"{factor:g} times their length"
     s = v.summary
-    figure.suptitle(
+    headed(
+        figure,
         f"{v.robot.name or 'robot'}: {s.count} measured tips, registration {v.registration.method}, error mean "
-        f"{s.mean * MM:.2f} mm, max {s.max * MM:.2f} mm\narrows from predicted to measured, {scale}",
-        fontsize=9,
-        x=0.01,
-        ha="left",
+        f"{s.mean * TO_MM:.2f} mm, max {s.max * TO_MM:.2f} mm\narrows from predicted to measured, {scale}",
     )
-    return finish(figure, path)
+    return figure
 
 
 def _draw_arrows(axes: Axes, start: Array, arrow: Array, factor: float) -> None:
@@ -96,19 +90,15 @@ def _round_factor(value: float) -> float:
     return float(max(k for k in (1.0, 2.0, 5.0) if k * power <= value) * power)
 
 
-@styled
-def plot_errors(validation: Validation, path: str | PathLike[str] | None = None) -> Figure:
+@picture
+def plot_errors(validation: Validation) -> Figure:
     """Tip errors: how they are distributed, and by direction (radar) and separation, or else by row.
 
     Args:
         validation: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
-
-    Raises:
-        InputError: the name of the picture does not end in a known format.
     """
     v = validation
-    m, errors = v.measurements, v.errors * MM
+    m, errors = v.measurements, v.errors * TO_MM
     mirrored = m.direction is not None and m.separation is not None
     figure = new_figure(10.0 if mirrored else 7.5, 3.8)
     places = [131, 132, 133] if mirrored else [121, 122]
@@ -119,7 +109,7 @@ def plot_errors(validation: Validation, path: str | PathLike[str] | None = None)
     else:
         _draw_by_row(figure.add_subplot(places[0]), errors)
     _draw_histogram(figure.add_subplot(places[-1]), v)
-    return finish(figure, path)
+    return figure
 
 
 def _mean_by_place(direction: Array, separation: Array, errors: Array) -> tuple[Array, Array, Array]:
@@ -179,17 +169,17 @@ def _draw_by_row(axes: Axes, errors: Array) -> None:
 
 
 def _draw_histogram(axes: Axes, v: Validation) -> None:
-    s, errors = v.summary, v.errors * MM
+    s, errors = v.summary, v.errors * TO_MM
     bins = int(np.clip(np.sqrt(len(errors)) * 1.5, 5, 20))
     axes.hist(errors, bins=bins, color="#C9D6E3", edgecolor="white", lw=0.6)
     heights = (("mean", s.mean, 0.98), ("RMS", s.rms, 0.90), ("95 %", s.p95, 0.98), ("max", s.max, 0.90))
     top = axes.get_ylim()[1] * 1.15
     axes.set_ylim(0, top)
     for name, value, height in heights:
-        axes.axvline(value * MM, color=INK, lw=0.8, ls=(0, (4, 3)), ymax=height - 0.03)
+        axes.axvline(value * TO_MM, color=INK, lw=0.8, ls=(0, (4, 3)), ymax=height - 0.03)
         axes.annotate(
-            f"{name} {value * MM:.2f}",
-            (value * MM, height * top),
+            f"{name} {value * TO_MM:.2f}",
+            (value * TO_MM, height * top),
             ha="center",
             va="center",
             fontsize=7,
@@ -200,14 +190,14 @@ def _draw_histogram(axes: Axes, v: Validation) -> None:
     axes.set_xlim(0, 1.12 * float(errors.max()) or 1.0)
 
 
-@styled
-def plot_error_table(table: ErrorTable, path: str | PathLike[str] | None = None, *, title: str = "") -> Figure:
+@picture
+def plot_error_table(table: ErrorTable, *, title: str = "") -> Figure:
     """A published table of tip errors as a radar plot: a closed line over direction for every separation."""
     figure = new_figure(5.4, 5.0)
     axes = figure.add_subplot(projection="polar")
-    _draw_radar(axes, table.direction, table.separation, table.error * MM)
+    _draw_radar(axes, table.direction, table.separation, table.error * TO_MM)
     row, column = np.unravel_index(int(table.error.argmax()), table.error.shape)
-    worst = float(table.error[row, column]) * MM
+    worst = float(table.error[row, column]) * TO_MM
     axes.annotate(
         f"{worst:.1f} mm",
         (float(table.direction[column]), worst),
@@ -216,8 +206,8 @@ def plot_error_table(table: ErrorTable, path: str | PathLike[str] | None = None,
         fontsize=8,
         ha="right",
     )
-    axes.set_title(title or f"tip error (mm) over direction, mean {table.summary.mean * MM:.1f} mm", pad=16)
-    return finish(figure, path)
+    axes.set_title(title or f"tip error (mm) over direction, mean {table.summary.mean * TO_MM:.1f} mm", pad=16)
+    return figure
 
 
 def _closed(direction: Array, points: Array) -> Array:
@@ -247,19 +237,21 @@ def plot_simulated_circles(
     figure = new_figure(5.6, 6.0)
     axes = figure.add_subplot()
     for k, (tips, errors) in enumerate(zip(circles, table.error, strict=True)):
-        colour, line = tube_colour(k), _closed(table.direction, tips[:, :2] * MM)
-        for at, error in zip(tips * MM, errors * MM, strict=True):
+        colour, line = tube_colour(k), _closed(table.direction, tips[:, :2] * TO_MM)
+        for at, error in zip(tips * TO_MM, errors * TO_MM, strict=True):
             axes.add_patch(Circle((at[0], at[1]), error, fc=colour, ec="none", alpha=0.13, zorder=1))
-        radius = float(np.hypot(*tips.T[:2]).mean()) * MM
+        radius = float(np.hypot(*tips.T[:2]).mean()) * TO_MM
         label = f"{np.degrees(table.separation[k]):g}°, radius {radius:.1f} mm"
         axes.plot(*line.T, color=colour, lw=1.2, zorder=2, label=label)
-        axes.plot(*tips.T[:2] * MM, "o", color=colour, ms=3, zorder=2)
+        axes.plot(*tips.T[:2] * TO_MM, "o", color=colour, ms=3, zorder=2)
     for at, angle in zip(circles[0][::2], table.direction[::2], strict=True):
         outward = at[:2] / np.hypot(*at[:2])
         axes.annotate(
-            f"{np.degrees(angle):.0f}°", at[:2] * MM + 6 * outward, ha="center", va="center", fontsize=7, color=FAINT
+            f"{np.degrees(angle):.0f}°", at[:2] * TO_MM + 6 * outward, ha="center", va="center", fontsize=7, color=FAINT
         )
-    reach = 1.16 * MM * max(np.abs(tips[:, :2]).max() + e.max() for tips, e in zip(circles, table.error, strict=True))
+    reach = (
+        1.16 * TO_MM * max(np.abs(tips[:, :2]).max() + e.max() for tips, e in zip(circles, table.error, strict=True))
+    )
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)
     axes.set_aspect("equal")

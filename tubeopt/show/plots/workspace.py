@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import InputError
+from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
 from ...workspaces.voxels import Keys
 from . import mesh as surfaces
 from .shape import PLATE_COLOUR
-from .stage import MM, Box, View, draw_box, facets
-from .style import finish, new_figure, number, styled
+from .stage import Box, View, draw_box, facets
+from .style import headed, new_figure, number, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,10 +27,9 @@ MOST_TIPS = 4000
 """Tips that are drawn; of more, so many are drawn."""
 
 
-@styled
+@picture
 def plot_workspace(
     workspace: Workspace,
-    path: str | PathLike[str] | None = None,
     *,
     loss: SnappingLoss | None = None,
     size: float | None = None,
@@ -42,7 +41,6 @@ def plot_workspace(
 
     Args:
         workspace: what to draw.
-        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
         loss: of `snapping_loss`.
         size: edge of the voxels, m; by default as in `voxels`.
         title: heading; default the robot's name and the number of samples.
@@ -57,7 +55,7 @@ def plot_workspace(
     found = voxels(workspace, size)
     figure = new_figure(9.0, 4.9)
     name = workspace.robot.name or f"robot of {workspace.robot.n_tubes} tubes"
-    figure.suptitle(title or f"{name}: tips at {len(workspace):,} joint values", fontsize=9, x=0.02, ha="left")
+    headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
     _bar(figure, tips, scene, "stability margin")
@@ -68,7 +66,7 @@ def plot_workspace(
     if loss is not None:
         _draw_lost(margins, loss)
     margins.sharey(sides)
-    return finish(figure, path)
+    return figure
 
 
 def _bar(figure: Figure, drawn: Any, axes: Axes, label: str) -> None:
@@ -103,7 +101,7 @@ def _draw_section(axes: Axes, found: Voxels, values: Array, ends: tuple[float, f
     low, high = cells.min(0), cells.max(0)
     grid = np.full(high - low + 1, -np.inf)
     np.maximum.at(grid, tuple((cells - low).T), values)
-    edges = [np.arange(low[k], high[k] + 2) * found.size * MM for k in range(2)]
+    edges = [np.arange(low[k], high[k] + 2) * found.size * TO_MM for k in range(2)]
     shown = np.ma.masked_invalid(grid.T)
     span = ends or (0.0, float(values.max()))
     drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=span[0], vmax=span[1], rasterized=True)
@@ -122,7 +120,7 @@ def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
     if len(loss.lost):
         cells = np.unique(_fold(np.asarray((loss.lost + 0.5) * loss.size), loss.size), axis=0)
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-        corners = (cells[:, None] + square) * loss.size * MM
+        corners = (cells[:, None] + square) * loss.size * TO_MM
         axes.add_collection(PolyCollection(list(corners), zorder=5, **look))
         axes.autoscale_view()
     axes.legend(handles=[Patch(label=share, **look)], loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from ...robots.robot import Robot
 from ...typing import Array, Mask
-from .library import Library, library
+from .library import MOST_TUBES, Library, library
 
 SOLVED = 0
-
-MOST_TUBES = 6
-"""Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
 
 
 class _Guess(ctypes.Structure):

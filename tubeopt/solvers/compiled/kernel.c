@@ -88,9 +88,8 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
 #if ECCENTRIC
     out->residual = largest(w->stretch.residual, w->all.size);
     out->energy = state->energy + stretched_torsion(&w->all, state, &w->stretch, &w->arm);
-    out->margin = -1;
-    if (stable_on_centreline(method, &w->all, &w->coarse, alpha, &w->arm, &w->trial, w->matrix))
-        out->margin = stretched_margin(&w->all, state, &w->stretch, w->matrix);
+    double most = most_softening(method, &w->all, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
+    out->margin = most < 0 ? -1 : stretched_margin(&w->all, state, &w->stretch, most, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;

@@ -8,12 +8,14 @@ from __future__ import annotations
 import atexit
 import ctypes
 import hashlib
+import logging
 import os
 import platform
 import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +23,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import platformdirs
 
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
@@ -28,6 +31,7 @@ from ...transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...transcription.piece import COARSE_STEPS, STEPS, piece_function
 from ...transcription.tableau import tableau
 from .. import newton
+from .packaged import build_kernels, generations, packaged_kernel
 
 HERE = Path(__file__).parent
 
@@ -53,9 +57,15 @@ LANCZOS, EIGENVALUE_ERROR, ROUGH_ERROR = 48, 1e-10, 1e-6
 """Most Lanczos steps for the margin, and the fraction of 1 / margin by which that may be off when they end: that of the
 solution, and that of the coarse points, which only tell where to start."""
 
-STRETCHED_ERROR, FAR_BELOW = 3e-8, 0.05
+STRETCHED_ERROR, FAR_BELOW = 3e-9, 0.05
 """Of tubes off the centreline: residual, as a fraction of 1 / margin, at which Arnoldi steps for it end; and how far
 below 0 the margin of the same rotations on the centreline may be, several times by how much the two differ."""
+
+MOST_TUBES = 6
+"""Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+
+SOFTENING_ERROR = 1e-2
+"""What is wrong at most, as a fraction, with 1 - margin on the centreline, which tells where to look off it."""
 
 COUPLING_FLOOR = 1e-10
 """A margin closer to 1 than this is 1."""
@@ -63,9 +73,10 @@ COUPLING_FLOOR = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """The loaded kernel of robots with n tubes, with the sizes of its structures."""
+    """The loaded kernel of robots with n tubes, where it is, and the sizes of its structures."""
 
     n_tubes: int
+    path: Path
     solve: Any
     solve_many: Any
     method: Any
@@ -76,10 +87,7 @@ class Library:
 def cache_directory() -> Path:
     """Where compiled kernels and tables are kept: TUBEOPT_CACHE, else the user's cache directory."""
     own = os.environ.get("TUBEOPT_CACHE")
-    if own:
-        return Path(own)
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return Path(base) / "tubeopt"
+    return Path(own) if own else platformdirs.user_cache_path("tubeopt", appauthor=False)
 
 
 def source(n: int, eccentric: bool) -> str:
@@ -114,6 +122,7 @@ def source(n: int, eccentric: bool) -> str:
         "ROUGH_ERROR": ROUGH_ERROR,
         "STRETCHED_ERROR": STRETCHED_ERROR,
         "FAR_BELOW": FAR_BELOW,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
     defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
@@ -148,26 +157,26 @@ def _build(text: str) -> Path | None:
         path = folder() / "kernels" / f"{name}.so"
         if path.exists():
             return path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=path.parent) as work:
-                (Path(work) / "kernel.c").write_text(text)
-                _compile(compiler, work)
-                os.replace(Path(work) / "kernel.so", path)
-            return path
-        except (OSError, subprocess.SubprocessError):
-            continue
+        for tuned in ([OWN_PROCESSOR], []):
+            try:
+                compile_to(text, path, tuned)
+                return path
+            except (OSError, subprocess.SubprocessError):
+                continue
     return None
 
 
-def _compile(compiler: list[str], folder: str) -> None:
-    """kernel.c -> kernel.so in a folder; raises SubprocessError or OSError where the compiler cannot."""
-    rest = ["-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
-    for tuned in ([OWN_PROCESSOR], []):
-        done = subprocess.run([*compiler, *FLAGS, *tuned, *rest], cwd=folder, capture_output=True, timeout=120)
-        if done.returncode == 0:
-            return
-    done.check_returncode()
+def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
+    """Compile a C text to a shared library, whole or not at all; raises SubprocessError or OSError where it cannot."""
+    compiler = _compiler()
+    if compiler is None:
+        raise OSError("there is no C compiler")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as work:
+        (Path(work) / "kernel.c").write_text(text)
+        command = [*compiler, *FLAGS, *flags, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
+        subprocess.run(command, cwd=work, capture_output=True, timeout=120, check=True)
+        os.replace(Path(work) / "kernel.so", path)
 
 
 @lru_cache(maxsize=1)
@@ -227,10 +236,33 @@ def _method() -> Any:
     return method
 
 
+@lru_cache(maxsize=1)
+def _tell_once() -> None:
+    logging.getLogger("tubeopt").warning(
+        "there is no compiled kernel and no C compiler to make one: answers are the same, some 20 times slower; "
+        "install a C compiler (apt install gcc; xcode-select --install) or a wheel that brings the kernel"
+    )
+
+
+def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
+    """Compile the kernels of all robots for a wheel: for this processor, or `everywhere` for every generation of its
+    kind; none where there is no compiler."""
+    kinds = [(n, eccentric) for n in range(1, MOST_TUBES + 1) for eccentric in (False, True)]
+    if _compiler() is None:
+        return []
+    here = frozenset(_processor().split())
+    chosen = generations() if everywhere else [next(g for g in generations() if g.needs <= here)]
+    return build_kernels({kind: source(*kind) for kind in kinds}, compile_to, folder, chosen)
+
+
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool) -> Library | None:
     """The compiled kernel for n tubes, concentric or off the centreline; None where it cannot be had."""
-    path = _build(source(n, eccentric))
+    path = None
+    if os.environ.get("TUBEOPT_COMPILE") != "0":
+        path = packaged_kernel(n, eccentric, _processor().split()) or _build(source(n, eccentric))
+        if path is None:
+            _tell_once()
     if path is None:
         return None
     try:
@@ -246,4 +278,4 @@ def library(n: int, eccentric: bool) -> Library | None:
     answer, method = _answer(n), _method()
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    return Library(n, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())
+    return Library(n, path, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())

@@ -54,8 +54,9 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
     }
 }
 
-/* Derivative of the residual with respect to theta at the points. */
-static void stretched_jacobian(const Unknowns *q, const State *state, const Stretch *e, double *restrict h) {
+/* Derivative of the residual with respect to theta at the points, moments taken `soft` times as steep. */
+static void stretched_jacobian(const Unknowns *q, const State *state, const Stretch *e, double soft,
+                               double *restrict h) {
     for (int i = 0; i < N; i++) {
         const double *compliance = q->compliance + (q->part[i] - q->factor);
         for (int a = 0; a < q->count[i]; a++) {
@@ -74,7 +75,7 @@ static void stretched_jacobian(const Unknowns *q, const State *state, const Stre
             for (int j = 0; j < N; j++)
                 for (int c = 0; c < q->count[j]; c++) {
                     int y = q->point[q->first[j] + c];
-                    row[q->first[j] + c] += through[y] * state->slope[y][j * N + i] -
+                    row[q->first[j] + c] += soft * through[y] * state->slope[y][j * N + i] -
                                             e->up_to[x][y] * e->stretch_slope[y][j * N + i] * e->twist[y][i];
                 }
         }
@@ -92,7 +93,7 @@ static int newton_stretched(const Unknowns *q, const double *alpha, State *state
     for (int k = 0; k < most; k++) {
         ++*iterations;
         if (fresh) {
-            stretched_jacobian(q, state, e, h);
+            stretched_jacobian(q, state, e, 1, h);
             if (!lu(h, q->size, STRIDE, e->pivots)) return DECLINED;
         }
         for (int r = 0; r < q->size; r++) step[r] = -e->residual[r];
@@ -112,20 +113,34 @@ static int newton_stretched(const Unknowns *q, const double *alpha, State *state
     return DECLINED;
 }
 
-/* Whether the same rotations have a margin above -FAR_BELOW on the centreline, by the coarse points. */
-static int stable_on_centreline(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
-                                const Profile *arm, State *rough, double *h) {
-    double theta[MOST_POINTS][N];
-    interpolate(all, arm, coarse, method->twice_back, theta);
-    to_unknowns(coarse, alpha, theta, rough->z);
-    evaluate(coarse, alpha, rough);
+/* Whether tubes on the centreline are stable with moments `soft` times as steep. */
+static int stable_softened(const Unknowns *coarse, const State *rough, double soft, double *h) {
     second_variation(coarse, rough, h);
-    for (int r = 0; r < coarse->size; r++) h[(size_t)r * STRIDE + r] += FAR_BELOW;
+    for (int r = 0; r < coarse->size; r++)
+        for (int c = r; c < coarse->size; c++)
+            h[(size_t)r * STRIDE + c] = soft * h[(size_t)r * STRIDE + c] + (r == c) * (1 - soft);
     return cholesky(h, coarse->size, STRIDE);
 }
 
-/* z <- (1 - K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual: K is what
-   transcription/offset_margin.py tells the margin by. */
+/* What 1 - mu of the margin mu cannot exceed, at most 1, and is not far below: FAR_BELOW more than what, by the coarse
+   points, the same rotations have on the centreline. -1 where mu there is not above -FAR_BELOW. */
+static double most_softening(const Method *method, const Unknowns *all, const Unknowns *coarse, const double *alpha,
+                             const Profile *arm, State *rough, double *h) {
+    double theta[MOST_POINTS][N], z[MOST_UNKNOWNS];
+    interpolate(all, arm, coarse, method->twice_back, theta);
+    to_unknowns(coarse, alpha, theta, rough->z);
+    evaluate(coarse, alpha, rough);
+    if (!stable_softened(coarse, rough, 1 / (1 + FAR_BELOW), h)) return -1;
+    if (!coarse->size) return FAR_BELOW;
+    anywhere(z, coarse->size);
+    double least = least_eigenvalue(h, coarse->size, STRIDE, SOFTENING_ERROR, z);
+    double most = fmax((1 + SOFTENING_ERROR) * (1 + FAR_BELOW) * (1 - least), SOFTENING_ERROR);
+    while (most + FAR_BELOW < 1 && !stable_softened(coarse, rough, 1 / most, h)) most *= 2;
+    return fmin(most + FAR_BELOW, 1);
+}
+
+/* z <- (1 - soft K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual of moments `soft`
+   times as steep: K is what transcription/offset_margin.py tells the margin by. */
 static void stiffness_left(const Unknowns *q, const Stretch *e, const double *jacobian, double *z) {
     double gain[MOST_POINTS][N] = {{0}};
     for (int y = 0; y < q->points; y++)
@@ -140,18 +155,68 @@ static void stiffness_left(const Unknowns *q, const Stretch *e, const double *ja
     lu_solve(jacobian, q->size, STRIDE, e->pivots, z);
 }
 
-/* The margin of tubes off the centreline at a solved state, at most 1; -1 where it is not sure to be positive, which
-   is left to the general solver. 1 / margin is the largest eigenvalue of (1 - K)^-1, by Arnoldi's method; it cannot see
-   an eigenvalue that passed infinity, a margin below 0: that the tubes on the centreline are stable by -FAR_BELOW and the
-   sign of the determinant exclude it. */
-static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double *h) {
+/* Factors of J of moments `soft` times as steep; 0 where it is singular or has a negative determinant. */
+static int factorised(const Unknowns *q, const State *state, Stretch *e, double soft, double *h) {
+    int sign = 1;
+    stretched_jacobian(q, state, e, soft, h);
+    if (!lu(h, q->size, STRIDE, e->pivots)) return 0;
+    for (int k = 0; k < q->size; k++) sign *= (h[(size_t)k * STRIDE + k] < 0) != (e->pivots[k] != k) ? -1 : 1;
+    return sign > 0;
+}
+
+/* Whether the margin is 1, but for COUPLING_FLOOR: a mode of (1 - mu) y = K y has
+
+       (1 - mu) y' A^-1 (1 - P w g') y = -y' M' y,   A = (|beta| + P g W) / kt,
+
+   y' A^-1 y >= y'y / most, and what w g' takes away is at most a fraction f of it, since A >= P P' thin / kt: the root of
+   turned most / thin. So 1 - mu is at most excess most / (1 - f) where M' > -excess at every point. */
+static int never_stretched(const Unknowns *q, const State *state, const Stretch *e) {
+    double most = 0, thick = 1, thin = 1, turned = 0;
+    for (int i = 0; i < N; i++) {
+        const double *compliance = q->compliance + (q->part[i] - q->factor);
+        double sum = 0;
+        for (int a = 0; a < q->count[i]; a++)
+            sum += compliance[a * q->lead[i] + a] * q->weight[q->point[q->first[i] + a]];
+        most = fmax(most, sum);
+    }
+    for (int x = 0; x < q->points; x++) {
+        double sum = 0;
+        for (int i = 0; i < N; i++) {
+            thick = fmax(thick, e->stretch[x][i]);
+            thin = fmin(thin, e->stretch[x][i]);
+            double twist = q->tubes->kt[i] * e->twist[x][i] * e->twist[x][i];
+            for (int j = 0; j < N; j++) sum += twist * e->stretch_slope[x][j * N + i] * e->stretch_slope[x][j * N + i];
+        }
+        turned = fmax(turned, sum);
+    }
+    most *= thick;
+    double excess = COUPLING_FLOOR * (1 - sqrt(turned * most / thin)) / most, m[N][N];
+    if (!(thin > 0 && excess > 0)) return 0;
+    for (int x = 0; x < q->points; x++)
+        for (int i = 0; i < N; i++)
+            for (int j = i; j < N; j++) {
+                double sum = (state->slope[x][j * N + i] + state->slope[x][i * N + j]) / 2 + (i == j) * excess;
+                for (int k = 0; k < i; k++) sum -= m[k][i] * m[k][j];
+                if (i == j && !(sum > 0)) return 0;
+                m[i][j] = i == j ? sqrt(sum) : sum / m[i][i];
+            }
+    return 1;
+}
+
+/* The margin mu of tubes off the centreline at a solved state, at most 1; -1 where it is not sure to be positive, which
+   is left to the general solver. `most`: a bound of 1 - mu.
+
+   With moments 1 / most times as steep, 1 / (1 - (1 - mu) / most) is the largest eigenvalue of (1 - K / most)^-1: by
+   Arnoldi's method. It cannot see an eigenvalue that passed infinity, a mu below 1 - most: that the tubes on the
+   centreline have none by far, and the sign of the determinant, exclude it. */
+static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double most, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
-    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, sign = 1, check = 5;
-    if (!n) return 1;
-    stretched_jacobian(q, state, e, h);
-    if (!lu(h, n, STRIDE, e->pivots)) return -1;
-    for (int k = 0; k < n; k++) sign *= (h[(size_t)k * STRIDE + k] < 0) != (e->pivots[k] != k) ? -1 : 1;
-    if (sign < 0) return -1;
+    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, check = 4;
+    if (!n || never_stretched(q, state, e)) return 1;
+    if (!factorised(q, state, e, 1 / most, h)) {
+        if (most == 1 || !factorised(q, state, e, 1, h)) return -1;
+        most = 1;
+    }
     anywhere(basis[0], n);
     double norm = sqrt(dot(basis[0], basis[0], n));
     for (int k = 0; k < n; k++) basis[0][k] /= norm;
@@ -160,6 +225,8 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
         double *restrict next = basis[m + 1];
         memcpy(next, basis[m], n * sizeof(double));
         stiffness_left(q, e, h, next);
+        /* Most of what it gives is what it got: put back below. */
+        for (int k = 0; k < n; k++) next[k] -= basis[m][k];
         double beside, whole;
         do { /* Twice is enough: again only where most of the vector went away. */
             whole = dot(next, next, n);
@@ -170,20 +237,19 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
             }
             beside = sqrt(dot(next, next, n));
         } while (beside * beside < 1e-2 * whole && beside > 1e-13);
+        small[m * LANCZOS + m] += 1;
         int last = m + 1 == steps || beside < 1e-13;
         if (last || m == check) {
-            check += 3;
+            check += 2;
             value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > 0)) return -1;
-            double residual = beside * fabs(y[m]);
-            /* Close to 1, where eigenvalues gather, the square of the residual over the distance from 1 is what is off. */
-            int gathered = value < 1.01 && residual * residual < 1e-3 * STRETCHED_ERROR * fmax(value - 1, 1e-6);
-            if (last || gathered || residual < STRETCHED_ERROR * value) break;
+            double residual = beside * fabs(y[m]), margin = 1 - most * (1 - 1 / value);
+            if (last || most * residual < STRETCHED_ERROR * margin * value * value) break;
         }
         small[(m + 1) * LANCZOS + m] = beside;
         for (int k = 0; k < n; k++) next[k] /= beside;
     }
-    return fmin(1, 1 / value);
+    return fmin(1, 1 - most * (1 - 1 / value));
 }
 
 /* Torsional energy in front of the plate and of the transmissions, J. */

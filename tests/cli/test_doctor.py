@@ -1,0 +1,27 @@
+"""`tubeopt doctor`: what is installed is told, and what is computed is checked."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.command_line import Run, answer
+from tubeopt.show import doctor
+
+
+def test_an_installation_that_works(run: Run) -> None:
+    found = answer(run("doctor", "--json"))
+    assert found["passed"]
+    assert 0 < found["difference_mm"] < 1e-6
+    assert {"tubeopt", "casadi", "numpy", "scipy"} <= set(found["versions"])
+
+
+def test_what_an_extra_lacks_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "EXTRAS", {"view": ("no_such_module",)})
+    assert "pip install 'tubeopt[view]'" in " ".join(run("doctor").out.split())
+
+
+def test_wrong_numbers_end_with_3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "TOLERANCE", 0.0)
+    result = run("doctor")
+    assert result.code == 3
+    assert "self-test failed" in result.err

@@ -1,0 +1,76 @@
+"""Kernels that come with a wheel: which of them a processor gets, and that they answer as those compiled here."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import forward_kinematics
+from tubeopt.solvers.compiled import binding, packaged
+from tubeopt.solvers.compiled import library as building
+
+
+@pytest.fixture
+def generations(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[packaged.Generation, ...]:
+    """Two generations of processors, in a folder of their own."""
+    both = packaged.Generation("new", (), frozenset({"wide"})), packaged.Generation("any")
+    monkeypatch.setattr(packaged, "generations", lambda: both)
+    monkeypatch.setattr(packaged, "FOLDER", tmp_path)
+    return both
+
+
+def test_a_processor_gets_the_best_that_it_runs(generations: tuple[packaged.Generation, ...], tmp_path: Path) -> None:
+    new, old = (generation.kernel(tmp_path, 3, False) for generation in generations)
+    assert packaged.packaged_kernel(3, False, ["wide"]) is None
+    old.touch()
+    assert packaged.packaged_kernel(3, False, ["wide"]) == old
+    new.touch()
+    assert packaged.packaged_kernel(3, False, ["wide", "other"]) == new
+    assert packaged.packaged_kernel(3, False, ["other"]) == old
+    assert packaged.packaged_kernel(3, True, ["wide"]) is None
+
+
+def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path) -> None:
+    def compile_to(text: str, path: Path, flags: object) -> None:
+        if flags:
+            raise OSError("unknown flag")
+        path.write_text(text)
+
+    kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
+    made = packaged.build_kernels({(1, False): "a", (2, True): "b"}, compile_to, tmp_path / "kernels", kinds)
+    assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so"]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_without_a_compiler_the_kernel_of_the_package_answers(
+    generations: tuple[packaged.Generation, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
+    building.compile_to(building.source(3, False), generations[1].kernel(tmp_path, 3, False), ())
+    monkeypatch.setattr(building, "_compiler", lambda: None)
+    kernel = building.library.__wrapped__(3, False)
+    assert kernel is not None
+    assert kernel.path.parent == tmp_path
+    monkeypatch.setattr(
+        binding, "_prepared", lambda robot: (kernel, tubes := binding._tubes(robot), binding._at(tubes))
+    )
+    answer = binding.solve_compiled(THESIS, np.array([0.0, 1.0, 2.0]), THESIS.home_translations)
+    assert answer is not None
+    tip = answer["position"][answer["pieces"] * building.STEPS]
+    assert np.asarray(tip) == pytest.approx(expected.tip_position, abs=1e-12)
+
+
+def test_where_there_is_no_kernel_it_is_said_once(
+    generations: object, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(building, "_compiler", lambda: None)
+    building._tell_once.cache_clear()
+    assert building.library.__wrapped__(3, False) is None
+    assert building.library.__wrapped__(2, False) is None
+    assert [record.getMessage().split(":")[0] for record in caplog.records] == [
+        "there is no compiled kernel and no C compiler to make one"
+    ]

@@ -1,0 +1,151 @@
+"""What an installation consists of, and whether it computes what it should, as fast as it can."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from dataclasses import dataclass
+from importlib import metadata, util
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.verification import verify_equilibrium
+from ..robots.concentric import ConcentricRobot
+from ..robots.tubes import Tube
+from ..solvers.compiled.library import cache_directory, library
+from ..solvers.compiled.packaged import FOLDER
+from .quantities import Quantity, line
+from .report import Report, report
+
+LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
+
+EXTRAS = {
+    "planning": ("ompl", "trimesh", "rtree", "manifold3d"),
+    "fabrication": ("ezdxf", "trimesh", "manifold3d"),
+    "view": ("viser", "manifold3d"),
+    "cluster": ("dask", "distributed"),
+}
+"""What each extra of the package brings."""
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+TOLERANCE = 1e-9
+"""The tip (m) may differ by so much from an adaptive re-integration of the equations."""
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """A robot solved, and integrated again by another method: `difference` of the tips, m; `seconds` of one solve."""
+
+    difference: float
+    seconds: float
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """An installation: versions by library, the compiled kernel (its place, or why there is none), variables that set
+    threads, the cache and its bytes, what each extra lacks, and the self-test."""
+
+    versions: dict[str, str]
+    system: str
+    kernel: str
+    threads: dict[str, str]
+    cache: Path
+    cache_bytes: int
+    missing: dict[str, tuple[str, ...]]
+    test: SelfTest
+
+
+def _extra(name: str, lacks: tuple[str, ...]) -> str:
+    return f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" if lacks else f"{name} is there"
+
+
+def _verdict(a: Doctor) -> str:
+    words = "passed" if a.test.passed else "FAILED"
+    return (
+        f"{words}: off by {a.test.difference * 1e3:.0e} mm from a re-integration; {1e6 * a.test.seconds:.0f} us a solve"
+    )
+
+
+DOCTOR: tuple[Quantity[Doctor], ...] = (
+    Quantity("versions", "versions", words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
+    Quantity("system", "system", words="{system}"),
+    Quantity("kernel", "compiled kernel", words="{kernel}"),
+    Quantity(
+        "threads",
+        "variables that set threads",
+        label="threads",
+        words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose",
+    ),
+    Quantity("cache", "cache", lambda a: str(a.cache), words="{cache}, {cache_bytes} bytes"),
+    Quantity("cache_bytes", "size of the cache, bytes"),
+    Quantity(
+        "missing",
+        "what each extra lacks",
+        lambda a: {name: list(lacks) for name, lacks in a.missing.items()},
+        label="extras",
+        words=lambda a: "; ".join(_extra(name, lacks) for name, lacks in a.missing.items()),
+    ),
+    Quantity("passed", "whether the self-test passed", lambda a: a.test.passed),
+    Quantity("difference_mm", "how far the tip is from that of a re-integration", lambda a: a.test.difference),
+    Quantity("solve_us", "one solve of two tubes, microseconds", lambda a: 1e6 * a.test.seconds),
+    line("self-test", _verdict),
+)
+
+
+class DoctorReport(Report[Doctor]):
+    """What is said about an installation."""
+
+    command = "doctor"
+    quantities = DOCTOR
+
+    def title(self) -> str:
+        """What the table is headed by."""
+        return f"tubeopt {__version__}"
+
+
+report.register(Doctor, DoctorReport)
+
+
+def examine() -> Doctor:
+    """The installation that runs."""
+    cache = cache_directory()
+    files = [path for path in cache.rglob("*") if path.is_file()] if cache.exists() else []
+    return Doctor(
+        versions={"tubeopt": __version__} | {name: metadata.version(name) for name in LIBRARIES},
+        system=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        kernel=_kernel(),
+        threads={name: os.environ[name] for name in THREADS if name in os.environ},
+        cache=cache,
+        cache_bytes=sum(path.stat().st_size for path in files),
+        missing={extra: tuple(n for n in names if util.find_spec(n) is None) for extra, names in EXTRAS.items()},
+        test=_self_test(),
+    )
+
+
+def _kernel() -> str:
+    if os.environ.get("TUBEOPT_COMPILE") == "0":
+        return "switched off by TUBEOPT_COMPILE=0"
+    found = library(2, False)
+    if found is None:
+        return "none: the package brings none, and no C compiler was found"
+    return f"of the package, {found.path.name}" if found.path.parent == FOLDER else "compiled on this machine"
+
+
+def _self_test() -> SelfTest:
+    """Two tubes at a right angle: collocated and solved, then integrated by DOP853."""
+    tubes = (Tube(1.2e-3, 1.0e-3, 0.05, 0.1, 10.0), Tube(1.8e-3, 1.4e-3, 0.05, 0.08, 12.0))
+    robot, rotations = ConcentricRobot(tubes), np.array([np.pi / 2, 0.0])
+    checked = verify_equilibrium(forward_kinematics(robot, rotations)).verification
+    difference = np.inf if checked is None else checked.tip_position
+    seconds = []
+    for _ in range(50):
+        began = time.perf_counter()
+        forward_kinematics(robot, rotations)
+        seconds.append(time.perf_counter() - began)
+    return SelfTest(difference, min(seconds), difference < TOLERANCE)

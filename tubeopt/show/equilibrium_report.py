@@ -1,0 +1,73 @@
+"""What is said and saved about an equilibrium."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from ..equilibrium.file import save_equilibrium
+from ..equilibrium.result import Equilibrium, Verification
+from ..files.units import TO_MILLI
+from .quantities import Quantity, line
+from .report import Report, report
+from .words import in_a_word
+
+VERIFICATION: tuple[Quantity[Verification], ...] = (
+    Quantity("tip_position_mm", "distance of the tips"),
+    Quantity("tip_rotation_rad", "angle between the frames of the tips"),
+    Quantity("rotation_rad", "largest difference of a tube's rotation"),
+    Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube"),
+    Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base"),
+)
+
+EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
+    Quantity("robot", "name of the robot", lambda e: e.robot.name),
+    Quantity("rotations_deg", "rotations", form=".6g"),
+    Quantity("translations_mm", "translations", form=".6g"),
+    Quantity("status", "how the solve ended", lambda e: e.status.name),
+    Quantity("stable", "whether it is stable"),
+    Quantity("tip_position_mm", "tip position", form=".4f"),
+    Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
+    Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
+    Quantity("margin", "margin", words=lambda e: f"{e.margin:.3f}, {in_a_word(e.margin)}"),
+    Quantity("energy_mJ", "elastic energy", form=".4f"),
+    Quantity("residual_rad", "residual", form=".1e"),
+    Quantity("mesh_error_rad", "estimated error of the tubes' rotations"),
+    Quantity("tip_error_mm", "estimated error of the tip"),
+    line("estimated error", "{mesh_error_rad:.1e} rad along the tubes, {tip_error_mm:.1e} mm at the tip"),
+    Quantity(
+        "verification",
+        "how far an adaptive re-integration differs",
+        of=VERIFICATION,
+        label="re-integration differs",
+        words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad",
+    ),
+    Quantity(
+        "statistics", "how it was solved", lambda e: asdict(e.statistics), label="solved", words=lambda e: _how(e)
+    ),
+)
+
+
+def _how(e: Equilibrium) -> str:
+    s = e.statistics
+    return f"in {s.seconds * TO_MILLI:.2f} ms by {s.method}, {s.iterations} iterations, from {s.start}"
+
+
+class EquilibriumReport(Report[Equilibrium]):
+    """What is said and saved about an equilibrium."""
+
+    command = "fk"
+    quantities = EQUILIBRIUM
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write result.json and arrays.npz."""
+        return save_equilibrium(self.answer, directory)
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write shape.png and torsion.png."""
+        from .plots import plot_shape, plot_torsion  # Matplotlib takes longer to load than a solve
+
+        return self.drawn(directory, {"shape.png": plot_shape, "torsion.png": plot_torsion})
+
+
+report.register(Equilibrium, EquilibriumReport)

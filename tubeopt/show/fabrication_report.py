@@ -1,0 +1,107 @@
+"""What is said and saved about everything that it takes to make a robot's tubes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Group
+
+from ..files.units import TO_MM
+from ..robots.file import save_robot
+from ..runs.fabrication import Fabrication, TubeParts
+from ..runs.rig_file import save_rig
+from .heat_report import HEATING, HeatingReport, held_duties, missed
+from .mold_report import MOLD, MoldReport
+from .quantities import Quantity
+from .report import Report, grid, remarks, report
+
+TUBE: tuple[Quantity[TubeParts], ...] = (
+    Quantity("tube", "which tube, from 1", lambda part: part.number),
+    Quantity("mold", "its mold", of=MOLD),
+    Quantity("heating", "its heating", of=HEATING),
+    Quantity(
+        "between_clamps_mm",
+        "tube between the clamps, by the mold and by the heating",
+        lambda part: {
+            "mold": part.made.groove.free_length * TO_MM,
+            "heating": part.made.heating.free_length * TO_MM,
+        },
+    ),
+    Quantity("agreed", "whether the two agree", lambda part: part.made.agreed),
+    Quantity("disagreement", "in what they do not", lambda part: part.made.disagreement),
+    Quantity("rounds", "until they agreed", lambda part: part.made.rounds),
+    Quantity("remarks", "what to beware of", lambda part: list(part.made.remarks)),
+)
+
+FABRICATION: tuple[Quantity[Fabrication], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    Quantity("tubes", "mold and heating of every tube", lambda a: list(a.parts), of=TUBE),
+    Quantity("left_out", "tubes that are not made, and why", lambda a: list(a.left_out)),
+)
+
+
+def faults(a: Fabrication) -> list[str]:
+    """What is not kept, in words."""
+    found = []
+    for part in a.parts:
+        plan = part.heating.plan
+        found += [] if plan.feasible else [f"tube {part.number}: {missed(plan)}"]
+        found += [] if part.made.agreed else [f"tube {part.number}: {part.made.disagreement}"]
+    return found
+
+
+class FabricationReport(Report[Fabrication]):
+    """What is said and saved about making a robot's tubes."""
+
+    command = "fabricate"
+    quantities = FABRICATION
+    file = "fabrication.json"
+
+    def table(self) -> Group:
+        """A row for every tube, and the remarks."""
+        cells, notes = [], []
+        for part in self.answer.parts:
+            plan, made = part.heating.plan, part.made
+            most, least = held_duties(plan)
+            cells.append(
+                (
+                    str(part.number),
+                    plan.verdict,
+                    f"{plan.lowest:.0f} to {plan.highest:.0f} degC",
+                    f"{most} to {least}",
+                    f"{plan.hold_start:g} + {plan.spec.hold_time:g} s",
+                    f"radius {made.groove.radius * TO_MM:.2f} mm",
+                    f"{plan.rig.mold.lead * TO_MM:.1f} mm",
+                    f"{made.groove.free_length * TO_MM:.1f} mm",
+                )
+            )
+            said = (*made.remarks, *plan.problems, *([] if made.agreed else [made.disagreement]))
+            notes += [f"tube {part.number}: {words}" for words in said]
+            notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
+        columns = ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps")
+        title = f"{self.title()}: molds and schedules"
+        return Group(grid(columns, cells, title=title), *remarks((*notes, *self.answer.left_out)))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write robot.yaml, fabrication.json, and for every tube N mold/, heating/ and rig.yaml in tube_N/."""
+        save_robot(self.answer.robot, directory / "robot.yaml")
+        paths = [directory / "robot.yaml", self.save_record(directory)]
+        for part in self.answer.parts:
+            place = directory / f"tube_{part.number}"
+            paths += MoldReport(part.mold).save(place / "mold") + HeatingReport(part.heating).save(place / "heating")
+            paths.append(place / "rig.yaml")
+            rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
+            save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
+        return paths
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write the pictures of every mold and schedule."""
+        paths = []
+        for part in self.answer.parts:
+            place = directory / f"tube_{part.number}"
+            paths += MoldReport(part.mold).draw(place / "mold") + HeatingReport(part.heating).draw(place / "heating")
+        return paths
+
+
+report.register(Fabrication, FabricationReport)

@@ -1,0 +1,263 @@
+"""What is said and saved about the answers of inverse kinematics: for one target, and for a table of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Group
+from rich.text import Text
+
+from ..equilibrium.file import save_equilibrium
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
+from ..inverse import InverseSolution, JointWay
+from ..robots.path_file import joint_columns
+from ..runs.inverse_study import Postures, Row, TargetTable
+from ..runs.target_file import DIRECTION, POSITION
+from ..typing import Array
+from .quantities import Quantity, line, rows, within
+from .report import Report, grid, report, two_columns
+from .words import counted, degrees, millimetres, row
+
+NOTES = 10
+"""Targets about which something is said; the others are counted."""
+
+WAY: tuple[Quantity[JointWay], ...] = (
+    Quantity("from", "where it begins", lambda way: way.origin),
+    Quantity("rotations_deg", "rotations at its waypoints"),
+    Quantity("translations_mm", "translations at its waypoints"),
+)
+
+SOLUTION: tuple[Quantity[InverseSolution], ...] = (
+    Quantity("target_mm", "target", lambda s: s.target_position, form=".6g"),
+    Quantity("target_direction", "wanted direction of the tip"),
+    Quantity("status", "how the solve ended", lambda s: s.status.name),
+    Quantity("rotations_deg", "rotations", words=lambda s: degrees(s.rotations, ".6f")),
+    Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
+    Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
+    Quantity(
+        "position_error_mm",
+        "misses by",
+        words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm",
+    ),
+    Quantity("tip_direction", "pointing along", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f"),
+    Quantity(
+        "direction_error_deg",
+        "off the direction by",
+        lambda s: None if s.target_direction is None else s.direction_error,
+        form=".1e",
+    ),
+    Quantity("margin", "margin", form=".3f"),
+    Quantity(
+        "clearance_mm",
+        "distance of the arm from obstacles",
+        label="clear of obstacles by",
+        words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None,
+    ),
+    Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
+    Quantity("cold_start_agrees", "whether a cold start ends in the same equilibrium"),
+    Quantity("straight_from_start", "whether the straight way from the start is one", lambda s: s.straight_from_seed),
+    Quantity("reachable", "whether a way without a snap leads to it; null where that is not known"),
+    Quantity("way", "a way without a snap", of=WAY, words=lambda s: _way_words(s)),
+    Quantity("leaps", "how the robot leaps to it from the target before"),
+    Quantity("active", "held by", lambda s: list(s.active), words=lambda s: ", ".join(s.active) or None),
+    Quantity(
+        "statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved", words=lambda s: _how(s)
+    ),
+)
+
+
+def _way_words(s: InverseSolution) -> str:
+    if s.way is not None:
+        count = len(s.way.rotations) - 2
+        there = f"through {counted(count, 'waypoint')}" if count else "straight"
+        return f"{there} from {'home' if s.way.origin == 'home' else f'the {s.way.origin}'}"
+    return "none was found" if s.reachable is False else "none is known"
+
+
+def _how(s: InverseSolution) -> str:
+    count = s.statistics
+    tries = counted(count.tries, "start")
+    return f"in {count.seconds * TO_MILLI:.1f} ms by {count.method}, {tries}, from the {count.start}"
+
+
+POSTURES: tuple[Quantity[Postures], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    Quantity("solutions", "the answers, the best first", lambda a: list(a.solutions), of=SOLUTION),
+)
+
+
+class PosturesReport(Report[Postures]):
+    """What is said and saved about the answers for one target."""
+
+    command = "ik"
+    quantities = POSTURES
+    file = "solutions.json"
+
+    def table(self) -> Group:
+        """The best answer, and a row for each of the others."""
+        best, *others = self.answer.solutions
+        parts: list[Any] = [two_columns(f"{super().title()}: {best.status}", rows(best, SOLUTION))]
+        if others:
+            cells = [
+                (
+                    row(np.degrees(s.rotations), ".2f"),
+                    row(s.translations * TO_MM, ".2f"),
+                    f"{s.margin:.3f}",
+                    f"{s.equilibrium.energy * TO_MILLI:.3f}",
+                )
+                for s in others
+            ]
+            parts.append(Text(f"\nother postures with the same tip: {len(others)}"))
+            parts.append(grid(("rotations (deg)", "translations (mm)", "margin >", "mJ >"), cells))
+        return Group(*parts)
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write solutions.json, result.json with arrays.npz of the best, and way.csv, the waypoints to it, where a way
+        is known; `tubeopt follow` reads them."""
+        best = self.answer.solutions[0]
+        paths = [self.save_record(directory), *save_equilibrium(best.equilibrium, directory)]
+        if best.way is not None:
+            paths.append(directory / "way.csv")
+            turns, shifts = joint_columns(self.answer.robot.n_tubes)
+            table = zip(best.way.rotations, best.way.translations, strict=True)
+            write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
+        return paths
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write inverse.png."""
+        from .plots.inverse import plot_inverse  # Matplotlib takes longer to load than a solve
+
+        return self.drawn(directory, {"inverse.png": plot_inverse}, self.answer.solutions)
+
+
+def _joints(rotations: Array, translations: Array) -> list[object]:
+    """Cells of one row of joint values."""
+    return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
+
+
+OF_THE_TARGET: tuple[Quantity[Row], ...] = (
+    Quantity("target_mm", "where the tip shall be", lambda r: r.position),
+    Quantity("target_direction", "where it shall point", lambda r: r.direction),
+    Quantity("status", "how the solve ended", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
+)
+"""What is known of a target without any solution too."""
+
+ROW: tuple[Quantity[Row], ...] = (
+    Quantity("target", "number of the target, from 1; between two where one was put in between", lambda r: r.number),
+    *OF_THE_TARGET,
+    *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
+    Quantity("problem", "why there is no answer"),
+)
+
+TARGETS: tuple[Quantity[TargetTable], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    Quantity("targets", "targets of the table", lambda a: len(_given(a))),
+    Quantity("reached", "reached", lambda a: len(_reached(a)), words="{reached} of {targets} targets"),
+    line("largest error", lambda a: _of_reached(a, lambda s: f"{max(x.position_error for x in s) * TO_MM:.1e} mm")),
+    line("least margin", lambda a: _of_reached(a, lambda s: f"{min(x.margin for x in s):.3f}")),
+    line("median time", lambda a: _of_reached(a, _median_time)),
+    line("a way without a snap", lambda a: None if a.followed else _of_reached(a, _ways)),
+    line("put in between", lambda a: _between(a)),
+    line("leaps", lambda a: _leaps(a)),
+    Quantity("solutions", "the answers, one per target", lambda a: list(a.rows), of=ROW),
+)
+
+
+def _given(a: TargetTable) -> list[Row]:
+    return [r for r in a.rows if r.given]
+
+
+def _reached(a: TargetTable) -> list[InverseSolution]:
+    return [r.solution for r in _given(a) if r.solution is not None and r.solution.reached]
+
+
+def _of_reached(a: TargetTable, words: Any) -> str | None:
+    reached = _reached(a)
+    return words(reached) if reached else None
+
+
+def _median_time(reached: Sequence[InverseSolution]) -> str:
+    return f"{np.median([s.statistics.seconds for s in reached]) * TO_MILLI:.1f} ms per target"
+
+
+def _ways(reached: Sequence[InverseSolution]) -> str:
+    return f"known to {sum(s.way is not None for s in reached)} of {len(reached)}"
+
+
+def _between(a: TargetTable) -> str | None:
+    between = len(a.rows) - len(_given(a))
+    return f"{between} targets, so that the robot does not leap" if a.followed and between else None
+
+
+def _leaps(a: TargetTable) -> str | None:
+    leaping = sum(bool(r.solution and r.solution.leaps) for r in a.rows)
+    return f"{leaping or 'none'}, of {len(a.rows)} rows" if a.followed else None
+
+
+def miss(s: InverseSolution) -> str:
+    """By how much a target is missed, and what holds the robot back."""
+    held = ", ".join(s.active)
+    return f"{s.position_error * TO_MM:.4g} mm short{f': {held}' if held else ''}"
+
+
+def why(r: Row) -> str:
+    """Why a target of a table was not reached."""
+    return r.problem if r.solution is None else miss(r.solution)
+
+
+class TargetTableReport(Report[TargetTable]):
+    """What is said and saved about a table of targets. Targets are counted from 1."""
+
+    command = "ik --targets"
+    quantities = TARGETS
+
+    def table(self) -> Group:
+        """How many targets were reached, and why others were not."""
+        notes = [(r, why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
+        notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
+        texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]]
+        texts += [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
+        return Group(two_columns(self.title(), self.rows()), *texts)
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write solutions.csv: a row per target, empty cells where there is no answer."""
+        turns, shifts = joint_columns(self.answer.robot.n_tubes)
+        tips = [f"tip_{name}" for name in POSITION]
+        columns = ["target", *POSITION, *DIRECTION, *turns, *shifts, *tips]
+        columns += ["position_error_mm", "direction_error_deg", "margin", "reachable", "leaps", "status", "problem"]
+        path = directory / "solutions.csv"
+        write_text(path, to_csv(columns, self._cells(len(turns) + len(shifts) + len(tips))))
+        return [path]
+
+    def _cells(self, answers: int) -> Iterator[Sequence[object]]:
+        for r in self.answer.rows:
+            target: list[object] = [f"{r.number:g}", *(in_unit(float(x), MM) for x in r.position)]
+            target += ["", "", ""] if r.direction is None else [float(x) for x in r.direction]
+            s = r.solution
+            if s is None:
+                yield [*target, *[""] * (answers + 5), "FAILED", f'"{r.problem}"']
+                continue
+            joints = _joints(s.rotations, s.translations)
+            tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * TO_MM]
+            turned = "" if r.direction is None else float(np.degrees(s.direction_error))
+            known = {True: "yes", False: "no", None: ""}[s.reachable]
+            leaps = f'"{s.leaps}"' if s.leaps else ""
+            errors = [s.position_error * TO_MM, turned, s.margin]
+            yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write targets.png: the arm along the targets that were reached."""
+        from .plots.inverse import plot_targets  # Matplotlib takes longer to load than a solve
+
+        reached = _reached(self.answer)
+        return self.drawn(directory, {"targets.png": plot_targets}, reached) if len(reached) > 1 else []
+
+
+report.register(Postures, PosturesReport)
+report.register(TargetTable, TargetTableReport)

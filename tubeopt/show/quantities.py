@@ -1,0 +1,178 @@
+"""An answer as a list of quantities, from which everything that is said about it in numbers follows.
+
+A quantity has a key that ends in its unit, a few words, and a way to get it (in SI) from the answer. From the one list
+come the object of `--json` (and with it the columns of a sweep), the rows of the table, and the page of the docs that
+describes it. To add a number to an answer is to add a line to its list.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from ..files.units import SIGNS, per_si, unit_of
+from .words import row
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+@dataclass(frozen=True)
+class Quantity(Generic[A]):
+    """One entry of an answer.
+
+    Args:
+        key: name in JSON, with its unit as suffix (see `files.units.UNITS`); "" for a row of the table alone.
+        about: what it is; the name of its row too.
+        get: answer -> value in SI (temperatures in degC where the key says so); by default the attribute that the key
+            names without its unit. Numbers, arrays, text, None, lists and mappings of them.
+        of: what describes a part of the answer, or each of several; `get` then gives that part, several, or None.
+        form: format of the number or numbers in the table, which the unit follows; "" for no row.
+        words: row of the table in place of the number: a template that names keys of the record, as in
+            "{tip_error_mm:.1e} mm", or a function of the answer that may give None for no row.
+        label: name of the row where that is not `about`.
+        digits: to which the number is rounded in its unit, where the last ones only tell how SI became that unit.
+        optional: the key is left out, not null, where there is no value.
+    """
+
+    key: str
+    about: str
+    get: Callable[[A], Any] | None = None
+    form: str = ""
+    words: str | Callable[[A], str | None] | None = None
+    of: Sequence[Quantity[Any]] | None = None
+    label: str | None = None
+    digits: int | None = None
+    optional: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The unit that its key ends in, or ""."""
+        return unit_of(self.key)
+
+    @property
+    def sign(self) -> str:
+        """Its unit as a table writes it."""
+        return SIGNS.get(self.unit, self.unit)
+
+    def found(self, answer: A) -> Any:
+        """Its value in SI."""
+        if self.get is not None:
+            return self.get(answer)
+        return getattr(answer, self.key.removesuffix(f"_{self.unit}"))
+
+    def value(self, answer: A) -> Any:
+        """What the record holds under its key: in the unit of the key, plain numbers and lists."""
+        found = self.found(answer)
+        if self.of is not None:
+            return _parts(found, self.of)
+        shown = in_units(found, self.unit)
+        if self.digits is None or shown is None:
+            return shown
+        return np.round(shown, self.digits).tolist()
+
+    def text(self, answer: A, known: Mapping[str, Any]) -> str | None:
+        """What its row of the table says, None for no row."""
+        if callable(self.words):
+            return self.words(answer)
+        if not (self.words or self.form) or (self.key and known[self.key] is None):
+            return None
+        if self.words is not None:
+            return _TEMPLATE.vformat(self.words, (), known)
+        shown = _TEMPLATE.format_field(known[self.key], self.form)
+        return f"{shown} {self.sign}".strip()
+
+
+def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:
+    """A row of the table that says in words what other quantities hold."""
+    return Quantity("", label, words=words)
+
+
+def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B | None]) -> tuple[Quantity[A], ...]:
+    """The quantities of a part of an answer as quantities of the whole, each None where the part is."""
+    return tuple(_lifted(quantity, part) for quantity in quantities)
+
+
+def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
+    def of_the_whole(of_the_part: Callable[[B], Any]) -> Callable[[A], Any]:
+        def find(answer: A) -> Any:
+            found = part(answer)
+            return None if found is None else of_the_part(found)
+
+        return find
+
+    get = of_the_whole(q.found) if q.key else None
+    words = of_the_whole(q.words) if callable(q.words) else q.words
+    return Quantity(q.key, q.about, get, q.form, words, q.of, q.label, q.digits, q.optional)
+
+
+def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
+    """An answer as JSON: plain numbers, text, lists and mappings."""
+    values = ((quantity, quantity.value(answer)) for quantity in quantities if quantity.key)
+    return {quantity.key: value for quantity, value in values if value is not None or not quantity.optional}
+
+
+def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
+    """An answer as names and values for a person."""
+    known = record(answer, quantities)
+    told = ((q.about if q.label is None else q.label, q.text(answer, known)) for q in quantities)
+    return [(name, text) for name, text in told if text is not None]
+
+
+def in_units(value: Any, unit: str) -> Any:
+    """A value in SI, plain and in a unit: numbers and arrays are converted, all else is left as it is."""
+    if isinstance(value, np.ndarray):
+        return (value * per_si(unit)).tolist() if unit else value.tolist()
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, list | tuple):
+        return [in_units(each, unit) for each in value]
+    if isinstance(value, bool | str | Mapping) or value is None or not unit:
+        return value
+    factor = per_si(unit)
+    return value if factor == 1 else value * factor
+
+
+def _parts(found: Any, quantities: Sequence[Quantity[Any]]) -> Any:
+    if found is None:
+        return None
+    if isinstance(found, list | tuple):
+        return [record(each, quantities) for each in found]
+    return record(found, quantities)
+
+
+class _Template(string.Formatter):
+    """Format strings in which a list is shown as its numbers with commas between them, and None as a dash."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, list):
+            return row(value, format_spec)
+        return "–" if value is None else str(super().format_field(value, format_spec))
+
+
+_TEMPLATE = _Template()
+
+
+def schema(quantities: Iterable[Quantity[Any]]) -> dict[str, Any]:
+    """The JSON Schema of `record`: keys with their unit and what they are."""
+    listed = [quantity for quantity in quantities if quantity.key]
+    return {
+        "type": "object",
+        "properties": {quantity.key: _schema(quantity) for quantity in listed},
+        "required": [quantity.key for quantity in listed if not quantity.optional],
+        "additionalProperties": False,
+    }
+
+
+def _schema(quantity: Quantity[Any]) -> dict[str, Any]:
+    known: dict[str, Any] = {"description": quantity.about}
+    if quantity.unit:
+        return known | {"unit": quantity.unit, "type": ["number", "array", "null"]}
+    if quantity.of is not None:
+        part = schema(quantity.of)
+        return known | {"anyOf": [part, {"type": "array", "items": part}, {"type": "null"}]}
+    return known

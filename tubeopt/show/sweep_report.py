@@ -1,0 +1,51 @@
+"""What is said about a sweep."""
+
+from __future__ import annotations
+
+from ..runs.sweeping import Sweep
+from .quantities import Quantity
+from .report import Report, report
+
+SHOWN = 3
+"""Failures that are told; the table has all."""
+
+SWEEP: tuple[Quantity[Sweep], ...] = (
+    Quantity("points", "points", words=lambda a: _points(a)),
+    Quantity("computed", "points computed by this run"),
+    Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
+    Quantity(
+        "failures",
+        "points that failed, from 1, and why",
+        lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures],
+    ),
+    Quantity("table", "table", lambda a: str(a.table)),
+    Quantity("arrays", "the same as arrays", lambda a: str(a.arrays)),
+    Quantity("journal", "a line per point, as they were computed", lambda a: str(a.journal)),
+)
+
+
+def _points(a: Sweep) -> str:
+    before = a.points - a.computed
+    return f"{a.points}" + (f", {before} of them from an earlier run" if before else "")
+
+
+class SweepReport(Report[Sweep]):
+    """What is said about a sweep, which has saved its table itself."""
+
+    command = "sweep"
+    quantities = SWEEP
+
+    def title(self) -> str:
+        """That it is one."""
+        return "sweep"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """How many points there are, the first failures, and where the table is."""
+        a = self.answer
+        told = [(f"  point {index + 1}", reason) for index, reason in a.failures[:SHOWN]]
+        if len(a.failures) > SHOWN:
+            told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
+        return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+
+
+report.register(Sweep, SweepReport)

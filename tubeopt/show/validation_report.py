@@ -1,0 +1,234 @@
+"""What is said and saved about measured tips beside the model's, and about a fit of its parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import SIGNS, TO_MM
+from ..robots.file import save_robot
+from ..typing import Array
+from ..validation import ErrorGroup, ErrorSummary, Estimate, Fit, Registration, Validation
+from . import quantities
+from .quantities import Quantity, in_units, line
+from .report import Report, grid, remarks, report, two_columns
+from .words import row
+
+ERRORS = ("mean", "rms", "p95", "max")
+"""What an error summary tells, in mm and in percent of the arm's length."""
+
+
+def _summary(summary: ErrorSummary, length: float) -> dict[str, float]:
+    known: dict[str, float] = {"count": summary.count}
+    for name in ERRORS:
+        value = getattr(summary, name)
+        known |= {f"{name}_mm": value * TO_MM, f"{name}_percent": 100 * value / length if length else float("nan")}
+    return known
+
+
+def _groups(groups: tuple[ErrorGroup, ...], key: str, length: float) -> list[dict[str, float]]:
+    return [{key: round(float(np.degrees(g.value)), 6)} | _summary(g.summary, length) for g in groups]
+
+
+def _errors_in_words(summary: ErrorSummary, length: float) -> str:
+    values = [("mean", summary.mean), ("RMS", summary.rms), ("95 % below", summary.p95), ("max", summary.max)]
+    return ", ".join(f"{name} {x * TO_MM:.2f} mm ({100 * x / length:.1f} %)" for name, x in values)
+
+
+def _measured(v: Validation) -> str:
+    sensors = v.measurements.sensors.shape[1]
+    seen = "1 sensor" if sensors == 1 else f"{sensors} sensors, averaged"
+    return f"{len(v.measurements)} configurations, {seen}"
+
+
+def _worst(groups: tuple[ErrorGroup, ...]) -> str | None:
+    if not groups:
+        return None
+    worst = max(groups, key=lambda group: group.summary.mean)
+    return f"{np.degrees(worst.value):g} deg, mean {worst.summary.mean * TO_MM:.2f} mm"
+
+
+REGISTRATION: tuple[Quantity[Registration], ...] = (
+    Quantity("method", "how the device's frame was brought to the plate's"),
+    Quantity("rotation", "rotation matrix, device to plate"),
+    Quantity("translation_mm", "translation, device to plate"),
+    Quantity("yaw_deg", "rotation about the plate's axis"),
+    Quantity("tilt_deg", "angle between the frames' z axes"),
+)
+
+COMPARISON: tuple[Quantity[Validation], ...] = (
+    Quantity("robot", "name of the robot", lambda v: v.robot.name),
+    Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
+    Quantity("count", "measured", lambda v: len(v.measurements), words=_measured),
+    Quantity(
+        "registration",
+        "registration",
+        of=REGISTRATION,
+        words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, tilt {registration[tilt_deg]:.2f} deg",
+    ),
+    Quantity(
+        "error",
+        "tip error",
+        lambda v: _summary(v.summary, v.length),
+        words=lambda v: _errors_in_words(v.summary, v.length),
+    ),
+    Quantity(
+        "by_direction",
+        "the same by direction",
+        lambda v: _groups(v.by_direction, "direction_deg", v.length),
+        label="worst direction",
+        words=lambda v: _worst(v.by_direction),
+    ),
+    Quantity(
+        "by_separation",
+        "the same by separation",
+        lambda v: _groups(v.by_separation, "separation_deg", v.length),
+        label="worst separation",
+        words=lambda v: _worst(v.by_separation),
+    ),
+    Quantity(
+        "length_mm",
+        "length of the arm, which percentages are of",
+        label="percentages",
+        words="of the arm's length, {length_mm:.1f} mm",
+    ),
+    Quantity(
+        "sensor_spread_rms_mm",
+        "RMS distance of sensors from their mean",
+        lambda v: np.sqrt((v.measurements.sensor_spread**2).mean()),
+    ),
+    Quantity("least_margin", "least margin of the configurations", lambda v: v.margin.min()),
+)
+
+
+class ValidationReport(Report[Validation]):
+    """What is said and saved about a comparison."""
+
+    command = "validate"
+    quantities = COMPARISON
+    file = "report.json"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write report.json and residuals.csv."""
+        return [self.save_record(directory), save_residuals(directory, self.answer)]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write residuals.png and errors.png."""
+        from .plots.validation import plot_errors, plot_residuals
+
+        return self.drawn(directory, {"residuals.png": plot_residuals, "errors.png": plot_errors})
+
+
+def save_residuals(directory: Path, v: Validation, held_out: Array | None = None) -> Path:
+    """A row per configuration: measured and predicted tip in the plate frame, their distance, the margin."""
+    columns = [f"{what}_{axis}_mm" for what in ("measured", "predicted") for axis in "xyz"]
+    columns += ["error_mm", *(["held_out_error_mm"] if held_out is not None else []), "margin"]
+    lengths = [v.measured, v.predicted, v.errors[:, None], *([held_out[:, None]] if held_out is not None else [])]
+    table = np.hstack([*(block * TO_MM for block in lengths), v.margin[:, None]])
+    cells = [[k + 1, *(f"{x:.6f}" for x in row)] for k, row in enumerate(table.tolist())]
+    path = directory / "residuals.csv"
+    write_text(path, to_csv(["row", *columns], cells, "Tips in the plate frame, after registration."))
+    return path
+
+
+SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm"}
+"""SI unit of a parameter -> the unit in which it is told."""
+
+
+def _estimate(e: Estimate) -> dict[str, Any]:
+    unit = SUFFIXES[e.unit]
+    ending = f"_{unit}" if unit else ""
+    names = ("start", "value", "standard_error", "low", "high")
+    return {
+        "name": e.name,
+        **{f"{name}{ending}": in_units(getattr(e, name), unit) for name in names},
+        "held": e.held,
+    }
+
+
+FIT_ERRORS: tuple[Quantity[Fit], ...] = (
+    line("tip error before", lambda f: _errors_in_words(f.before.summary, f.before.length)),
+    line("after the fit", lambda f: _errors_in_words(f.after.summary, f.after.length)),
+    Quantity(
+        "held_out",
+        "errors of configurations that a fit to the others did not see",
+        lambda f: _summary(f.held_out, f.after.length) if f.held_out else None,
+        label="held out",
+        words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None,
+    ),
+)
+
+FIT: tuple[Quantity[Fit], ...] = (
+    Quantity("estimates", "the parameters, with their intervals", lambda f: [_estimate(e) for e in f.estimates]),
+    Quantity("confidence", "of the intervals"),
+    Quantity("correlation", "of the estimates"),
+    Quantity("noise_mm", "noise per coordinate", form=".3f"),
+    Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity(
+        "rotation_offsets_deg",
+        "what to add to the rotations",
+        label="add to the rotations",
+        words=lambda f: (
+            f"{row(np.degrees(f.rotation_offsets), '.2f')} deg (a robot file does not hold them)"
+            if f.rotation_offsets.any()
+            else None
+        ),
+    ),
+    Quantity("before", "the comparison before the fit", of=COMPARISON),
+    Quantity("after", "the comparison after the fit", of=COMPARISON),
+    Quantity("shapes_solved", "shapes that were solved", lambda f: f.evaluations),
+)
+
+
+class FitReport(Report[Fit]):
+    """What is said and saved about a fit."""
+
+    command = "validate --fit"
+    quantities = (*FIT_ERRORS, *FIT)
+    file = "report.json"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The comparison after the fit, the errors before, after and held out, the noise."""
+        compared = quantities.rows(self.answer.after, COMPARISON)
+        at = [name for name, _ in compared].index("tip error")
+        errors = quantities.rows(self.answer, FIT_ERRORS)
+        return [*compared[:at], *errors, *compared[at + 1 :], *quantities.rows(self.answer, FIT)]
+
+    def table(self) -> Group:
+        """The rows, the estimates, the remarks."""
+        lines = remarks(self.answer.remarks, what="remark")
+        return Group(two_columns(self.title(), self.rows()), self._estimates(), *lines)
+
+    def _estimates(self) -> Table:
+        cells = []
+        for e in self.answer.estimates:
+            unit = SUFFIXES[e.unit]
+            sign = f" {SIGNS.get(unit, unit)}" if unit else ""
+            start, value, low, high = (
+                f"{in_units(getattr(e, name), unit):.4g}" for name in ("start", "value", "low", "high")
+            )
+            fitted = ("held", "–") if e.held else (f"{value}{sign}", f"{low} to {high}{sign}")
+            cells.append((e.name, f"{start}{sign}", *fitted))
+        interval = f"{100 * self.answer.confidence:g} % interval >"
+        return grid(("parameter", "given >", "fitted >", interval), cells, key=True)
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write report.json, residuals.csv and the calibrated robot.yaml."""
+        f = self.answer
+        paths = [self.save_record(directory), save_residuals(directory, f.after, f.held_out_errors)]
+        save_robot(f.robot, directory / "robot.yaml")
+        return [*paths, directory / "robot.yaml"]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write residuals.png and errors.png, after the fit."""
+        return ValidationReport(self.answer.after).draw(directory)
+
+
+report.register(Validation, ValidationReport)
+report.register(Fit, FitReport)

@@ -1,0 +1,168 @@
+"""What is said and saved about a workspace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..files.files import save_arrays
+from ..files.units import TO_MM, per_si
+from ..typing import Array
+from ..workspaces import SnappingLoss, save_workspace
+from ..workspaces.findings import Findings
+from ..workspaces.volume import Volume
+from .quantities import Quantity, line, within
+from .report import Report, report
+
+LOSS: tuple[Quantity[SnappingLoss], ...] = (
+    Quantity("equilibria", "equilibria of all kinds that were found"),
+    Quantity("unstable", "those of them that are unstable"),
+    Quantity("held_volume_cm3", "volume that stable equilibria reach"),
+    Quantity("lost_volume_cm3", "volume that only unstable ones reach"),
+    Quantity("lost_first_half_cm3", "the same from the first half of the samples", lambda lost: lost.early_loss),
+    Quantity("lost_fraction", "part of all that is reached which is lost", lambda lost: lost.fraction),
+)
+
+
+def _extent(a: Findings, side: int) -> Array:
+    """Least (side 0) or greatest (1) coordinates of the voxels, m."""
+    cubes = a.voxels
+    corner: Array = (cubes.index.max(0) + 1) * cubes.size if side else cubes.index.min(0) * cubes.size
+    return corner
+
+
+def _least_margin(a: Findings) -> float:
+    return float(min(np.nanmin(part[:, -1], initial=np.inf) for _, part in a.workspace.chunks()))
+
+
+def _spans(a: Findings) -> str:
+    low, high = _extent(a, 0) * TO_MM, _extent(a, 1) * TO_MM
+    return ", ".join(f"{a} {x:.4g} to {y:.4g}" for a, x, y in zip("xyz", low, high, strict=True)) + " mm"
+
+
+def _dexterity(a: Findings) -> str:
+    seen = a.voxels.dexterity
+    return f"{100 * seen.mean():.1f} % of all directions per voxel, at most {100 * seen.max():.1f} %"
+
+
+VOLUMES: tuple[tuple[Quantity[Volume], ...], ...] = (
+    (
+        Quantity(
+            "meridian_volume_cm3",
+            "volume as a body of revolution",
+            lambda volume: volume.value,
+            label="",
+            words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
+            "{meridian_first_half_cm3:.4g} from the first half of the samples",
+        ),
+        Quantity("meridian_first_half_cm3", "the same from the first half of the samples", lambda volume: volume.half),
+    ),
+    (
+        Quantity(
+            "alpha_volume_cm3",
+            "volume of the alpha shape",
+            lambda volume: volume.value,
+            label="",
+            words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm",
+        ),
+        Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
+    ),
+)
+"""By other methods, which do not always have an answer: as a body of revolution, and as an alpha shape."""
+
+WORKSPACE: tuple[Quantity[Findings], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.workspace.robot.name),
+    Quantity("method", "how joint values were chosen", lambda a: a.workspace.method),
+    Quantity("seed", "of random and Sobol points", lambda a: a.workspace.seed),
+    Quantity(
+        "samples",
+        "samples",
+        lambda a: len(a.workspace),
+        words="{samples} ({method}), {without_equilibrium} without a stable equilibrium",
+    ),
+    Quantity("without_equilibrium", "samples without a stable equilibrium", lambda a: len(a.workspace.failures)),
+    Quantity("counted", "samples with the margin that is asked for", lambda a: a.voxels.samples),
+    Quantity("least_margin", "least margin", _least_margin, form=".4f"),
+    line("tips within", _spans),
+    Quantity("lower_mm", "least coordinates of the voxels", lambda a: _extent(a, 0)),
+    Quantity("upper_mm", "greatest coordinates of the voxels", lambda a: _extent(a, 1)),
+    Quantity("voxel_mm", "edge of a voxel", lambda a: a.voxels.size),
+    Quantity("voxels", "voxels that are reached", lambda a: len(a.voxels)),
+    Quantity(
+        "volume_cm3",
+        "volume",
+        lambda a: a.volume.value,
+        words="{volume_cm3:.4g} cm3 in {voxels} voxels of {voxel_mm:g} mm",
+    ),
+    Quantity(
+        "volume_surface_cm3",
+        "half of the voxels on the surface: how far the volume may be off",
+        lambda a: a.volume.surface,
+        label="",
+        words="give or take {volume_surface_cm3:.3g} cm3, half of the voxels on the surface",
+    ),
+    Quantity(
+        "volume_first_half_cm3",
+        "volume from the first half of the samples",
+        lambda a: a.volume.half,
+        label="",
+        words="{volume_first_half_cm3:.4g} cm3 from the first half of the samples",
+    ),
+    Quantity(
+        "volume_unseen_cm3",
+        "estimate of what is not seen yet",
+        lambda a: a.volume.unseen,
+        label="",
+        words="{volume_unseen_cm3:.3g} cm3 estimated as not seen yet",
+    ),
+    *within(VOLUMES[0], lambda a: a.meridian),
+    *within(VOLUMES[1], lambda a: a.alpha),
+    line("dexterity", _dexterity),
+    Quantity(
+        "mean_dexterity", "part of all directions in which a voxel is reached", lambda a: a.voxels.dexterity.mean()
+    ),
+    Quantity("largest_dexterity", "the same in the best voxel", lambda a: a.voxels.dexterity.max()),
+    Quantity(
+        "snapping",
+        "what is lost to snapping, where that was asked for",
+        lambda a: a.loss,
+        of=LOSS,
+        label="unstable",
+        words="{snapping[unstable]} of {snapping[equilibria]} equilibria",
+    ),
+    line("lost to snapping", lambda a: None if a.loss is None else _lost(a.loss)),
+)
+
+
+def _lost(lost: SnappingLoss) -> str:
+    return f"{lost.lost_volume * per_si('cm3'):.4g} cm3, {100 * lost.fraction:.2f} %"
+
+
+class WorkspaceReport(Report[Findings]):
+    """What is said and saved about a workspace."""
+
+    command = "workspace"
+    quantities = WORKSPACE
+
+    def title(self) -> str:
+        """The robot's name."""
+        return f"{self.answer.workspace.robot.name or 'robot'}: workspace"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write voxels.npz, in SI, beside the samples, which are there already where they were streamed."""
+        samples = save_workspace(self.answer.workspace, directory)
+        a = self.answer
+        fields = {name: getattr(a.voxels, name) for name in ("size", "index", "count", "dexterity", "margin")}
+        lost = {} if a.loss is None else {"held": a.loss.held, "lost": a.loss.lost}
+        return [*samples, save_arrays(directory / "voxels.npz", **fields, **lost)]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write workspace.png."""
+        from .plots.workspace import plot_workspace  # Matplotlib takes longer to load than a solve
+
+        a = self.answer
+        return self.drawn(directory, {"workspace.png": plot_workspace}, a.workspace, loss=a.loss, size=a.voxels.size)
+
+
+report.register(Findings, WorkspaceReport)

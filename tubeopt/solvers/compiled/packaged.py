@@ -1,0 +1,73 @@
+"""Kernels that come with the package, compiled when its wheel was built, for several generations of processors."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+FOLDER = Path(__file__).parent / "kernels"
+"""Where a wheel has them."""
+
+
+@dataclass(frozen=True)
+class Generation:
+    """Processors that have certain instructions: what a compiler is told, and what the processor must say of itself."""
+
+    name: str
+    flags: tuple[str, ...] = ()
+    needs: frozenset[str] = field(default_factory=frozenset)
+
+    def kernel(self, folder: Path, n: int, eccentric: bool) -> Path:
+        """Path of the kernel for n tubes, concentric or off the centreline."""
+        return folder / f"{'eccentric' if eccentric else 'concentric'}-{n}-{self.name}.so"
+
+
+_V3 = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"})
+_X86 = (
+    Generation("v4", ("-march=x86-64-v4",), _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}),
+    Generation("v3", ("-march=x86-64-v3",), _V3),
+    Generation("any"),
+)
+
+
+def generations() -> tuple[Generation, ...]:
+    """The generations of this machine's kind of processor, the best first; the last runs on all of them."""
+    return _X86 if platform.machine() in ("x86_64", "AMD64") else (Generation("any"),)
+
+
+def packaged_kernel(n: int, eccentric: bool, features: Iterable[str]) -> Path | None:
+    """The best kernel of this package for a processor with these features; None where there is none."""
+    have = frozenset(features)
+    paths = (g.kernel(FOLDER, n, eccentric) for g in generations() if g.needs <= have)
+    return next((path for path in paths if path.exists()), None)
+
+
+def build_kernels(
+    sources: Mapping[tuple[int, bool], str],
+    compile_to: Callable[[str, Path, Sequence[str]], None],
+    folder: Path,
+    chosen: Sequence[Generation],
+) -> list[Path]:
+    """Compile the C texts of kernels, by number of tubes and eccentricity, for some generations; return the paths.
+
+    `compile_to` takes a text, the path of the library and the generation's flags, and raises OSError or
+    SubprocessError where the compiler cannot; a generation that it does not know is left out.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def build(job: tuple[tuple[int, bool], Generation]) -> Path | None:
+        key, generation = job
+        path = generation.kernel(folder, *key)
+        try:
+            compile_to(sources[key], path, generation.flags)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        return path
+
+    with ThreadPoolExecutor() as pool:
+        made = pool.map(build, [(key, generation) for key in sources for generation in chosen])
+    return [path for path in made if path is not None]
