@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -116,21 +117,26 @@ class Setup:
         return _rebuild(given, tubes, extra, self.calibration(found_by))
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
-        changed = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
+        changed: dict[str, float] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         lengthened = float(self.straight_length[k] - first.straight_length[k])
         changed["straight_length"] = max(0.0, tube.straight_length + lengthened)
         kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
         if kb == first.bending_stiffness[k] and kt == first.torsional_stiffness[k]:
             return replace(tube, **changed)
-        name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
-        material = replace(
-            tube.material, name=name, youngs_modulus=kb / tube.second_moment, shear_modulus=kt / tube.polar_moment
-        )
-        return replace(tube, **changed, material=material)
+        return replace(tube, **changed, **_stiffness(tube, kb, kt))
 
 
 TUBES = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
 """What describes the tubes."""
+
+
+def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
+    """What gives a tube these stiffnesses, N m^2: the stiffnesses themselves, or the moduli where they follow from it."""
+    if any(field.name == "bending_stiffness" for field in fields(tube)):
+        return {"bending_stiffness": bending, "torsional_stiffness": torsional}
+    moduli = {"youngs_modulus": bending / tube.second_moment, "shear_modulus": torsional / tube.polar_moment}
+    name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
+    return {"material": replace(tube.material, name=name, **moduli)}
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:
