@@ -30,6 +30,9 @@ from .registration import FREEDOMS
 TRIED = 3
 """Of the effects that promise most, so many are fitted in full at each step."""
 
+ROUNDS = 3
+"""Times that effects are added and left out again, at most."""
+
 CHORDS = 8
 """Steps of such a fit with the slopes that all share; the best is then fitted in full."""
 
@@ -47,6 +50,7 @@ class Step:
     effect: its kind.   parameters: their names.   kept: whether it pays.
     gain: part by which the held-out error falls.   certainty: gain over its standard error between folds.
     held_out: tip errors with it, m.   held_out_axis: root mean square of the angles, rad, or None.
+    rivals: effects that would have predicted as well in its place: these data do not tell which of them it is.
     """
 
     effect: str
@@ -56,6 +60,7 @@ class Step:
     certainty: float
     held_out: ErrorSummary
     held_out_axis: float | None
+    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +158,14 @@ class _Search:
         self.refused: list[Step] = []
 
     def run(self) -> None:
-        """Forward until nothing pays, then leave out what the rest explain."""
-        step: Step | None = self._forward()
-        while step is not None:
-            self.steps.append(step)
-            step = self._forward()
-        self._backward()
+        """Forward until nothing pays, then leave out what the rest explain; again where something was left out."""
+        for _ in range(ROUNDS):
+            while (step := self._forward()) is not None:
+                self.steps.append(step)
+            before = len(self.dropped)
+            self._backward()
+            if len(self.dropped) == before:
+                break
 
     def _fitted(self, effects: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
         """A fit in full."""
@@ -185,18 +192,30 @@ class _Search:
         slopes = self._slopes(left)
         linear = {kind: self._to_first_order(kind, slopes[kind]) for kind in left}
         order = sorted(left, key=lambda kind: float(self._losses(linear[kind]).sum()))
-        trials = [self._trial(kind, slopes[kind]) for kind in order[:TRIED]]
-        trials.sort(key=lambda trial: float(trial.losses.sum()))
-        for trial in trials:
+        trials = self._ranked([self._trial(kind, slopes[kind]) for kind in order[:TRIED]])
+        promising = [trial for trial in trials if self._gain(self.now.losses, trial.losses)[0] > PAYS / 2]
+        for trial in promising:
             full = self._fitted(trial.effects, trial.fit.state, self.now.sigma)
             step = self._step(full.effects[-1], full.residuals)
             if step.kept:
                 self.now = full
-                return step
+                return replace(step, rivals=self._rivals(trial, trials))
         best = {trial.effects[-1]: trial.residuals for trial in trials}
         refused = [self._step(kind, best.get(kind, linear[kind])) for kind in order]
         self.refused = [replace(step, kept=False) for step in sorted(refused, key=lambda step: -step.gain)]
         return None
+
+    def _ranked(self, trials: list[_Trial]) -> list[_Trial]:
+        """Trials with the best first; those that are as good as the best in the order of the table of effects."""
+        trials = sorted(trials, key=lambda trial: float(trial.losses.sum()))
+        alike = [trial for trial in trials if self._gain(trial.losses, trials[0].losses)[0] < PAYS]
+        order = list(self.known)
+        return sorted(alike, key=lambda trial: order.index(trial.effects[-1])) + trials[len(alike) :]
+
+    def _rivals(self, best: _Trial, trials: Sequence[_Trial]) -> tuple[str, ...]:
+        """Other effects that predict as well as the one that is kept."""
+        near = [trial for trial in trials if trial is not best and self._gain(trial.losses, best.losses)[0] < PAYS]
+        return tuple(trial.effects[-1] for trial in near)
 
     def _slopes(self, left: Sequence[str]) -> dict[str, Array]:
         """(V, 3, Q) derivatives by the parameters kept, those of each effect, and the registration."""
@@ -259,30 +278,24 @@ class _Search:
         return gain, float(differences.sum() / max(spread, 1e-12 * total))
 
     def _backward(self) -> None:
-        """Leave out effects without which the rest predict as well."""
-        again = True
-        while again and len(self.now.effects) > 1:
-            again = False
-            for kind in self.now.effects[:-1]:
-                trial = self._without(kind)
-                gain, certainty = self._gain(trial.losses, self.now.losses)
-                if gain < PAYS or certainty < CERTAIN:
-                    rest = trial.effects
-                    self.now, again = self._fitted(rest, trial.fit.state, self.now.sigma), True
-                    self.dropped.append(kind)
-                    self.steps = [step for step in self.steps if step.effect != kind]
-                    break
+        """Leave out effects without which the rest predict as well, the useless first."""
+        while len(self.now.effects) > 1:
+            trials = [self._without(kind) for kind in self.now.effects[:-1]]
+            best = min(trials, key=lambda trial: float(trial.losses.sum()))
+            gain, certainty = self._gain(best.losses, self.now.losses)
+            if gain >= PAYS and certainty >= CERTAIN:
+                return
+            (kind,) = set(self.now.effects) - set(best.effects)
+            self.now = best
+            self.dropped.append(kind)
+            self.steps = [step for step in self.steps if step.effect != kind]
 
     def _without(self, kind: str) -> _Trial:
-        """The fit with one effect less, with slopes that are kept."""
-        now = self.now
-        keep = [k for k, p in enumerate(now.model.parameters) if p.kind != kind]
-        columns = [*keep, *range(len(now.model.parameters), now.fit.jacobian.shape[2])]
-        model = self.model.with_parameters([now.model.parameters[k] for k in keep])
-        state = State(now.fit.state.x[keep], now.fit.state.registration)
-        weights = weigh(model, self.options, now.sigma)
-        fit = descend(model, weights, state, jacobian=now.fit.jacobian[..., columns], iterations=CHORDS, settled=NEAR)
-        return self._held_out(tuple(k for k in now.effects if k != kind), model, fit, now.sigma)
+        """The fit with one effect less."""
+        now = self.now.fit.state
+        keep = [k for k, p in enumerate(self.now.model.parameters) if p.kind != kind]
+        rest = tuple(k for k in self.now.effects if k != kind)
+        return self._fitted(rest, State(now.x[keep], now.registration), self.now.sigma)
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""
