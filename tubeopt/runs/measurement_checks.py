@@ -45,9 +45,7 @@ def doubts_of(found: Measurements, robot: Robot) -> list[str]:
             f"no rotation is beyond {math.degrees(turned):.2g} deg: are they in rad, in a column that says deg?"
         )
     if turned > 20 * math.pi:
-        words.append(
-            f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?"
-        )
+        words.append(f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?")
     length = max(tube.length for tube in robot.tubes)
     tips = found.tip_position[np.isfinite(found.tip_position[:, 0])]
     spread = float(np.linalg.norm(np.ptp(tips, axis=0))) if len(tips) else 0.0

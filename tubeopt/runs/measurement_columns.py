@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -14,7 +14,7 @@ import scipy
 from ..errors import nearest
 from ..files.csv_file import CsvTable, refuse
 from ..files.units import DEG, MM, decimal, parse_number, to_si
-from ..typing import Array
+from ..typing import Array, Mask
 
 NOTHING = ("", "nan", "na", "null")
 """What a cell says where nothing was measured."""
@@ -24,18 +24,20 @@ TIME = {"s": ONE, "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1
 LENGTH = {"mm": MM, "m": ONE, "cm": Decimal("1e-2"), "um": Decimal("1e-6")}
 ANGLE = {"deg": DEG, "rad": ONE, "turn": 360 * DEG}
 
+NO_UNIT: dict[str, Decimal] = {}
+
 MEANINGS = {
     "time": TIME,
     "rotation_I": ANGLE,
     "translation_I": LENGTH,
     **dict.fromkeys(("x_I", "y_I", "z_I"), LENGTH),
-    **dict.fromkeys(("qw_I", "qx_I", "qy_I", "qz_I"), {}),
+    **{f"q{part}_I": NO_UNIT for part in "wxyz"},
     **dict.fromkeys(("rx_I", "ry_I", "rz_I"), ANGLE),
-    **dict.fromkeys((f"r{i}{j}_I" for i in "123" for j in "123"), {}),
-    **dict.fromkeys((f"{axis}{k}_I" for axis in ("zaxis_", "xaxis_") for k in "xyz"), {}),
+    **{f"r{i}{j}_I": NO_UNIT for i in "123" for j in "123"},
+    **{f"{axis}axis_{k}_I": NO_UNIT for axis in "zx" for k in "xyz"},
 }
-"""What a column may hold, and its units, the first where none is given: joint values of tube I; of sensor I (which may be
-left out where there is one) position, quaternion, rotation vector, rotation matrix by rows, or its z and x axes."""
+"""What a column may hold, and its units, the first where none is given: joint values of tube I; of sensor I (without a
+number, of sensor 1) position, quaternion, rotation vector, rotation matrix by rows, or its z and x axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +140,12 @@ def _of_quaternions(table: Array) -> Array:
 
 
 def _of_vectors(table: Array) -> Array:
-    seen = np.isfinite(table).all(1)
+    seen = np.asarray(np.isfinite(table).all(1))
     return _where(seen, lambda: scipy.spatial.transform.Rotation.from_rotvec(table[seen]).as_matrix())
 
 
 def _of_matrices(table: Array) -> Array:
-    seen = np.isfinite(table).all(1)
+    seen = np.asarray(np.isfinite(table).all(1))
     return _where(seen, lambda: scipy.spatial.transform.Rotation.from_matrix(table[seen].reshape(-1, 3, 3)).as_matrix())
 
 
@@ -163,8 +165,8 @@ def _of_axes(z: Array, x: Array | None) -> Array:
     return _where(seen, frames)
 
 
-def _where(seen: Array, frames: object) -> Array:
+def _where(seen: Mask, frames: Callable[[], Array]) -> Array:
     out = np.full((len(seen), 3, 3), np.nan)
     if seen.any():
-        out[seen] = frames()  # type: ignore[operator]
+        out[seen] = frames()
     return out

@@ -65,7 +65,7 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
     table.check()
     if time is not None:
         alpha = unwrapped(time, alpha, words)
-    seen = np.isfinite(tips).all(2).any(1)
+    seen = np.asarray(np.isfinite(tips[..., 0]).any(1))
     if not seen.any():
         raise InputError(f"{path}: no row has a measured position")
     if not seen.all():
@@ -147,7 +147,9 @@ def save_measurements(measurements: Measurements, path: str | PathLike[str], com
     if m.time is not None:
         blocks.insert(0, (["time_s"], m.time[:, None]))
     if m.orientation is not None:
-        turns = scipy.spatial.transform.Rotation.from_matrix(np.where(np.isnan(m.orientation), np.eye(3), m.orientation))
+        turns = scipy.spatial.transform.Rotation.from_matrix(
+            np.where(np.isnan(m.orientation), np.eye(3), m.orientation)
+        )
         quaternion = np.where(np.isnan(m.orientation[:, :1, 0]), np.nan, turns.as_quat(scalar_first=True))
         blocks.append((list(QUATERNION), quaternion))
     blocks += [([c], v[:, None]) for c, v in zip(MIRROR, (m.direction, m.separation), strict=True) if v is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from os import PathLike
 from pathlib import Path
 from typing import Literal
@@ -52,7 +53,10 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     folder = Path(path).parent
     rate = None if entry.frame_rate_Hz is None else float(entry.frame_rate_Hz)
     recorded = read_recorded(folder / entry.tips, rate)
-    meanings = {**recorded.meaning, **{k: v for k, v in entry.columns.items() if _mine(k, recorded.table.columns, entry)}}
+    meanings = {
+        **recorded.meaning,
+        **{k: v for k, v in entry.columns.items() if _mine(k, recorded.table.columns, entry)},
+    }
     tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
     joints = tips
     if entry.joints is not None:
@@ -99,7 +103,7 @@ def _joints(columns: Columns, robot: Robot) -> tuple[Array, Array]:
 
 def _foremost(tips: Columns, entry: MeasurementMap) -> int:
     sensors = tips.sensors()
-    behind = entry.behind_mm or [0] * len(sensors)
+    behind = entry.behind_mm or [Decimal(0)] * len(sensors)
     return min(zip(behind, sensors, strict=True))[1]
 
 
@@ -113,7 +117,7 @@ def _assemble(
     frames: Array | None,
 ) -> Measurements:
     words: list[str] = []
-    seen = np.isfinite(positions).all(2).any(1)
+    seen = np.asarray(np.isfinite(positions[..., 0]).any(1))
     rotations, translations = joints
     turning = stamps if stamps is not None else time
     if turning is not None:
@@ -127,8 +131,8 @@ def _assemble(
         kept = seen & covered
         if not kept.any():
             raise InputError(
-                f"{entry.tips} and {entry.joints} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, joints "
-                f"from {stamps[0]:g} to {stamps[-1]:g} s; both must be of one clock"
+                f"{entry.tips} and {entry.joints} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, "
+                f"joints from {stamps[0]:g} to {stamps[-1]:g} s; both must be of one clock"
             )
         rotations = translations = np.zeros((len(time), robot.n_tubes))
     else:

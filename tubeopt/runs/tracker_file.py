@@ -1,4 +1,4 @@
-"""Tables of measured positions as trackers and laboratories write them: plain CSV, and the exports of NDI and OptiTrack.
+"""Tables of measured positions as trackers and laboratories write them: plain CSV, exports of NDI and OptiTrack.
 
 An export becomes a table whose columns have meanings of their own: `time`, `x_1`, `qw_1`, ... for the first tool or
 rigid body, and so on, in the order of the file.
@@ -45,7 +45,7 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     Raises:
         InputError: no such file, or a file that is none of these.
     """
-    cells = [row for row in csv.reader(read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines())]
+    cells = list(csv.reader(read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines()))
     first = [cell.strip() for cell in cells[0]] if cells else []
     if first and first[0].lower() == "format version":
         return _optitrack(path, cells)

@@ -146,7 +146,7 @@ def _cost(model: ArmModel, weights: Weights, state: State, residuals: Array) -> 
 
 
 def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) -> Array:
-    """The damped step that stays within the bounds (2, P); parameters that a bound stops are held and the others go on."""
+    """The damped step that stays within the bounds (2, P); those that a bound stops are held, the others go on."""
     size, count = len(slope), len(x)
     held = np.zeros(size, dtype=bool)
     step = np.zeros(size)

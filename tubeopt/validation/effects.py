@@ -213,7 +213,8 @@ EFFECTS: dict[str, Effect] = {
         _own("latency", 0.5, 0.1, 0.1), _latency, needs="time", history=True, drives=True,
     ),
     "translation": Effect(
-        "offset added to the translation of carriage I", "m", "carriage", _translation_span, _put("translation"), drives=True
+        "offset added to the translation of carriage I", "m", "carriage",
+        _translation_span, _put("translation"), drives=True,
     ),
     "rotation": Effect(
         "offset added to the rotation of tube I", "rad", "tube",

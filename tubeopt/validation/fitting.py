@@ -265,9 +265,7 @@ class FitProblem:
     @cached_property
     def covariance(self) -> Array:
         """(P', P') of the parameters that are not held."""
-        square, _ = normal_equations(
-            self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian
-        )
+        square, _ = normal_equations(self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian)
         scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
         inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         return np.asarray(inverse[: len(self.free), : len(self.free)])
@@ -282,7 +280,11 @@ class FitProblem:
         if self.free:
             blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
         fold = deal(measurements, options.folds, place) if options.folds else None
-        out = (None, None) if fold is None else distances(model, hold_out(model, self.weights(), self.fit, fold).residuals)
+        out = (
+            (None, None)
+            if fold is None
+            else distances(model, hold_out(model, self.weights(), self.fit, fold).residuals)
+        )
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.stats.t.ppf((1 + options.confidence) / 2, degrees) * errors
@@ -323,7 +325,9 @@ class FitProblem:
                 "robot"
             )
         if self.fit.obstacle:
-            words.append(f"the last steps were cut short, since beyond them there is no such robot: {self.fit.obstacle}")
+            words.append(
+                f"the last steps were cut short, since beyond them there is no such robot: {self.fit.obstacle}"
+            )
         if self.model.failures:
             row, reason = self.model.failures[0]
             words.append(

@@ -1,4 +1,4 @@
-"""Which rows may not be told apart: places that a way passes again, blocks that are held out whole, and passes compared.
+"""Which rows may not be told apart: places that a way passes again, blocks held out whole, and passes compared.
 
 Neighbouring rows of a way share their errors, and so do rows of another pass through the same joint values: whoever
 holds out one and keeps the other measures how well the data were memorised. So rows are sorted by the place at which
@@ -20,8 +20,8 @@ from .timeline import runs_of
 SHUFFLE_SEED = 0
 
 CLOSE = 0.75
-"""Rows are at one place if they are nearer than so many local steps of the way: half a step is the most by which samples
-of two passes along one line can miss each other."""
+"""Rows are at one place if they are nearer than so many local steps of the way: half a step is the most by which
+samples of two passes along one line can miss each other."""
 
 LEVER = 20.0
 """rad per m: by this a translation is compared with rotations; an arm bends by about as much on its length."""

@@ -44,7 +44,7 @@ def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
         rivals = [j for j, q in enumerate(every) if q.kind != p.kind and q.effect.history]
         left = _beside(flat[:, k], flat[:, usual])
         parted = _beside(left, np.column_stack([_beside(flat[:, j], flat[:, usual]) for j in rivals]))
-        share = float(np.linalg.norm(parted) / max(np.linalg.norm(left), 1e-300))
+        share = float(np.linalg.norm(parted)) / max(float(np.linalg.norm(left)), 1e-300)
         if share < ALIKE:
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
             words.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,10 +109,11 @@ class Measurements:
 
     def _check_sensors(self) -> None:
         count, seen = self.sensors.shape[:2]
-        behind = np.zeros(seen) if self.behind is None else finite_array("behind", self.behind, 1)
-        if behind.shape != (seen,) or (behind < 0).any():
-            raise InputError(f"behind is {behind.tolist()} m; it must be {seen} distances, at least 0")
-        object.__setattr__(self, "behind", behind)
+        if self.behind is not None:
+            behind = finite_array("behind", self.behind, 1)
+            if behind.shape != (seen,) or (behind < 0).any():
+                raise InputError(f"behind is {behind.tolist()} m; it must be {seen} distances, at least 0")
+            object.__setattr__(self, "behind", behind)
         if self.orientation is not None:
             frames = np.array(self.orientation, dtype=float)
             if frames.shape != (count, 3, 3):
@@ -154,13 +156,14 @@ class Measurements:
         behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
         front = self.sensors[:, np.abs(behind - self.stations[0]) < SAME_PLACE]
         squares = ((front - self.tip_position[:, None]) ** 2).sum(2)
-        return np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1))
+        return np.asarray(np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1)))
 
     def rows(self, index: ArrayLike) -> Measurements:
         """The configurations with these indices, or where this mask is true; a log stays whole."""
         k = np.asarray(index)
-        picked = {name: getattr(self, name) for name in BY_ROW}
-        return replace(self, **{name: None if value is None else value[k] for name, value in picked.items()})
+        whole = {name: getattr(self, name) for name in BY_ROW}
+        picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in whole.items()}
+        return replace(self, **picked)
 
     def turned(self, offsets: Array) -> Measurements:
         """The same tips at rotations with `offsets` (n,), rad, added."""
@@ -195,7 +198,7 @@ def _mean(sensors: Array) -> Array:
     seen = np.isfinite(sensors[..., 0])
     total = np.where(seen[..., None], sensors, 0.0).sum(1)
     count = seen.sum(1)[:, None]
-    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return np.asarray(np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0))
 
 
 def finite_array(name: str, value: ArrayLike, dimensions: int) -> Array:

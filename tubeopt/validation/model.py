@@ -161,7 +161,7 @@ class ArmModel:
         return poses
 
     def _placed(self, setup: Setup, poses: Poses) -> tuple[Array, Array]:
-        """Stations (N, K, 3), with the sensor where it sits, and directions (N, 3), in the plate frame as registered."""
+        """Stations (N, K, 3), with the sensor where it sits, and directions (N, 3), in the plate frame."""
         stations = poses.position.copy()
         stations[:, 0] += poses.frame @ setup.sensor_offset
         x, y = setup.sensor_tilt
@@ -251,7 +251,9 @@ class ArmModel:
         out = np.zeros((*here.shape, self.freedoms))
         for k in range(self.freedoms):
             turn, shift = state.registration.rates(k)
-            lever = np.where(self.directed[:, None], here, here + state.registration.rotation.T @ state.registration.translation)
+            lever = np.where(
+                self.directed[:, None], here, here + state.registration.rotation.T @ state.registration.translation
+            )
             out[..., k] = np.cross(turn, lever) + np.where(self.directed[:, None], 0.0, shift)
         return out
 

@@ -56,7 +56,7 @@ def solve_poses(
     """Poses at joint values (N, n) of the model; stations (K,) behind the tip, m, the foremost first.
 
     Each row is solved on its own. Along `runs` of rows on end the branch is followed: where a row on its own leads to
-    another equilibrium than the one before it, it is solved from there, until both ways agree again, or the branch ends.
+    another equilibrium than the one before it, it is solved from there, until both ways agree or the branch ends.
 
     Raises:
         InputError: joint values at which the robot cannot be; the row is named.
@@ -134,7 +134,9 @@ def _along(
             continue
         at = shape.arc_length[-1] - stations
         kept = np.append(True, np.diff(shape.arc_length) > 0)
-        line = scipy.interpolate.CubicHermiteSpline(shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2])
+        line = scipy.interpolate.CubicHermiteSpline(
+            shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2]
+        )
         out[k] = line(np.maximum(at, 0.0))
         out[k, :, 2] += np.minimum(at, 0.0)
     return out

@@ -2,7 +2,7 @@
 
 Every effect lowers the error of the fit; only one that is there lowers the error of what is held out. At each step the
 effects that are left are ranked by their held-out gain to first order, for which nothing is solved; the best few are
-fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again, since
+fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again:
 one that came first may be what later ones explain better.
 """
 
@@ -17,8 +17,8 @@ from ..errors import InputError, nearest
 from ..robots.robot import Robot
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
-from .errors import ErrorSummary
 from .descent import Descent, Weights, descend
+from .errors import ErrorSummary
 from .fitting import FIRST_GUESS, Fit, FitOptions, FitProblem, check_counts, weigh
 from .folds import deal, passes
 from .held_out import NEAR, hold_out, predicted_held_out
@@ -42,6 +42,7 @@ PAYS = 0.005
 CERTAIN = 1.0
 """And by so many standard errors of the gain, from the differences between the folds (the one-standard-error rule of
 Breiman et al., Classification and Regression Trees (1984))."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -115,7 +116,9 @@ def compare_effects(
     known = groups(robot, measurements, options.registration)
     for effect in effects:
         if effect not in known:
-            raise InputError(f"effect {effect!r} cannot be compared{nearest(effect, known)}; choose from {', '.join(known)}")
+            raise InputError(
+                f"effect {effect!r} cannot be compared{nearest(effect, known)}; choose from {', '.join(known)}"
+            )
     check_counts(measurements, FREEDOMS[options.registration] + 1, options.folds)
     if not options.folds:
         raise InputError("folds is 0; a comparison holds rows out, so it must be at least 2")
@@ -251,7 +254,9 @@ class _Search:
     def _trial(self, kind: str, slopes: Array) -> _Trial:
         """A fit with one more effect, with slopes that are kept."""
         model, state = self._with(kind)
-        fit = descend(model, weigh(model, self.options, self.now.sigma), state, jacobian=slopes, iterations=CHORDS, settled=NEAR)
+        fit = descend(
+            model, weigh(model, self.options, self.now.sigma), state, jacobian=slopes, iterations=CHORDS, settled=NEAR
+        )
         return self._held_out((*self.now.effects, kind), model, fit, self.now.sigma)
 
     def _step(self, kind: str, residuals: Array) -> Step:

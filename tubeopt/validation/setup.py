@@ -80,7 +80,8 @@ class Setup:
     def copy(self) -> Setup:
         """The same numbers, to be changed."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Setup(**{k: v.copy() if isinstance(v, np.ndarray) else v for k, v in values.items()})
+        changed: dict[str, Any] = {k: v.copy() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+        return Setup(**changed)
 
     def same_tubes(self, other: Setup) -> bool:
         """Whether both describe the same tubes."""
@@ -117,7 +118,7 @@ class Setup:
         return _rebuild(given, tubes, extra, self.calibration(found_by))
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
-        changed: dict[str, float] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
+        changed: dict[str, Any] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         lengthened = float(self.straight_length[k] - first.straight_length[k])
         changed["straight_length"] = max(0.0, tube.straight_length + lengthened)
         kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
@@ -131,10 +132,11 @@ TUBES = ("curvature", "straight_length", "curved_length", "bending_stiffness", "
 
 
 def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
-    """What gives a tube these stiffnesses, N m^2: the stiffnesses themselves, or the moduli where they follow from it."""
+    """What gives a tube these stiffnesses, N m^2: themselves, or moduli where they follow from the material."""
     if any(field.name == "bending_stiffness" for field in fields(tube)):
         return {"bending_stiffness": bending, "torsional_stiffness": torsional}
-    moduli = {"youngs_modulus": bending / tube.second_moment, "shear_modulus": torsional / tube.polar_moment}
+    moduli: dict[str, Any] = {"youngs_modulus": bending / tube.second_moment}
+    moduli["shear_modulus"] = torsional / tube.polar_moment
     name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
     return {"material": replace(tube.material, name=name, **moduli)}
 
