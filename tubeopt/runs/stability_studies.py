@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, mode
 
 from ..equilibrium.result import Equilibrium
 from ..files.units import shown
+from ..robots.calibration import to_model
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
@@ -125,7 +126,7 @@ class Motion:
 
 
 class FollowStudy(Study):
-    """Slow motion through waypoints of joint values, with the snaps on the way."""
+    """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
 
     kind: Literal["follow"]
     robot: RobotPath
@@ -143,7 +144,8 @@ class FollowStudy(Study):
             if progress is not None:
                 progress(waypoint, last)
 
-        return Motion(self.robot, follow(self.robot, self.path.rotations, self.path.translations, progress=step))
+        joints = to_model(self.robot, self.path.rotations, self.path.translations)
+        return Motion(self.robot, follow(self.robot, *joints, progress=step))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI
 from .quantities import Quantity, line
+from .readings import readings
 from .report import Report, report
 from .words import in_a_word
 
@@ -24,6 +25,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
     Quantity("rotations_deg", "rotations", form=".6g"),
     Quantity("translations_mm", "translations", form=".6g"),
+    *readings(lambda e: e),
     Quantity("status", "how the solve ended", lambda e: e.status.name),
     Quantity("stable", "whether it is stable"),
     Quantity("tip_position_mm", "tip position", form=".4f"),
