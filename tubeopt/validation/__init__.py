@@ -7,6 +7,7 @@ from .fitting import Estimate, Fit, FitOptions, fit
 from .folds import Parity
 from .measurements import JointLog, Measurements
 from .parameters import Parameter, choose_parameters
+from .placing import Placement, where_to_measure
 from .registration import SENSOR_FRAME, BasePose, Registration, register
 from .selection import Comparison, Step, compare_effects
 
@@ -26,6 +27,7 @@ __all__ = [
     "Measurements",
     "Parameter",
     "Parity",
+    "Placement",
     "Registration",
     "Step",
     "Validation",
@@ -35,4 +37,5 @@ __all__ = [
     "group_errors",
     "register",
     "validate",
+    "where_to_measure",
 ]

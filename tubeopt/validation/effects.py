@@ -205,7 +205,6 @@ def _play_span(context: Context, index: int | None) -> Span:
 
 
 DEGREE = math.pi / 180
-STIFF = ("bending_stiffness", "torsional_stiffness")
 
 EFFECTS: dict[str, Effect] = {
     "latency": Effect(
@@ -250,7 +249,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "stiffness_ratio": Effect(
         "bending stiffness of tube I over that of the first, I >= 2, Poisson's ratio kept", "", "kind",
-        _ratio_span, _ratio, first=2, sets=STIFF, compared=False,
+        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared=False,
     ),
     "torsional_stiffness": Effect(
         "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
