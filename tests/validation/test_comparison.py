@@ -19,9 +19,9 @@ def test_a_perfect_robot_has_no_error(concentric: bool) -> None:
     robot = ctr() if concentric else etr()
     measurements = turned(robot, 8) if concentric else mirrored(robot, 3)
     found = validate(robot, measurements)
-    assert found.summary.max < 1e-13
-    np.testing.assert_allclose(found.registration.rotation, TURN.T, atol=1e-11)
-    np.testing.assert_allclose(found.registration.translation, -TURN.T @ BASE, atol=1e-11)
+    assert found.summary.max < 1e-11
+    np.testing.assert_allclose(found.registration.rotation, TURN.T, atol=1e-9)
+    np.testing.assert_allclose(found.registration.translation, -TURN.T @ BASE, atol=1e-10)
     assert (found.margin > 0).all()
     assert found.length == pytest.approx((140 if concentric else 94) * MM, abs=35 * MM if concentric else 1e-12)
 
@@ -29,9 +29,9 @@ def test_a_perfect_robot_has_no_error(concentric: bool) -> None:
 def test_registrations_agree_on_perfect_data() -> None:
     robot = etr()
     measurements = mirrored(robot, 3)
-    assert validate(robot, measurements, registration="base-axis", base=DEVICE_BASE).summary.max < 1e-13
+    assert validate(robot, measurements, registration="base-axis", base=DEVICE_BASE).summary.max < 1e-11
     there = replace(measurements, sensors=(measurements.tip_position - BASE) @ TURN)
-    assert validate(robot, there, registration="none").summary.max < 1e-13
+    assert validate(robot, there, registration="none").summary.max < 1e-11
 
 
 def test_errors_by_direction_and_separation() -> None:

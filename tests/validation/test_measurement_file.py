@@ -11,7 +11,7 @@ import pytest
 from tubeopt import InputError, load_robot
 from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations
 from tubeopt.runs.measurement_file import load_measurements, save_measurements
-from tubeopt.validation import Measurements
+from tubeopt.validation import JointLog, Measurements
 
 from .laboratory import CONFIGS, ctr, etr, mirrored, turned
 
@@ -84,9 +84,9 @@ HEAD = "rotation_1_deg,rotation_2_deg,x_mm,y_mm,z_mm\n"
 def test_every_bad_cell_is_named(tmp_path: Path) -> None:
     assert refused(tmp_path, f"# comment\n{HEAD}0,0,1,2,3\n0,a,1,nan,3\n\n0,0,,1 mm,3\n") == [
         "row 2 (line 4), column rotation_2_deg is 'a'; it must be a number",
-        "row 2 (line 4), column y_mm is NaN; it must be a finite number",
-        "row 3 (line 6), column x_mm is empty; it must be a number",
         "row 3 (line 6), column y_mm is '1 mm'; it must be a number",
+        "row 2 (line 4), column y_mm is missing; a sensor has x, y and z, or none of them",
+        "row 3 (line 6), column x_mm is missing; a sensor has x, y and z, or none of them",
     ]
 
 
@@ -144,7 +144,13 @@ def test_wrong_files(tmp_path: Path, text: str, eccentric: bool, problems: list[
         ({"rotations": np.zeros((0, 2))}, "there are no measurements"),
         ({"translations": np.zeros((3, 1))}, "translations have shape"),
         ({"sensors": np.zeros((2, 3))}, r"sensors have shape \(2, 1, 3\)"),
-        ({"sensors": np.full((3, 3), np.nan)}, r"sensors\[0, 0, 0\] is nan"),
+        ({"sensors": np.full((3, 3), np.nan)}, "no sensor saw row 1; every row needs a measured position"),
+        ({"sensors": np.full((3, 3), np.inf)}, r"sensors\[0, 0, 0\] is inf"),
+        ({"time": np.zeros(2)}, "time has 2 numbers"),
+        ({"behind": [-1.0]}, "behind is"),
+        ({"orientation": np.zeros((3, 3))}, "orientation has shape"),
+        ({"sensor_axis": [0, 0, 0]}, "it must be a direction in space"),
+        ({"log": JointLog(np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)))}, "needs the time of every row"),
         ({"direction": np.zeros(2)}, "direction has 2 numbers"),
         ({"rotations": "abc"}, "rotations are not an array of numbers"),
         ({"rotations": np.zeros(3)}, "rotations have shape"),

@@ -11,7 +11,8 @@ import numpy as np
 from ..errors import InputError
 from ..typing import Array
 from .assembly import Assembly, assemble
-from .limits import JointLimits, default_limits
+from .calibration import Calibration, check_calibration, limits_of
+from .limits import JointLimits
 from .tubes import Tube
 
 
@@ -22,7 +23,8 @@ class ConcentricRobot:
     Args:
         tubes: inner to outer; each fits into the next, and none is shorter than the next.
         name: what to call it in tables and pictures.
-        joint_limits: what the actuators allow; None is what the lengths allow (see `limits`).
+        joint_limits: what the actuators allow, in their readings; None is what the lengths allow (see `limits`).
+        calibration: how readings of the drives become joint values; None where they read true.
 
     Raises:
         InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits for another
@@ -32,6 +34,7 @@ class ConcentricRobot:
     tubes: tuple[Tube, ...]
     name: str = ""
     joint_limits: JointLimits | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         tubes = tuple(self.tubes)
@@ -53,6 +56,7 @@ class ConcentricRobot:
             raise InputError(
                 f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {len(tubes)}"
             )
+        check_calibration(self.calibration, len(tubes))
 
     @property
     def n_tubes(self) -> int:
@@ -76,8 +80,8 @@ class ConcentricRobot:
 
     @property
     def limits(self) -> JointLimits:
-        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
-        return self.joint_limits or default_limits(self.tubes)
+        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
+        return limits_of(self.joint_limits, self.calibration, self.tubes)
 
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where a tube leaves its actuator."""

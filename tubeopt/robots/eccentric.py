@@ -12,7 +12,8 @@ import numpy as np
 from ..errors import InputError, positive
 from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
-from .limits import JointLimits, default_limits
+from .calibration import Calibration, check_calibration, limits_of
+from .limits import JointLimits
 from .tubes import Tube, must_be_plain
 
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
@@ -36,7 +37,8 @@ class EccentricRobot:
             equivalent concentric robot, which no hand can build.
         transmission_length: straight tube between where a tube is held and its straight_length, behind the plate, m.
         name: what to call it in tables and pictures.
-        joint_limits: what the actuators allow; None is what the lengths allow.
+        joint_limits: what the actuators allow, in their readings; None is what the lengths allow.
+        calibration: how readings of the drives become joint values; None where they read true.
 
     Raises:
         InputError: an offset or length that is negative or not finite, an offset at which the tubes would overlap or at
@@ -48,6 +50,7 @@ class EccentricRobot:
     transmission_length: float = 0.0
     name: str = ""
     joint_limits: JointLimits | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
@@ -68,6 +71,7 @@ class EccentricRobot:
             )
         if self.joint_limits is not None and len(self.joint_limits.rotations) != 3:
             raise InputError(f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has 3")
+        check_calibration(self.calibration, 3)
 
     @property
     def distance(self) -> float:
@@ -107,8 +111,8 @@ class EccentricRobot:
 
     @property
     def limits(self) -> JointLimits:
-        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
-        return self.joint_limits or default_limits(self.tubes)
+        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
+        return limits_of(self.joint_limits, self.calibration, self.tubes)
 
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (3,), m; raises InputError where they differ or a tube leaves its actuator."""
@@ -136,7 +140,7 @@ class SegmentedEccentricRobot:
     Args:
         segments: the tube of each segment, inner (which reaches furthest) to outer.
         offset: distance of the three places from the centreline, m; None is OD / sqrt(3) of the outermost tube.
-        name, joint_limits: as for one segment; limits are for the 3 k tubes, ordered as `tubes`.
+        name, joint_limits, calibration: as for one segment; for the 3 k tubes, ordered as `tubes`.
 
     Raises:
         InputError: no segment, tubes that do not nest, an inner tube too short to reach beyond the next segment, an
@@ -147,6 +151,7 @@ class SegmentedEccentricRobot:
     offset: float | None = None
     name: str = ""
     joint_limits: JointLimits | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)
@@ -178,6 +183,7 @@ class SegmentedEccentricRobot:
             raise InputError(
                 f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {self.n_tubes}"
             )
+        check_calibration(self.calibration, self.n_tubes)
 
     @property
     def distance(self) -> float:
@@ -212,8 +218,8 @@ class SegmentedEccentricRobot:
 
     @property
     def limits(self) -> JointLimits:
-        """Range of every joint; by default rotations a turn from home, translations withdrawn to advanced."""
-        return self.joint_limits or default_limits(self.tubes)
+        """Range of every joint value; by default rotations a turn from home, translations withdrawn to advanced."""
+        return limits_of(self.joint_limits, self.calibration, self.tubes)
 
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (3 k,), m; raises InputError where tubes of one segment are moved apart, a tube

@@ -19,6 +19,8 @@ from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import Part
 from ..files.units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
+from .calibration import Calibration
+from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits
@@ -212,10 +214,12 @@ class ConcentricEntry(Part):
     name: str = ""
     tubes: list[TubeEntry] = Field(min_length=1)
     limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
-        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), self.name, _limits(self.limits))
+        tubes = tuple(tube.build() for tube in self.tubes)
+        return ConcentricRobot(tubes, self.name, _limits(self.limits), _calibration(self.calibration))
 
 
 class EccentricEntry(Part):
@@ -227,6 +231,7 @@ class EccentricEntry(Part):
     offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the tubes touch")
     transmission_length_mm: NotNegative = Decimal(0)
     limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def build(self) -> EccentricRobot:
         """The robot in SI."""
@@ -236,6 +241,7 @@ class EccentricEntry(Part):
             transmission_length=to_si(self.transmission_length_mm, MM),
             name=self.name,
             joint_limits=_limits(self.limits),
+            calibration=_calibration(self.calibration),
         )
 
 
@@ -247,6 +253,7 @@ class SegmentedEccentricEntry(Part):
     segments: list[TubeEntry] = Field(min_length=1)
     offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the outermost touch")
     limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def build(self) -> SegmentedEccentricRobot:
         """The robot in SI."""
@@ -255,10 +262,15 @@ class SegmentedEccentricEntry(Part):
             offset=None if self.offset_mm is None else to_si(self.offset_mm, MM),
             name=self.name,
             joint_limits=_limits(self.limits),
+            calibration=_calibration(self.calibration),
         )
 
 
 def _limits(entry: LimitsEntry | None) -> JointLimits | None:
+    return entry.build() if entry else None
+
+
+def _calibration(entry: CalibrationEntry | None) -> Calibration | None:
     return entry.build() if entry else None
 
 
@@ -331,6 +343,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
             "rotations_deg": [[in_unit(x, DEG) for x in pair] for pair in robot.joint_limits.rotations],
             "translations_mm": [[in_unit(x, MM) for x in pair] for pair in robot.joint_limits.translations],
         }
+    if robot.calibration is not None:
+        data["calibration"] = calibration_to_dict(robot.calibration)
     return data
 
 

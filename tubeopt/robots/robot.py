@@ -7,6 +7,7 @@ from typing import Protocol
 
 from ..typing import Array
 from .assembly import Assembly
+from .calibration import Calibration
 from .limits import JointLimits
 from .tubes import Tube
 
@@ -45,6 +46,10 @@ class Robot(Protocol):
     @property
     def joint_limits(self) -> JointLimits | None:
         """Limits as given, None where the lengths imply them."""
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """How readings of the drives become joint values, None where they read true."""
 
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where they are not admissible."""

@@ -14,6 +14,7 @@ from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
+from ..robots.calibration import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
@@ -126,7 +127,11 @@ class InverseStudy(Study):
         if self.reference_deg is None and self.reference_mm is None:
             return None
         rotations = radians(self.reference_deg, np.zeros(self.robot.n_tubes))
-        return rotations, metres(self.reference_mm, self.robot.home_translations)
+        return to_model(self.robot, rotations, metres(self.reference_mm, self.robot.home_translations))
+
+    def _seed(self) -> tuple[Array, Array] | None:
+        """Joint values where the robot is."""
+        return None if self.start is None else to_model(self.robot, *self.start)
 
     def _options(self) -> InverseOptions:
         return InverseOptions(
@@ -156,7 +161,7 @@ class InverseStudy(Study):
         direction = None if self.direction is None else [float(x) for x in self.direction]
         given: dict[str, Any] = {
             "direction": direction,
-            "seed": self.start,
+            "seed": self._seed(),
             "reference": self._reference(),
             "on_failure": on_failure,
             "reachable": self.reachable,
@@ -169,7 +174,7 @@ class InverseStudy(Study):
 
     def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
         rows: list[Row] = []
-        session = IkSession(self.robot, seed=self.start, **self._common()) if self.follow else None
+        session = IkSession(self.robot, seed=self._seed(), **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):
             direction = None if targets.direction is None else targets.direction[k]
             try:
@@ -180,7 +185,7 @@ class InverseStudy(Study):
                         self.robot,
                         position,
                         direction=direction,
-                        seed=self.start,
+                        seed=self._seed(),
                         reference=self._reference(),
                         on_failure=on_failure,
                         reachable=self.reachable,

@@ -8,44 +8,84 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from ..errors import InputError, nearest
 from ..files.csv_file import CsvTable, read_csv, refuse, to_csv
 from ..files.files import write_text
-from ..files.units import DEG, MM, in_unit, to_si
+from ..files.units import DEG, MM, RAD, in_unit, to_si
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
 from ..validation.errors import ErrorTable
 from ..validation.measurements import Measurements
+from .measurement_checks import unwrapped
+from .measurement_columns import Columns, columns_of
+from .measurement_map import finished, load_mapped
+from .tracker_file import QUATERNION
 
 MIRROR = ("direction_deg", "separation_deg")
 ASSIGNMENT, NOTE = "assignment", "note"
 
 
 def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
-    """The measurements of `robot` in a CSV file.
+    """The measurements of `robot` in a CSV file, or those that a YAML file describes (see `load_mapped`).
 
     Columns: `rotation_1_deg` to `rotation_n_deg`, or `direction_deg`, `separation_deg` and optionally `assignment` for
     the mirror actuation of a one-segment eccentric robot (beside rotations they only label the rows);
     `translation_1_mm` and so on, home where there is none; `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`,
-    `x2_mm`, ... for several sensors; `note` for any text. An assignment "132" turns tube 1 by the direction, tube 3 by
-    direction plus separation and tube 2 by direction minus separation; it is "123" where not given.
+    `x2_mm`, ... for several sensors, empty where one was not seen; `time_s`; `qw`, `qx`, `qy`, `qz` of the (first)
+    sensor; `note` for any text. An assignment "132" turns tube 1 by the direction, tube 3 by direction plus separation
+    and tube 2 by direction minus separation; it is "123" where not given. Rows in which no sensor saw anything are left
+    out and counted in the remarks.
 
     Raises:
         InputError: no such file, columns that are unknown or missing, cells that are not what they must be: one line
             for every problem, with row and column.
     """
+    if Path(path).suffix.lower() in (".yaml", ".yml"):
+        return load_mapped(path, robot)
     table = read_csv(path)
+    columns, mirrored = _columns(path, table, robot)
+    count = len(table.rows)
+    words: list[str] = []
+    time = columns.numbers(["time"])[:, 0] if columns.has("time") else None
+    labels = [columns.table.numbers([c], DEG)[:, 0] if c in table.columns else None for c in MIRROR]
+    direction, separation = labels
+    if mirrored and direction is not None and separation is not None:
+        alpha = _mirrored(table, direction, separation)
+    else:
+        alpha = columns.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)])
+    shift = np.tile(robot.home_translations, (count, 1))
+    for i in range(robot.n_tubes):
+        if columns.has(f"translation_{i + 1}"):
+            shift[:, i] = columns.numbers([f"translation_{i + 1}"])[:, 0]
+    tips, frames = columns.positions(), columns.orientation(columns.sensors()[0])
+    table.check()
+    if time is not None:
+        alpha = unwrapped(time, alpha, words)
+    seen = np.asarray(np.isfinite(tips[..., 0]).any(1))
+    if not seen.any():
+        raise InputError(f"{path}: no row has a measured position")
+    if not seen.all():
+        words.append(f"{int((~seen).sum())} of {count} rows have no measured position and were left out")
+    optional = {"direction": direction, "separation": separation, "time": time, "orientation": frames}
+    picked = {name: None if value is None else value[seen] for name, value in optional.items()}
+    found = Measurements(alpha[seen], shift[seen], tips[seen], source=Path(path).name, **picked)  # type: ignore[arg-type]
+    return finished(found, robot, words)
+
+
+def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[Columns, bool]:
+    """What the columns mean, and whether the rotations come from mirror actuation."""
     n = robot.n_tubes
     rotations = [f"rotation_{i + 1}_deg" for i in range(n)]
     translations = [f"translation_{i + 1}_mm" for i in range(n)]
-    sensors = _sensors(table.columns)
-    positions = [name for sensor in sensors for name in sensor]
-    known = {*rotations, *translations, *positions, *MIRROR, ASSIGNMENT, NOTE}
+    positions = [name for sensor in _sensors(table.columns) for name in sensor]
+    turned = [name for name in QUATERNION if set(QUATERNION) & set(table.columns)]
+    known = {*rotations, *translations, *positions, *MIRROR, ASSIGNMENT, NOTE, "time_s", *QUATERNION}
     problems = [f"column {c} is not known{nearest(c, known)}" for c in table.columns if c not in known]
-    problems += [f"column {c} is missing" for c in positions if c not in table.columns]
+    problems += [f"column {c} is missing" for c in (*positions, *turned) if c not in table.columns]
     mirrored = not any(c in table.columns for c in rotations) and any(c in table.columns for c in MIRROR)
     problems += [f"column {c} is missing" for c in (MIRROR if mirrored else rotations) if c not in table.columns]
     if mirrored and not isinstance(robot, EccentricRobot):
@@ -54,19 +94,13 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
             f"{rotations[0]} to {rotations[-1]}"
         )
     refuse(path, problems)
-    labels = [table.numbers([c], DEG)[:, 0] if c in table.columns else None for c in MIRROR]
-    direction, separation = labels
-    if mirrored and direction is not None and separation is not None:
-        alpha = _mirrored(table, direction, separation)
-    else:
-        alpha = table.numbers(rotations, DEG)
-    shift = np.tile(robot.home_translations, (len(table.rows), 1))
-    for i, column in enumerate(translations):
-        if column in table.columns:
-            shift[:, i] = table.numbers([column], MM)[:, 0]
-    tips = table.numbers(positions, MM).reshape(len(table.rows), len(sensors), 3)
-    table.check()
-    return Measurements(alpha, shift, tips, direction, separation, source=Path(path).name)
+    meanings = {name: name.rsplit("_", 1)[0] + ", " + name.rsplit("_", 1)[1] for name in (*rotations, *translations)}
+    meanings |= {name: f"{name[0]}_{name[1:-3] or 1}, mm" for name in positions}
+    meanings |= {"time_s": "time, s", **{name: name for name in QUATERNION}}
+    if "x_mm" not in table.columns and turned:
+        first = _sensors(table.columns)[0][0][1:-3]
+        meanings |= {name: f"{name}_{first}" for name in QUATERNION}
+    return columns_of(table, {c: m for c, m in meanings.items() if c in table.columns}, str(path), n), mirrored
 
 
 def _sensors(columns: Sequence[str]) -> list[tuple[str, str, str]]:
@@ -95,7 +129,13 @@ def _assignment(table: CsvTable, row: int) -> tuple[int, ...]:
 
 
 def save_measurements(measurements: Measurements, path: str | PathLike[str], comment: str = "") -> None:
-    """Write measurements as CSV that `load_measurements` reads back to the last bit; raises InputError on failure."""
+    """Write measurements as CSV that `load_measurements` reads back, to the last bit but for orientations.
+
+    Distances of sensors behind the tip, the sensor's axis and a log of the joints have no place in it.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     m = measurements
     count = m.sensors.shape[1]
     names = [""] if count == 1 else [str(k + 1) for k in range(count)]
@@ -104,11 +144,21 @@ def save_measurements(measurements: Measurements, path: str | PathLike[str], com
         ([f"translation_{i + 1}_mm" for i in range(m.n_tubes)], m.translations),
         ([f"{axis}{name}_mm" for name in names for axis in "xyz"], m.sensors.reshape(len(m), -1)),
     ]
+    if m.time is not None:
+        blocks.insert(0, (["time_s"], m.time[:, None]))
+    if m.orientation is not None:
+        turns = scipy.spatial.transform.Rotation.from_matrix(
+            np.where(np.isnan(m.orientation), np.eye(3), m.orientation)
+        )
+        quaternion = np.where(np.isnan(m.orientation[:, :1, 0]), np.nan, turns.as_quat(scalar_first=True))
+        blocks.append((list(QUATERNION), quaternion))
     blocks += [([c], v[:, None]) for c, v in zip(MIRROR, (m.direction, m.separation), strict=True) if v is not None]
     columns = [c for header, _ in blocks for c in header]
     values = np.hstack([block for _, block in blocks])
-    units = [DEG if c.endswith("_deg") else MM for c in columns]
-    rows = [[in_unit(v, unit) for v, unit in zip(row, units, strict=True)] for row in values.tolist()]
+    units = [DEG if c.endswith("_deg") else MM if c.endswith("_mm") else RAD for c in columns]
+    rows = [
+        ["" if np.isnan(v) else in_unit(v, unit) for v, unit in zip(row, units, strict=True)] for row in values.tolist()
+    ]
     write_text(path, to_csv(columns, rows, comment))
 
 

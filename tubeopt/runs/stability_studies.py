@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, in_file
 from ..files.units import UNITS, to_si
+from ..robots.calibration import to_model
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
@@ -122,7 +123,7 @@ class Motion:
 
 
 class FollowStudy(LoadedStudy):
-    """Slow motion through waypoints of joint values, with the snaps on the way."""
+    """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
 
     kind: Literal["follow"]
     robot: RobotPath
@@ -140,8 +141,8 @@ class FollowStudy(LoadedStudy):
             if progress is not None:
                 progress(waypoint, last)
 
-        way = self.path.rotations, self.path.translations
-        return Motion(self.robot, follow(self.robot, *way, load=self.pushing(), progress=step))
+        joints = to_model(self.robot, self.path.rotations, self.path.translations)
+        return Motion(self.robot, follow(self.robot, *joints, load=self.pushing(), progress=step))
 
 
 @dataclass(frozen=True, eq=False)

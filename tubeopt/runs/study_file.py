@@ -17,6 +17,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.checked import Positive, check_kind
 from ..files.yaml_file import load_yaml
+from ..robots.calibration import to_model
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
@@ -30,7 +31,7 @@ from .workspace_study import WorkspaceStudy
 
 
 class ForwardKinematicsStudy(LoadedStudy):
-    """The equilibrium of a robot at given joint values."""
+    """The equilibrium of a robot at given joint values: readings, where the robot has a calibration."""
 
     kind: Literal["forward_kinematics"]
     robot: RobotPath
@@ -46,10 +47,11 @@ class ForwardKinematicsStudy(LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""
+        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
+        translations = metres(self.translations_mm, self.robot.home_translations)
         return forward_kinematics(
             self.robot,
-            radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
-            metres(self.translations_mm, self.robot.home_translations),
+            *to_model(self.robot, rotations, translations),
             load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),

@@ -8,15 +8,26 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..files.checked import Number, Positive, in_file
-from ..files.units import MM, to_si
-from ..validation import BasePose, Fit, Measurements, Validation, choose_parameters, fit, validate
+from ..files.units import DEG, MM, to_si
+from ..validation import (
+    BasePose,
+    Comparison,
+    Fit,
+    FitOptions,
+    Measurements,
+    Validation,
+    choose_parameters,
+    compare_effects,
+    fit,
+    validate,
+)
 from .base import Progress, RobotPath, Study, Whole
 from .measurement_file import load_measurements
 
 MeasurementsPath = Annotated[
     Measurements,
-    in_file(load_measurements, "a CSV file", of_robot=True),
-    Field(description="path of the CSV file of measured tips, relative to this file"),
+    in_file(load_measurements, "a CSV file, or of YAML", of_robot=True),
+    Field(description="path of the CSV file of measured tips, or of the YAML that maps one, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
 
@@ -40,37 +51,58 @@ class ValidationStudy(Study):
         None, description="for base-axis: direction of the plate's z in its frame", examples=["X,Y,Z"]
     )
     fit: list[str] = Field(
-        [], description="estimate these: curvature, curvature_2, nu, rotation_1, ...", examples=["NAME,.."]
+        [],
+        description="estimate these: latency, rotation_all, curvature_2, ...; with compare, the effects to try",
+        examples=["NAME,.."],
     )
-    folds: Whole = Field(5, description="folds of the cross-validation of a fit; 0 for none")
+    compare: bool = Field(False, description="add effects in the order in which they pay, until none does")
+    folds: Whole | None = Field(
+        None, description="folds of the cross-validation; 0 for none; by default 5, or 10 with compare"
+    )
     confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
+    loss: Literal["linear", "huber", "soft_l1"] = Field(
+        "linear", description="how a large error counts: linear, huber or soft_l1"
+    )
+    priors: bool = Field(False, description="draw the parameters to their values in the drawing")
+    noise_mm: Positive | None = Field(None, description="noise of a measured coordinate; by default estimated")
+    axis_noise_deg: Positive | None = Field(None, description="noise of a measured direction; by default estimated")
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:
         if self.registration != "base-axis" and (self.base_position_mm or self.base_axis):
             raise ValueError("base_position_mm and base_axis are for registration base-axis only")
         self._base()
-        if self.fit:
-            choose_parameters(self.robot, self.measurements, self.fit)
+        if self.fit and not self.compare:
+            choose_parameters(self.robot, self.measurements, self.fit, self.registration)
         return self
 
     def _base(self) -> BasePose:
         position = tuple(to_si(x, MM) for x in self.base_position_mm or (Decimal(0),) * 3)
         return BasePose(position, tuple(float(x) for x in self.base_axis or (0.0, 0.0, 1.0)))
 
-    def run(self, progress: Progress | None = None) -> Validation | Fit:
-        """The comparison, or the fit where parameters are named; raises SolveError where a shape is not found."""
-        if not self.fit:
-            return validate(
-                self.robot, self.measurements, registration=self.registration, base=self._base(), progress=progress
-            )
-        return fit(
-            self.robot,
-            self.measurements,
-            self.fit,
+    def _options(self) -> FitOptions:
+        folds = self.folds if self.folds is not None else min(10 if self.compare else 5, len(self.measurements))
+        return FitOptions(
             registration=self.registration,
             base=self._base(),
-            folds=self.folds,
+            folds=folds,
             confidence=float(self.confidence),
-            progress=progress,
+            loss=self.loss,
+            priors=self.priors,
+            noise=(
+                None if self.noise_mm is None else to_si(self.noise_mm, MM),
+                None if self.axis_noise_deg is None else to_si(self.axis_noise_deg, DEG),
+            ),
         )
+
+    def run(self, progress: Progress | None = None) -> Validation | Fit | Comparison:
+        """The comparison with the model; the fit where parameters are named; or the effects that pay.
+
+        Raises:
+            SolveError: a shape is not found; in a fit, none.
+        """
+        if self.compare:
+            return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
+        if self.fit:
+            return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
+        return validate(self.robot, self.measurements, registration=self.registration, base=self._base())

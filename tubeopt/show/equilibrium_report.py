@@ -10,6 +10,7 @@ from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI
 from .load_words import LOADED
 from .quantities import Quantity, line
+from .readings import readings
 from .report import Report, report
 from .words import margin_in_words
 
@@ -25,6 +26,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
     Quantity("rotations_deg", "rotations", form=".6g"),
     Quantity("translations_mm", "translations", form=".6g"),
+    *readings(lambda e: e),
     Quantity("status", "how the solve ended", lambda e: e.status.name),
     Quantity("stable", "whether it is stable"),
     Quantity("tip_position_mm", "tip position", form=".4f"),

@@ -17,11 +17,13 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution, JointWay
+from ..robots.calibration import to_readings
 from ..robots.path_file import joint_columns
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array
 from .quantities import Quantity, line, rows, within
+from .readings import readings
 from .report import Report, grid, report, two_columns
 from .words import counted, degrees, millimetres, row
 
@@ -40,6 +42,7 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("status", "how the solve ended", lambda s: s.status.name),
     Quantity("rotations_deg", "rotations", words=lambda s: degrees(s.rotations, ".6f")),
     Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
+    *readings(lambda s: s.equilibrium),
     Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
     Quantity("position_error_mm", "misses by",
              words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
@@ -108,13 +111,14 @@ class PosturesReport(Report[Postures]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write solutions.json, result.json with arrays.npz of the best, and way.csv, the waypoints to it, where a way
-        is known; `tubeopt follow` reads them."""
+        is known, in readings where the robot has a calibration; `tubeopt follow` reads them."""
         best = self.answer.solutions[0]
         paths = [self.save_record(directory), *save_equilibrium(best.equilibrium, directory)]
         if best.way is not None:
             paths.append(directory / "way.csv")
             turns, shifts = joint_columns(self.answer.robot.n_tubes)
-            table = zip(best.way.rotations, best.way.translations, strict=True)
+            readings_of = to_readings(self.answer.robot, best.way.rotations, best.way.translations)
+            table = zip(*readings_of, strict=True)
             write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
         return paths
 

@@ -12,13 +12,13 @@ from rich.table import Table
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
+from ..robots.calibration_file import calibration_to_dict
 from ..robots.file import save_robot
 from ..typing import Array
-from ..validation import ErrorGroup, ErrorSummary, Estimate, Fit, Registration, Validation
+from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
 from . import quantities
 from .quantities import Quantity, in_units, line
 from .report import Report, grid, remarks, report, two_columns
-from .words import row
 
 ERRORS = ("mean", "rms", "p95", "max")
 """What an error summary tells, in mm and in percent of the arm's length."""
@@ -62,6 +62,36 @@ REGISTRATION: tuple[Quantity[Registration], ...] = (
     Quantity("tilt_deg", "angle between the frames' z axes"),
 )
 
+PARITY: tuple[Quantity[Parity], ...] = (
+    Quantity("pairs", "places that were passed in both directions"),
+    Quantity("history_mm", "RMS of half the difference of their errors"),
+    Quantity("static_mm", "RMS of half the sum of their errors"),
+    Quantity("measured_mm", "RMS of half the difference of their tips, as measured"),
+)
+
+
+def _axis_error(v: Validation) -> float | None:
+    return None if v.axis_errors is None else float(np.sqrt(np.nanmean(v.axis_errors**2)))
+
+
+def _stations(v: Validation) -> list[dict[str, float]] | None:
+    behind = v.measurements.stations
+    if len(behind) == 1:
+        return None
+    summaries = [_summary(ErrorSummary.of(v.along[:, k]), v.length) for k in range(len(behind))]
+    return [{"behind_mm": float(at * TO_MM)} | each for at, each in zip(behind, summaries, strict=True)]
+
+
+def _both_ways(v: Validation) -> str | None:
+    if v.parity is None:
+        return None
+    p = v.parity
+    return (
+        f"{p.pairs} places passed there and back: {p.history * TO_MM:.2f} mm of the error depends on the way, "
+        f"{p.static * TO_MM:.2f} mm does not"
+    )
+
+
 COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
@@ -72,18 +102,43 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
         of=REGISTRATION,
         words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, tilt {registration[tilt_deg]:.2f} deg",
     ),
-    Quantity("error", "tip error", lambda v: _summary(v.summary, v.length),
-             words=lambda v: _errors_in_words(v.summary, v.length)),
-    Quantity("by_direction", "the same by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
-             label="worst direction", words=lambda v: _worst(v.by_direction)),
-    Quantity("by_separation", "the same by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
-             label="worst separation", words=lambda v: _worst(v.by_separation)),
-    Quantity("length_mm", "length of the arm, which percentages are of", label="percentages",
-             words="of the arm's length, {length_mm:.1f} mm"),
-    Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
-             lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
-    Quantity("least_margin", "least margin of the configurations", lambda v: v.margin.min()),
-)  # fmt: skip
+    Quantity(
+        "error",
+        "tip error",
+        lambda v: _summary(v.summary, v.length),
+        words=lambda v: _errors_in_words(v.summary, v.length),
+    ),
+    Quantity(
+        "by_direction",
+        "the same by direction",
+        lambda v: _groups(v.by_direction, "direction_deg", v.length),
+        label="worst direction",
+        words=lambda v: _worst(v.by_direction),
+    ),
+    Quantity(
+        "by_separation",
+        "the same by separation",
+        lambda v: _groups(v.by_separation, "separation_deg", v.length),
+        label="worst separation",
+        words=lambda v: _worst(v.by_separation),
+    ),
+    Quantity(
+        "length_mm",
+        "length of the arm, which percentages are of",
+        label="percentages",
+        words="of the arm's length, {length_mm:.1f} mm",
+    ),
+    Quantity(
+        "sensor_spread_rms_mm",
+        "RMS distance of sensors from their mean",
+        lambda v: np.sqrt((v.measurements.sensor_spread**2).mean()),
+    ),
+    Quantity("least_margin", "least margin of the configurations", lambda v: np.nanmin(v.margin)),
+    Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
+    Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
+    Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
+    Quantity("remarks", "what was noticed when the file was read", lambda v: list(v.measurements.remarks)),
+)
 
 
 class ValidationReport(Report[Validation]):
@@ -116,14 +171,14 @@ def save_residuals(directory: Path, v: Validation, held_out: Array | None = None
     return path
 
 
-SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm"}
+SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s"}
 """SI unit of a parameter -> the unit in which it is told."""
 
 
 def _estimate(e: Estimate) -> dict[str, Any]:
     unit = SUFFIXES[e.unit]
     ending = f"_{unit}" if unit else ""
-    names = ("start", "value", "standard_error", "low", "high")
+    names = ("start", "value", "standard_error", "low", "high", "block_error", "block_low", "block_high")
     return {
         "name": e.name,
         **{f"{name}{ending}": in_units(getattr(e, name), unit) for name in names},
@@ -145,15 +200,19 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("correlation", "of the estimates"),
     Quantity("noise_mm", "noise per coordinate", form=".3f"),
     Quantity("remarks", "what to beware of", lambda f: list(f.remarks)),
+    Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
     Quantity(
-        "rotation_offsets_deg",
-        "what to add to the rotations",
-        label="add to the rotations",
-        words=lambda f: (
-            f"{row(np.degrees(f.rotation_offsets), '.2f')} deg (a robot file does not hold them)"
-            if f.rotation_offsets.any()
-            else None
-        ),
+        "calibration",
+        "what robot.yaml holds of the drives",
+        lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
+        label="drives",
+        words=lambda f: None if f.robot.calibration is None else "their offsets, gains and latency are in robot.yaml",
+    ),
+    Quantity(
+        "held_out_axis_deg",
+        "RMS angle of directions that a fit to the others did not see",
+        lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
+        form=".2f",
     ),
     Quantity("before", "the comparison before the fit", of=COMPARISON),
     Quantity("after", "the comparison after the fit", of=COMPARISON),
@@ -185,13 +244,16 @@ class FitReport(Report[Fit]):
         for e in self.answer.estimates:
             unit = SUFFIXES[e.unit]
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
-            start, value, low, high = (
-                f"{in_units(getattr(e, name), unit):.4g}" for name in ("start", "value", "low", "high")
+            names = ("start", "value", "low", "high", "block_low", "block_high")
+            start, value, low, high, least, most = (f"{in_units(getattr(e, name), unit):.4g}" for name in names)
+            fitted = (
+                ("held", "–", "–")
+                if e.held
+                else (f"{value}{sign}", f"{low} to {high}{sign}", f"{least} to {most}{sign}")
             )
-            fitted = ("held", "–") if e.held else (f"{value}{sign}", f"{low} to {high}{sign}")
             cells.append((e.name, f"{start}{sign}", *fitted))
-        interval = f"{100 * self.answer.confidence:g} % interval >"
-        return grid(("parameter", "given >", "fitted >", interval), cells, key=True)
+        interval = f"{100 * self.answer.confidence:g} % interval"
+        return grid(("parameter", "given >", "fitted >", f"{interval} >", "the same by blocks >"), cells, key=True)
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, residuals.csv and the calibrated robot.yaml."""
@@ -205,5 +267,89 @@ class FitReport(Report[Fit]):
         return ValidationReport(self.answer.after).draw(directory)
 
 
+def _step(step: Step, length: float) -> dict[str, Any]:
+    axis = step.held_out_axis
+    return {
+        "effect": step.effect,
+        "parameters": list(step.parameters),
+        "gain_percent": 100 * step.gain,
+        "certainty": step.certainty,
+        "held_out": _summary(step.held_out, length),
+        "held_out_axis_deg": None if axis is None else float(np.degrees(axis)),
+        "rivals": list(step.rivals),
+    }
+
+
+def _length(c: Comparison) -> float:
+    return c.fit.after.length if c.fit else float("nan")
+
+
+EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
+    Quantity("folds", "blocks held out"),
+    Quantity(
+        "start",
+        "held-out errors of the robot as given",
+        lambda c: _summary(c.start, _length(c)),
+        label="as given",
+        words=lambda c: f"RMS {c.start.rms * TO_MM:.2f} mm held out",
+    ),
+    Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
+    Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
+    Quantity("dropped", "effects that later ones made useless", lambda c: list(c.dropped)),
+    Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
+    Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
+)
+
+
+class EffectsReport(Report[Comparison]):
+    """What is said and saved about the effects that pay."""
+
+    command = "validate --compare"
+    quantities = EFFECTS_THAT_PAY
+    file = "report.json"
+
+    def title(self) -> str:
+        """The robot's name."""
+        return self.answer.fit.robot.name if self.answer.fit else "no effect pays"
+
+    def table(self) -> Group:
+        """Effects in the order in which they pay, those that do not, and the fit."""
+        c = self.answer
+        cells = [self._cells("", s) for s in c.steps]
+        cells += [self._cells("does not pay", s) for s in c.refused]
+        first = ("as given", f"{c.start.rms * TO_MM:.2f} mm", self._angle(c.start_axis), "", "")
+        heads = ("effect", "held out, RMS >", "direction >", "gain >", "")
+        steps = grid(heads, [first, *cells], key=True)
+        if c.fit is None:
+            return Group(two_columns(self.title(), self.rows()), steps)
+        return Group(two_columns(self.title(), self.rows()), steps, FitReport(c.fit).table())
+
+    def _cells(self, word: str, s: Step) -> tuple[str, ...]:
+        rivals = f"or {' or '.join(s.rivals)}: as good" if s.rivals else word
+        return (
+            s.effect,
+            f"{s.held_out.rms * TO_MM:.2f} mm",
+            self._angle(s.held_out_axis),
+            f"{100 * s.gain:.1f} %",
+            rivals,
+        )
+
+    def _angle(self, angle: float | None) -> str:
+        return "" if angle is None else f"{np.degrees(angle):.2f} deg"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write report.json, and residuals.csv and the calibrated robot.yaml where an effect pays."""
+        rest = [] if self.answer.fit is None else FitReport(self.answer.fit).save(directory)[1:]
+        return [self.save_record(directory), *rest]
+
+    def draw(self, directory: Path) -> list[Path]:
+        """Write effects.png, and residuals.png and errors.png where an effect pays."""
+        from .plots.effects import plot_effects
+
+        rest = [] if self.answer.fit is None else FitReport(self.answer.fit).draw(directory)
+        return [*self.drawn(directory, {"effects.png": plot_effects}), *rest]
+
+
+report.register(Comparison, EffectsReport)
 report.register(Validation, ValidationReport)
 report.register(Fit, FitReport)

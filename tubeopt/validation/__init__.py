@@ -1,31 +1,44 @@
-"""The model against measured tips: frames registered, errors told, chosen parameters of the robot estimated."""
+"""The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
 
-from .comparison import Validation, predict, validate
+from .comparison import Validation, validate
+from .effects import EFFECTS, KINDS
 from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
-from .fitting import Estimate, Fit, fit
+from .fitting import Estimate, Fit, FitOptions, fit
+from .folds import Parity
 from .force import ForceEstimate, estimate_force
-from .measurements import Measurements
+from .measurements import JointLog, Measurements
 from .parameters import Parameter, choose_parameters
+from .placing import Placement, where_to_measure
 from .registration import SENSOR_FRAME, BasePose, Registration, register
+from .selection import Comparison, Step, compare_effects
 
 __all__ = [
+    "EFFECTS",
+    "KINDS",
     "SENSOR_FRAME",
     "BasePose",
+    "Comparison",
     "ErrorGroup",
     "ErrorSummary",
     "ErrorTable",
     "Estimate",
     "Fit",
+    "FitOptions",
     "ForceEstimate",
+    "JointLog",
     "Measurements",
     "Parameter",
+    "Parity",
+    "Placement",
     "Registration",
+    "Step",
     "Validation",
     "choose_parameters",
+    "compare_effects",
     "estimate_force",
     "fit",
     "group_errors",
-    "predict",
     "register",
     "validate",
+    "where_to_measure",
 ]

@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
 from ..typing import Array
 from .errors import ErrorGroup, ErrorSummary, group_errors
+from .folds import Parity, parity, passes
 from .measurements import Measurements
-from .registration import SENSOR_FRAME, BasePose, Registration, register
+from .model import ArmModel, State
+from .registration import SENSOR_FRAME, BasePose, Registration
 
 Progress = Callable[[int, int], object]
-"""Called with how many shapes are solved, and how many there are to solve."""
+"""Called with how much is done, and how much there is, 0 where nobody knows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Measured against predicted tips of N configurations, both in the plate frame. SI units.
+    """Measured against predicted tips of N configurations, both in the plate frame. SI units; NaN where nothing was
+    seen, or no stable shape was found.
 
     Attributes:
-        robot, measurements: the input.
+        robot, measurements: the input; readings become joint values by the robot's calibration.
         registration: how measured points came into the plate frame.
-        measured, predicted: (N, 3) tips, m.
+        measured, predicted: (N, 3) positions of the foremost station, m.
+        along: (N, K) distances between measured and predicted positions of all stations, m, the foremost first.
+        axis_errors: (N,) angle between the measured and the predicted direction of the tip, rad; None where it was not
+            measured.
         margin: (N,) stability margin of the predicted shapes.
         length: greatest arc length of the arm in front of the plate, m: what percentages refer to.
+        parity: how far the errors depend on the way; None where the way does not retrace itself.
     """
 
     robot: Robot
@@ -37,8 +42,11 @@ class Validation:
     registration: Registration
     measured: Array
     predicted: Array
+    along: Array
+    axis_errors: Array | None
     margin: Array
     length: float
+    parity: Parity | None
 
     @property
     def residuals(self) -> Array:
@@ -48,7 +56,7 @@ class Validation:
     @property
     def errors(self) -> Array:
         """(N,) distances between measured and predicted tips, m."""
-        return np.asarray(np.linalg.norm(self.residuals, axis=1))
+        return np.asarray(self.along[:, 0])
 
     @property
     def summary(self) -> ErrorSummary:
@@ -72,9 +80,8 @@ def validate(
     *,
     registration: str = "rigid",
     base: BasePose = SENSOR_FRAME,
-    progress: Progress | None = None,
 ) -> Validation:
-    """Compare measured tips with the tips that the model predicts at the same joint values.
+    """Compare measured tips with the tips that the model predicts at the same joint readings.
 
     Every configuration is solved for a stable equilibrium on its own, from tubes without torsion. A robot that can snap
     may have been measured in another one; its margin tells which configurations are in doubt.
@@ -82,62 +89,59 @@ def validate(
     Args:
         registration: "rigid" (rotation and translation by least squares), "base-axis" (base and axis given by `base`,
             only the yaw about the axis by least squares) or "none"; see `register`.
-        progress: called with the number of shapes solved and of all.
 
     Raises:
         InputError: measurements of another number of tubes, joint values out of range (naming the row), a registration
             that the data leave undetermined.
         SolveError: no stable shape was found for a row.
     """
-    shapes = predict(robot, measurements, progress=progress)
-    predicted = np.array([shape.tip_position for shape in shapes])
-    motion = register(measurements.tip_position, predicted, registration, base=base)
+    check_tubes(robot, measurements)
+    model = ArmModel(robot, measurements, (), registration, base)
+    if model.failures:
+        row, reason = model.failures[0]
+        raise SolveError(f"row {row + 1}: {reason}")
+    return compare_at(model, model.start, robot)
+
+
+def check_tubes(robot: Robot, measurements: Measurements) -> None:
+    """Raise InputError where measurements are of another number of tubes."""
+    if measurements.n_tubes != robot.n_tubes:
+        raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
+
+
+def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
+    """Measured beside predicted at a state of a model, whose robot this is."""
+    m, motion = model.measurements, state.registration
+    poses = model.poses(model.setup(state.x))
+    predicted = model.predicted(state)
+    along, axis = distances(model, predicted - model.observed)
+    tip = np.full((len(m), 3), np.nan)
+    front = model.station == 0
+    tip[model.row[front]] = motion.apply(predicted[front])
+    measured = motion.apply(m.tip_position)
+    found = passes(m)
     return Validation(
         robot=robot,
-        measurements=measurements,
+        measurements=m,
         registration=motion,
-        measured=motion.apply(measurements.tip_position),
-        predicted=predicted,
-        margin=np.array([shape.margin for shape in shapes]),
-        length=max(float(shape.arc_length[-1]) for shape in shapes),
+        measured=measured,
+        predicted=tip,
+        along=along,
+        axis_errors=axis,
+        margin=poses.margin,
+        length=model.length,
+        parity=parity(found.pairs, measured - tip, measured),
     )
 
 
-def predict(
-    robot: Robot,
-    measurements: Measurements,
-    *,
-    guesses: Sequence[Equilibrium] | None = None,
-    progress: Progress | None = None,
-) -> list[Equilibrium]:
-    """The stable equilibrium of every row of measurements, started from `guesses` where these lead to one.
-
-    Raises:
-        InputError, SolveError: as `validate` does.
-    """
-    if measurements.n_tubes != robot.n_tubes:
-        raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
-    shapes = []
-    for k in range(len(measurements)):
-        try:
-            shapes.append(_shape(robot, measurements, k, None if guesses is None else guesses[k]))
-        except InputError as error:
-            raise InputError(f"row {k + 1}: {error}") from None
-        except SolveError as error:
-            raise SolveError(f"row {k + 1}: {error}", error.solution) from error
-        if progress is not None:
-            progress(k + 1, len(measurements))
-    return shapes
-
-
-def _shape(robot: Robot, measurements: Measurements, k: int, guess: Equilibrium | None) -> Equilibrium:
-    rotations, translations = measurements.rotations[k], measurements.translations[k]
-    if guess is not None:
-        try:
-            shape = forward_kinematics(robot, rotations, translations, guess=guess)
-        except SolveError:
-            pass  # the branch of the guess ends: begin anew
-        else:
-            if shape.stable:
-                return shape
-    return forward_kinematics(robot, rotations, translations)
+def distances(model: ArmModel, residuals: Array) -> tuple[Array, Array | None]:
+    """(N, K) lengths of the residuals (V, 3) of positions, m, and (N,) angles of those of directions, rad."""
+    size = np.linalg.norm(residuals, axis=1)
+    along = np.full((len(model.measurements), len(model.stations)), np.nan)
+    a = model.directed
+    along[model.row[~a], model.station[~a]] = size[~a]
+    if not a.any():
+        return along, None
+    axis = np.full(len(model.measurements), np.nan)
+    axis[model.row[a]] = 2 * np.arcsin(np.clip(size[a] / 2, 0, 1))
+    return along, axis

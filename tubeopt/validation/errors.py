@@ -24,7 +24,8 @@ class ErrorSummary:
 
     @classmethod
     def of(cls, errors: Array) -> ErrorSummary:
-        """The summary of errors (N,), m, N > 0."""
+        """The summary of errors (N,), m; NaN are left out, and there must be others."""
+        errors = errors[np.isfinite(errors)]
         return cls(
             count=len(errors),
             mean=float(errors.mean()),
@@ -50,7 +51,8 @@ def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
     groups = []
     for label in np.unique(labels):
         inside = labels == label
-        groups.append(ErrorGroup(float(values[inside].mean()), ErrorSummary.of(errors[inside])))
+        if np.isfinite(errors[inside]).any():
+            groups.append(ErrorGroup(float(values[inside].mean()), ErrorSummary.of(errors[inside])))
     return tuple(groups)
 
 

@@ -1,40 +1,89 @@
 """Parameters of a robot from measured tips: nonlinear least squares, with intervals and held-out errors.
 
-    minimise  sum_k | R m_k + t - p_k(x) |^2   over the parameters x and the registration (R, t)
+    minimise  sum_v |m_v - h_v(x, R, t)|^2 / sigma_v^2   over the parameters x and the registration (R, t)
 
-where p_k(x) is the tip of the equilibrium at row k. The registration is eliminated: for every x it is solved in closed
-form (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)), so the Jacobian of the remaining
-residuals already contains how the frame gives way, and J'J that of x with the registration estimated jointly.
+where h_v is what the device should see: positions of stations along the arm and the direction of its tip.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
-from ..errors import InputError, SolveError
+from ..errors import InputError, choice, positive
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
-from .comparison import Progress, Validation, validate
+from .comparison import Progress, Validation, check_tubes, compare_at, distances
+from .descent import ITERATIONS, LOSSES, Descent, Weights, descend, normal_equations
 from .errors import ErrorSummary
+from .folds import deal, passes
+from .held_out import bootstrap_errors, hold_out
+from .history import entangled_history
 from .identifiability import doubts, undetermined
 from .measurements import Measurements
-from .model import TipModel
-from .parameters import Parameter, apply, choose_parameters
+from .model import ArmModel, State
+from .parameters import Parameter, choose_parameters
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose
 
-ITERATIONS = 50
-SHUFFLE_SEED = 0
+BLOCKS = 20
+"""Blocks of rows that the bootstrap draws from, where there are as many places."""
+
+FIRST_GUESS = 1e-3, np.radians(1.0)
+"""Standard deviations of positions (m) and directions (rad) before they are estimated."""
+
+SAME_NOISE = 0.02
+"""Relative change of the estimated noise at which it has settled."""
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit goes about it.
+
+    Args:
+        registration, base: as for `validate`.
+        folds: of the cross-validation: blocks of the way (rows with times, places that are passed again together), or
+            rows dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none.
+        confidence: of the intervals, between 0 and 1.
+        loss: how a large error counts: "linear" (least squares), "huber" or "soft_l1".
+        priors: whether parameters are drawn to their values in the drawing, by how far these may be off.
+        noise: standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it.
+
+    Raises:
+        InputError: a value out of its range.
+    """
+
+    registration: str = "rigid"
+    base: BasePose = SENSOR_FRAME
+    folds: int = 5
+    confidence: float = 0.95
+    loss: str = "linear"
+    priors: bool = False
+    noise: tuple[float | None, float | None] = (None, None)
+
+    def __post_init__(self) -> None:
+        choice("registration", self.registration, FREEDOMS)
+        choice("loss", self.loss, LOSSES)
+        if not 0 < self.confidence < 1:
+            raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
+        for name, value in zip(("position", "direction"), self.noise, strict=True):
+            if value is not None:
+                positive(f"noise of the {name}", value)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad" or "m".
+    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m" or "s".
 
-    A parameter that the data cannot determine is held at its start: its value is the start and its interval infinite.
+    The interval takes errors as independent; `block_error`, the standard error from blocks of rows drawn again, does
+    not, and is the one to believe where it is larger. A parameter that the data cannot determine is held at its start:
+    its value is the start and its interval infinite.
     """
 
     name: str
@@ -45,6 +94,9 @@ class Estimate:
     low: float
     high: float
     held: bool
+    block_error: float
+    block_low: float
+    block_high: float
 
 
 class FitStatus(Sentence):
@@ -67,27 +119,30 @@ class Fit:
     """A robot calibrated to measurements.
 
     Attributes:
-        robot: with the estimated parameters; save it as YAML.
-        rotation_offsets: (n,) to add to the rotations that are asked of the robot, rad; no robot file holds them.
+        robot: with the estimated parameters, those of its drives as its `calibration`; save it as YAML.
         estimates: one for every chosen parameter.
         correlation: (P, P) of the estimates, NaN for those that are held.
         confidence: of the intervals.
-        noise: estimated standard deviation of one measured coordinate, m.
+        noise: estimated standard deviation of one measured coordinate, m.   axis_noise: of a direction, rad, or None.
         before, after: the robot as given and as fitted, against all measurements.
-        held_out_errors: (N,) tip errors (m) of each row, by the fit to the folds without it; None without folds.
-        remarks: in words, what the data do not determine, or hardly.
+        held_out_errors, held_out_axis_errors: (N,) tip errors (m) and angles (rad) of each row, by the fit to the folds
+            without it; None without folds, or without directions.
+        fold: (N,) fold of each row, None without folds.
+        remarks: in words, what the data do not determine, or hardly, and what was noticed when they were read.
         evaluations: shapes that were solved.
     """
 
     robot: Robot
-    rotation_offsets: Array
     estimates: tuple[Estimate, ...]
     correlation: Array
     confidence: float
     noise: float
+    axis_noise: float | None
     before: Validation
     after: Validation
     held_out_errors: Array | None
+    held_out_axis_errors: Array | None
+    fold: Index | None
     remarks: tuple[str, ...]
     evaluations: int
 
@@ -116,148 +171,218 @@ def fit(
     robot: Robot,
     measurements: Measurements,
     parameters: Sequence[str],
+    options: FitOptions | None = None,
     *,
-    registration: str = "rigid",
-    base: BasePose = SENSOR_FRAME,
-    folds: int = 5,
-    confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> Fit:
     """Estimate chosen parameters of a robot from measured tips, jointly with the registration.
 
-    Intervals follow from J'J at the solution with Student's t: they hold where the model is right and the errors of all
-    coordinates are independent and alike. Systematic errors make them too narrow; compare the held-out error.
-
     Args:
-        parameters: names out of `parameters.KINDS`, such as "curvature", "curvature_2", "stiffness_ratio_2", "nu",
-            "rotation_1", "transmission_length".
-        registration, base: as for `validate`.
-        folds: of the cross-validation; each row is predicted by a fit, registration included, to the other folds. 0
-            leaves it out.
-        confidence: of the intervals, between 0 and 1.
-        progress: called with the number of shapes solved and an estimate of all.
+        parameters: names out of `effects.KINDS`, such as "latency", "curvature_2", "rotation_1", "rotation_all".
+        progress: called with the number of stages done and of all.
 
     Raises:
-        InputError: unknown or contradicting parameters, fewer numbers than unknowns, folds or confidence out of range,
-            data on which no chosen parameter has an effect, and what `validate` raises.
-        SolveError: no stable shape for a row, or the iteration did not converge.
+        InputError: unknown or contradicting parameters, fewer numbers than unknowns, folds out of range, and what
+            `validate` raises.
+        SolveError: no row has a stable shape.
     """
-    chosen = choose_parameters(robot, measurements, parameters)
-    _check(measurements, len(chosen) + FREEDOMS.get(registration, 0), folds, confidence)
-    count = len(measurements)
-    counter = _Counter(progress, count * (9 + 4 * folds))
-    before = validate(robot, measurements, registration=registration, base=base, progress=counter.step)
-    model = TipModel(robot, measurements, chosen, registration, base, counter.step)
-    start = np.array([parameter.start for parameter in chosen])
-    held, remarks = undetermined(chosen, model.jacobian(start), before.length)
-    free = [k for k in range(len(chosen)) if k not in held]
-    if not free:
-        raise InputError("\n".join(remarks))
-    model.vary(free)
-    values = start.copy()
-    values[free], residuals, jacobian = _minimise(model, start[free])
-    degrees = residuals.size - len(free) - FREEDOMS[registration]
-    noise = float(np.sqrt(residuals @ residuals / degrees))
-    errors, correlation = _spread(jacobian, noise, free, len(chosen))
-    half = scipy.stats.t.ppf((1 + confidence) / 2, degrees) * errors
-    calibrated, offsets = apply(robot, chosen, values)
-    after = validate(calibrated, measurements.turned(offsets), registration=registration, base=base)
-    return Fit(
-        robot=calibrated,
-        rotation_offsets=offsets,
-        estimates=_estimates(chosen, values, errors, half),
-        correlation=correlation,
-        confidence=confidence,
-        noise=noise,
-        before=before,
-        after=after,
-        held_out_errors=_cross_validate(model, values, free, folds) if folds else None,
-        remarks=(*remarks, *doubts(chosen, free, values, half, correlation)),
-        evaluations=counter.done,
-    )
+    options = options or FitOptions()
+    check_tubes(robot, measurements)
+    chosen = choose_parameters(robot, measurements, parameters, options.registration)
+    check_counts(measurements, len(chosen) + FREEDOMS[options.registration], options.folds)
+    told = progress or (lambda done, total: None)
+    model = ArmModel(robot, measurements, chosen, options.registration, options.base)
+    told(1, 4)
+    problem = FitProblem(model, options)
+    told(2, 4)
+    answer = problem.answer(measurements, told)
+    told(4, 4)
+    return answer
 
 
-def _estimates(parameters: Sequence[Parameter], values: Array, errors: Array, half: Array) -> tuple[Estimate, ...]:
-    table = zip(parameters, values.tolist(), errors.tolist(), half.tolist(), strict=True)
-    return tuple(
-        Estimate(p.name, p.unit, p.start, value, error, value - width, value + width, bool(np.isinf(error)))
-        for p, value, error, width in table
-    )
-
-
-def _check(measurements: Measurements, unknowns: int, folds: int, confidence: float) -> None:
-    count = len(measurements)
+def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
+    """Raise InputError where there are fewer numbers than unknowns, or more folds than rows."""
+    count = int(np.isfinite(measurements.sensors[..., 0]).any(1).sum())
     if 3 * count <= unknowns:
         raise InputError(
             f"{count} measured tips are {3 * count} numbers; {unknowns} unknowns (parameters and registration) need "
             "more"
         )
-    if folds and not 2 <= folds <= count:
-        raise InputError(f"folds is {folds}; it must be 0, or 2 to the number of measurements, {count}")
-    if not 0 < confidence < 1:
-        raise InputError(f"confidence is {confidence:g}; it must lie between 0 and 1")
+    if folds and not 2 <= folds <= len(measurements):
+        raise InputError(f"folds is {folds}; it must be 0, or 2 to the number of measurements, {len(measurements)}")
 
 
-class _Counter:
-    """Counts solved shapes across the stages of a fit."""
-
-    def __init__(self, progress: Progress | None, expected: int) -> None:
-        self.done, self.expected, self.progress = 0, expected, progress
-
-    def step(self, *_: object) -> None:
-        """One more shape is solved."""
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, max(self.expected, self.done))
+def weigh(model: ArmModel, options: FitOptions, sigma: tuple[float, float]) -> Weights:
+    """How observations count, given the noise of positions and directions."""
+    prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
+    spread = np.where(model.directed, sigma[1], sigma[0])
+    return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss)
 
 
-def _minimise(model: TipModel, start: Array) -> tuple[Array, Array, Array]:
-    """Solution, residuals and Jacobian of a least-squares problem; raises SolveError where it does not converge."""
-    parameters = model.varied
-    bounds = [p.low for p in parameters], [p.high for p in parameters]
-    result = scipy.optimize.least_squares(
-        model.residuals,
-        np.clip(start, *bounds),
-        jac=model.jacobian,
-        bounds=bounds,
-        x_scale=[p.scale for p in parameters],
-        ftol=1e-7,
-        xtol=1e-8,
-        gtol=1e-12,
-        max_nfev=ITERATIONS,
-    )
-    if result.status <= 0:
-        raise SolveError(
-            f"the fit did not converge in {ITERATIONS} iterations; the last had a root mean square residual of "
-            f"{1e3 * np.sqrt(np.mean(result.fun**2)):.3g} mm. Estimate fewer parameters, or start from a closer robot"
+class FitProblem:
+    """A fit of a model's parameters, solved: those that the data leave undetermined held, the noise estimated.
+
+    Args:
+        model: with the parameters that were chosen.   start: a state to begin at, of the same parameters.
+        sigma: noise of positions and directions to begin with.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel,
+        options: FitOptions,
+        start: State | None = None,
+        sigma: tuple[float, float] = FIRST_GUESS,
+    ) -> None:
+        self.chosen, self.options = model.parameters, options
+        self.sigma = (options.noise[0] or sigma[0], options.noise[1] or sigma[1])
+        begin = start or model.start
+        self.held, self.remarks = self._undetermined(model, begin)
+        self.free = [k for k in range(len(self.chosen)) if k not in self.held]
+        self.model = model.with_parameters([self.chosen[k] for k in self.free])
+        self.fit = self._settle(State(begin.x[self.free], begin.registration))
+
+    def _undetermined(self, model: ArmModel, begin: State) -> tuple[list[int], list[str]]:
+        if not self.chosen or self.options.priors:
+            return [], []
+        slopes = model.jacobian(begin)
+        slopes[model.directed] *= model.length
+        return undetermined(self.chosen, slopes, model.length)
+
+    def weights(self) -> Weights:
+        """How observations count, given the noise."""
+        return weigh(self.model, self.options, self.sigma)
+
+    def _settle(self, start: State) -> Descent:
+        """Descend, and estimate the noise, until it settles; with nothing but least squares of positions it does not
+        matter what it is."""
+        found = descend(self.model, self.weights(), start)
+        for _ in range(6):
+            last, self.sigma = self.sigma, self._noise(found)
+            alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
+            if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
+                break
+            found = descend(self.model, self.weights(), found.state)
+        return found
+
+    def _noise(self, found: Descent) -> tuple[float, float]:
+        """Standard deviations of a coordinate of positions and of directions: given, or left by the fit.
+
+        With a robust loss, from the median, which outliers do not move.
+        """
+        size = np.linalg.norm(found.residuals, axis=1)
+        a = self.model.directed
+        unknowns = len(self.free) + self.model.freedoms
+        total = 3 * (~a).sum() + 2 * a.sum()
+        spare = max(total - unknowns, 1) / total
+        out = []
+        for sizes, coordinates, given in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
+            if given is not None or not len(sizes):
+                out.append(given if given is not None else FIRST_GUESS[1])
+            elif self.options.loss == "linear":
+                out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * spare))))
+            else:
+                out.append(float(np.median(sizes) / np.sqrt(scipy.stats.chi2.ppf(0.5, coordinates))))
+        return max(out[0], 1e-12), max(out[1], 1e-12)
+
+    @property
+    def values(self) -> Array:
+        """(P,) of all chosen parameters."""
+        out = np.array([p.start for p in self.chosen])
+        out[self.free] = self.fit.state.x
+        return out
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(P', P') of the parameters that are not held."""
+        square, _ = normal_equations(self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian)
+        scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+        inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        return np.asarray(inverse[: len(self.free), : len(self.free)])
+
+    def answer(self, measurements: Measurements, told: Progress) -> Fit:
+        """Everything that is said about the fit."""
+        model, options, state = self.model, self.options, self.fit.state
+        place = passes(measurements).place
+        errors, correlation = self._spread()
+        block = deal(measurements, min(BLOCKS, len(np.unique(place))), place)
+        blocked = np.full(len(self.chosen), np.inf)
+        if self.free:
+            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
+        fold = deal(measurements, options.folds, place) if options.folds else None
+        out = (
+            (None, None)
+            if fold is None
+            else distances(model, hold_out(model, self.weights(), self.fit, fold).residuals)
         )
-    return result.x, result.fun, result.jac
+        told(3, 4)
+        degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
+        half = scipy.stats.t.ppf((1 + options.confidence) / 2, degrees) * errors
+        wide = scipy.stats.t.ppf((1 + options.confidence) / 2, max(1, len(np.unique(block)) - 1)) * blocked
+        setup = model.setup(state.x)
+        calibrated = setup.robot(model.robot, f"{len(measurements)} rows of {measurements.source or 'measurements'}")
+        return Fit(
+            robot=calibrated,
+            estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
+            correlation=correlation,
+            confidence=options.confidence,
+            noise=self.sigma[0],
+            axis_noise=self.sigma[1] if model.directed.any() else None,
+            before=compare_at(model, replace(model.start), model.robot),
+            after=compare_at(model, state, calibrated),
+            held_out_errors=None if out[0] is None else out[0][:, 0],
+            held_out_axis_errors=out[1],
+            fold=fold,
+            remarks=(*measurements.remarks, *self.remarks, *self._doubts(half, correlation)),
+            evaluations=model.evaluations,
+        )
+
+    def _spread(self) -> tuple[Array, Array]:
+        """Standard errors (P,) and correlation (P, P); infinite and NaN for parameters that are held."""
+        count, free = len(self.chosen), self.free
+        errors, correlation = np.full(count, np.inf), np.full((count, count), np.nan)
+        deviation = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        errors[free] = deviation
+        correlation[np.ix_(free, free)] = self.covariance / np.outer(deviation, deviation)
+        return errors, correlation
+
+    def _doubts(self, half: Array, correlation: Array) -> list[str]:
+        words = doubts(self.chosen, self.free, self.values, half, correlation)
+        words += entangled_history(self.model, self.fit)
+        if not self.fit.converged:
+            words.append(
+                f"the fit had not settled after {ITERATIONS} steps: estimate fewer parameters, or start from a closer "
+                "robot"
+            )
+        if self.fit.obstacle:
+            words.append(
+                f"the last steps were cut short, since beyond them there is no such robot: {self.fit.obstacle}"
+            )
+        if self.model.failures:
+            row, reason = self.model.failures[0]
+            words.append(
+                f"{len(self.model.failures)} rows have no stable shape and were left out; the first is row {row + 1}: "
+                f"{reason}"
+            )
+        return words
 
 
-def _spread(jacobian: Array, noise: float, free: Sequence[int], count: int) -> tuple[Array, Array]:
-    """Standard errors (P,) and correlation (P, P) from (J'J)^-1; infinite and NaN for parameters that are held."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
-    errors, correlation = np.full(count, np.inf), np.full((count, count), np.nan)
-    errors[free] = noise * np.sqrt(np.diag(inverse)) / scale
-    deviation = np.sqrt(np.diag(inverse))
-    correlation[np.ix_(free, free)] = inverse / np.outer(deviation, deviation)
-    return errors, correlation
-
-
-def _cross_validate(model: TipModel, values: Array, free: list[int], folds: int) -> Array:
-    """(N,) errors of rows predicted without them, m; rows are dealt to the folds in a fixed, shuffled order."""
-    count = len(model.measurements)
-    fold = np.empty(count, dtype=int)
-    fold[np.random.default_rng(SHUFFLE_SEED).permutation(count)] = np.arange(count) % folds
-    errors = np.empty(count)
-    for k in range(folds):
-        train = model.rows(np.flatnonzero(fold != k))
-        x = _minimise(train, values[free])[0]
-        train.residuals(x)
-        rest = np.flatnonzero(fold == k)
-        test = model.rows(rest)
-        predicted = test.tips(x)
-        measured = train.registration.apply(test.measurements.tip_position)
-        errors[rest] = np.linalg.norm(measured - predicted, axis=1)
-    return errors
+def _estimates(
+    parameters: Sequence[Parameter], values: Array, own: tuple[Array, Array], blocks: tuple[Array, Array]
+) -> tuple[Estimate, ...]:
+    return tuple(
+        Estimate(
+            name=p.name,
+            unit=p.unit,
+            start=p.start,
+            value=float(values[k]),
+            standard_error=float(own[0][k]),
+            low=float(values[k] - own[1][k]),
+            high=float(values[k] + own[1][k]),
+            held=bool(np.isinf(own[0][k])),
+            block_error=float(blocks[0][k]),
+            block_low=float(values[k] - blocks[1][k]),
+            block_high=float(values[k] + blocks[1][k]),
+        )
+        for k, p in enumerate(parameters)
+    )

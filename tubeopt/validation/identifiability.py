@@ -25,9 +25,11 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
     """Indices of parameters to hold, so that all others are determined, and the reasons in words.
 
     Args:
-        jacobian: (3N, P) of the residuals, m.   length: of the arm, m.
+        jacobian: (V, 3, P + F) of the residuals by parameters and registration, directions in units of the arm's
+            length, m.   length: of the arm, m.
     """
-    scaled = jacobian * [p.scale for p in parameters] / (length * math.sqrt(len(jacobian) / 3))
+    scaled = beside_registration(jacobian, len(parameters)) * [p.scale for p in parameters]
+    scaled /= length * math.sqrt(len(jacobian))
     kept: list[int] = []
     held, words = [], []
     for k, parameter in enumerate(parameters):
@@ -48,6 +50,15 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
                 f"{shown(parameter)}"
             )
     return held, words
+
+
+def beside_registration(jacobian: Array, count: int) -> Array:
+    """(3V, P) columns of the parameters of a Jacobian (V, 3, P + F), less what the registration would undo."""
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    if not count or flat.shape[1] == count:
+        return flat[:, :count].copy()
+    q, _ = np.linalg.qr(flat[:, count:])
+    return np.asarray(flat[:, :count] - q @ (q.T @ flat[:, :count]))
 
 
 def doubts(

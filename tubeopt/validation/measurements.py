@@ -1,8 +1,9 @@
-"""What a laboratory measures: joint values, and where sensors saw the tip."""
+"""What a laboratory measures: joint readings, and where sensors saw the arm, when, and which way they pointed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,22 +11,66 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..typing import Array
 
+SAME_PLACE = 1e-6
+"""Sensors whose distances behind the tip differ by less (m) sit at one station."""
+
+Z = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """Joint readings at times of their own.
+
+    time: (M,) s, ascending.   rotations, translations: (M, n), rad and m.
+
+    Raises:
+        InputError: arrays that do not fit each other, times that do not ascend, or a number that is not finite.
+    """
+
+    time: Array
+    rotations: Array
+    translations: Array
+
+    def __post_init__(self) -> None:
+        time, rotations = finite_array("log.time", self.time, 1), finite_array("log.rotations", self.rotations, 2)
+        translations = finite_array("log.translations", self.translations, 2)
+        if not rotations.shape == translations.shape == (len(time), rotations.shape[1]):
+            raise InputError(
+                f"the log has {len(time)} times, rotations of shape {rotations.shape} and translations of shape "
+                f"{translations.shape}; they must fit"
+            )
+        if (np.diff(time) <= 0).any():
+            k = int(np.argmax(np.diff(time) <= 0))
+            raise InputError(f"log.time[{k + 1}] is {time[k + 1]:g} s after {time[k]:g} s; times must ascend")
+        for name, array in (("time", time), ("rotations", rotations), ("translations", translations)):
+            object.__setattr__(self, name, array)
+
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """N configurations with the tip positions that S sensors measured.
+    """N configurations with the positions that S sensors measured, and the direction in which the tip pointed.
 
-    The tip is the mean over the sensors. For an eccentric robot that is the sheath's centreline where one sensor sits
-    in each of its three tubes; a single sensor there is off by the tube's distance from the centreline.
+    Sensors at the same distance behind the tip form a station, whose position is the mean over those that were seen.
+    For an eccentric robot that is the sheath's centreline where one sensor sits in each of its three tubes; a single
+    sensor there is off by the tube's distance from the centreline.
 
     Args:
-        rotations, translations: (N, n) joint values, rad and m; translations from home.
-        sensors: (N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor.
+        rotations, translations: (N, n) joint readings, rad and m; translations from home.
+        sensors: (N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor. NaN where a sensor
+            was not seen; every row needs one that was.
         direction, separation: (N,) mirror actuation that the rotations come from, rad; None where there is none.
         source: where the data are from, for messages and pictures.
+        time: (N,) s of the positions; None where there is none. Rows are then single configurations, not a way.
+        behind: (S,) distance of each sensor behind the tip along the arm, m; None is all at the tip.
+        orientation: (N, 3, 3) frame of the tip's sensor in the device's, NaN where it was not seen; None for none.
+        sensor_axis: (3,) direction along the tube, towards the tip, in the frame of the tip's sensor; None finds out
+            which of +-x, +-y, +-z it is.
+        log: joint readings at a rate of their own, where the joints were recorded apart.
+        remarks: what was noticed when the data were read, in words.
 
     Raises:
-        InputError: arrays that do not fit each other, no configuration, or a number that is not finite.
+        InputError: arrays that do not fit each other, no configuration, a row that no sensor saw, or a number that is
+            not finite.
     """
 
     rotations: Array
@@ -34,27 +79,51 @@ class Measurements:
     direction: Array | None = None
     separation: Array | None = None
     source: str = ""
+    time: Array | None = None
+    behind: Array | None = None
+    orientation: Array | None = None
+    sensor_axis: Array | None = None
+    log: JointLog | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        rotations = _finite("rotations", self.rotations, 2)
+        rotations = finite_array("rotations", self.rotations, 2)
         count, n = rotations.shape
         if not rotations.size:
             raise InputError("there are no measurements; at least one configuration is needed")
-        translations = _finite("translations", self.translations, 2)
+        translations = finite_array("translations", self.translations, 2)
         if translations.shape != (count, n):
             raise InputError(f"translations have shape {translations.shape}; rotations have {rotations.shape}")
-        sensors = np.array(self.sensors, dtype=float)
-        sensors = _finite("sensors", sensors[:, None] if sensors.ndim == 2 else sensors, 3)
-        if sensors.shape[0] != count or sensors.shape[1] < 1 or sensors.shape[2] != 3:
-            raise InputError(f"sensors have shape {sensors.shape}; it must be ({count}, sensors, 3)")
-        for name in ("direction", "separation"):
-            if getattr(self, name) is not None:
-                label = _finite(name, getattr(self, name), 1)
-                if len(label) != count:
-                    raise InputError(f"{name} has {len(label)} numbers; it must be {count}, one per configuration")
-                object.__setattr__(self, name, label)
-        for name, array in (("rotations", rotations), ("translations", translations), ("sensors", sensors)):
-            object.__setattr__(self, name, array)
+        found: dict[str, Array | None] = {"rotations": rotations, "translations": translations}
+        found["sensors"] = _sensors(self.sensors, count)
+        for name in ("direction", "separation", "time"):
+            label = getattr(self, name)
+            found[name] = None if label is None else finite_array(name, label, 1)
+            if label is not None and len(label) != count:
+                raise InputError(f"{name} has {len(label)} numbers; it must be {count}, one per configuration")
+        for name, value in found.items():
+            object.__setattr__(self, name, value)
+        self._check_sensors()
+        if self.log is not None and (self.time is None or self.log.rotations.shape[1] != n):
+            raise InputError(f"a log of joint readings needs the time of every row, and {n} tubes as the rows have")
+
+    def _check_sensors(self) -> None:
+        count, seen = self.sensors.shape[:2]
+        if self.behind is not None:
+            behind = finite_array("behind", self.behind, 1)
+            if behind.shape != (seen,) or (behind < 0).any():
+                raise InputError(f"behind is {behind.tolist()} m; it must be {seen} distances, at least 0")
+            object.__setattr__(self, "behind", behind)
+        if self.orientation is not None:
+            frames = np.array(self.orientation, dtype=float)
+            if frames.shape != (count, 3, 3):
+                raise InputError(f"orientation has shape {frames.shape}; it must be ({count}, 3, 3)")
+            object.__setattr__(self, "orientation", frames)
+        if self.sensor_axis is not None:
+            axis = finite_array("sensor_axis", self.sensor_axis, 1)
+            if axis.shape != (3,) or not np.linalg.norm(axis):
+                raise InputError(f"sensor_axis is {axis.tolist()}; it must be a direction in space")
+            object.__setattr__(self, "sensor_axis", axis / np.linalg.norm(axis))
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -65,33 +134,74 @@ class Measurements:
         return int(self.rotations.shape[1])
 
     @property
+    def stations(self) -> Array:
+        """(K,) distances behind the tip at which there are sensors, m, the foremost first."""
+        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
+        return np.unique(np.round(behind / SAME_PLACE)) * SAME_PLACE
+
+    @property
+    def station_position(self) -> Array:
+        """(N, K, 3) mean over the sensors of each station that were seen, m; NaN where none was."""
+        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
+        return np.stack([_mean(self.sensors[:, np.abs(behind - at) < SAME_PLACE]) for at in self.stations], axis=1)
+
+    @property
     def tip_position(self) -> Array:
-        """(N, 3) mean over the sensors, m."""
-        return np.asarray(self.sensors.mean(1))
+        """(N, 3) position of the foremost station, m; NaN where it was not seen."""
+        return np.asarray(self.station_position[:, 0])
 
     @property
     def sensor_spread(self) -> Array:
-        """(N,) root mean square distance of the sensors from their mean, m; 0 for one sensor."""
-        return np.asarray(np.sqrt(((self.sensors - self.tip_position[:, None]) ** 2).sum(2).mean(1)))
+        """(N,) root mean square distance of the foremost sensors from their mean, m; 0 for one sensor."""
+        behind = np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
+        front = self.sensors[:, np.abs(behind - self.stations[0]) < SAME_PLACE]
+        squares = ((front - self.tip_position[:, None]) ** 2).sum(2)
+        return np.asarray(np.sqrt(np.nansum(squares, axis=1) / np.maximum(np.isfinite(squares).sum(1), 1)))
 
     def rows(self, index: ArrayLike) -> Measurements:
-        """The configurations with these indices, or where this mask is true."""
+        """The configurations with these indices, or where this mask is true; a log stays whole."""
         k = np.asarray(index)
-        return replace(
-            self,
-            rotations=self.rotations[k],
-            translations=self.translations[k],
-            sensors=self.sensors[k],
-            direction=None if self.direction is None else self.direction[k],
-            separation=None if self.separation is None else self.separation[k],
-        )
+        whole = {name: getattr(self, name) for name in BY_ROW}
+        picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in whole.items()}
+        return replace(self, **picked)
 
     def turned(self, offsets: Array) -> Measurements:
         """The same tips at rotations with `offsets` (n,), rad, added."""
         return replace(self, rotations=self.rotations + offsets)
 
 
-def _finite(name: str, value: ArrayLike, dimensions: int) -> Array:
+BY_ROW = ("rotations", "translations", "sensors", "direction", "separation", "time", "orientation")
+"""What a configuration has of its own."""
+
+
+def _sensors(value: ArrayLike, count: int) -> Array:
+    """(N, S, 3) with NaN where a sensor was not seen."""
+    try:
+        sensors = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("sensors are not an array of numbers") from None
+    sensors = sensors[:, None] if sensors.ndim == 2 else sensors
+    if sensors.ndim != 3 or sensors.shape[0] != count or sensors.shape[1] < 1 or sensors.shape[2] != 3:
+        raise InputError(f"sensors have shape {sensors.shape}; it must be ({count}, sensors, 3)")
+    if np.isinf(sensors).any():
+        place = np.argwhere(np.isinf(sensors))[0].tolist()
+        raise InputError(f"sensors{place} is {sensors[tuple(place)]}; it must be finite, or NaN where nothing was seen")
+    sensors[np.isnan(sensors).any(2)] = np.nan
+    unseen = np.isnan(sensors).all((1, 2))
+    if unseen.any():
+        raise InputError(f"no sensor saw row {int(np.argmax(unseen)) + 1}; every row needs a measured position")
+    return sensors
+
+
+def _mean(sensors: Array) -> Array:
+    """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN where none was."""
+    seen = np.isfinite(sensors[..., 0])
+    total = np.where(seen[..., None], sensors, 0.0).sum(1)
+    count = seen.sum(1)[:, None]
+    return np.asarray(np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0))
+
+
+def finite_array(name: str, value: ArrayLike, dimensions: int) -> Array:
     """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
     try:
         array = np.array(value, dtype=float)

@@ -1,22 +1,23 @@
-"""Residuals of measured tips as a function of a robot's parameters, with the registration eliminated."""
+"""What the sensors should see of a robot with given parameters, and how far they see something else."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..equilibrium.jacobian import derivatives_of
-from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..robots.breakpoints import dimensions_of
 from ..robots.robot import Robot
-from ..typing import Array
-from .comparison import Progress, predict
+from ..typing import Array, Mask
 from .measurements import Measurements
-from .parameters import CommonRobot, Parameter, apply
-from .registration import BasePose, Registration, register
+from .parameters import Parameter, apply
+from .poses import Poses, solve_poses
+from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration, register
+from .setup import Setup
+from .timeline import Timeline
 
 STEP = 1e-4
 """Step, in units of a parameter's scale, of the parabolas that tell how the dimensions of the tubes change."""
@@ -24,125 +25,244 @@ STEP = 1e-4
 NUDGE = 1e-6
 """Motion of the tips, m, in which the registration is told to follow."""
 
+JOINT_STEP = 1e-6
+"""The same of joint values, rad and m."""
 
-class TipModel:
-    """Tips and residuals at parameters x; every solve starts from the shapes of the one before.
+AXES = np.vstack([np.eye(3), -np.eye(3)])
+"""Directions along which a sensor may lie in its own frame."""
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Parameters x (P,) and where the device stands."""
+
+    x: Array
+    registration: Registration
+
+    def moved(self, step: Array) -> State:
+        """The state after a step: of the parameters, then of the registration's freedoms."""
+        count = len(self.x)
+        return State(self.x + step[:count], self.registration.moved(step[count:]))
+
+
+class ArmModel:
+    """Observations, three numbers each: positions of stations (m), then directions of the tip's sensor (unit vectors).
 
     Args:
-        robot, measurements: as given.   parameters: that x holds; `vary` leaves some of them at their start.
-        registration, base: method, as for `register`.   progress: called after each solved shape.
+        robot, measurements: as given.   parameters: that x holds.
+        method, base: of the registration, as for `register`.
+
+    Attributes:
+        row (V,): row of each observation.   station (V,): its station, -1 for a direction.
+        observed: (V, 3) in the device's frame.
+        failures: rows without a stable equilibrium at the start, which are left out, with the reason.
+
+    Raises:
+        InputError: a row at which the robot cannot be.
+        SolveError: no row has a stable equilibrium.
     """
 
     def __init__(
         self,
         robot: Robot,
         measurements: Measurements,
-        parameters: Sequence[Parameter],
-        registration: str,
-        base: BasePose,
-        progress: Progress | None = None,
+        parameters: Sequence[Parameter] = (),
+        method: str = "rigid",
+        base: BasePose = SENSOR_FRAME,
     ) -> None:
         self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
-        self.method, self.base, self.progress = registration, base, progress
-        self.free = list(range(len(self.parameters)))
-        self._shapes: list[Equilibrium] | None = None
-        self._at: Array | None = None
-        self._tips = np.empty((0, 3))
-        self.registration = Registration("none", np.eye(3), np.zeros(3))
+        self.method, self.base = method, base
+        self.freedoms = FREEDOMS[method]
+        self.first = Setup.of(robot)
+        self.timeline = Timeline.of(measurements)
+        self.stations = measurements.stations
+        self.evaluations = 0
+        self._solved: list[tuple[Setup, Array, Array, Poses]] = []
+        poses = self.poses(self.first)
+        self.failures = poses.failures
+        if not poses.found.any():
+            row, reason = poses.failures[0]
+            raise SolveError(f"row {row + 1}: {reason}")
+        self.length = float(poses.length[poses.found].max())
+        self._observe(poses)
+
+    def _observe(self, poses: Poses) -> None:
+        """Lay out what was measured."""
+        positions = self.measurements.station_position
+        seen = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
+        rows, stations = np.nonzero(seen)
+        registration = self._registered(poses, seen)
+        self.axis = self._sensor_axis(poses, registration)
+        parts, row, station = [positions[rows, stations]], [rows], [stations]
+        frames = self.measurements.orientation
+        if frames is not None and self.axis is not None:
+            directed = np.flatnonzero(np.isfinite(frames).all((1, 2)) & poses.found)
+            parts.append(frames[directed] @ self.axis)
+            row.append(directed)
+            station.append(np.full(len(directed), -1))
+        self.observed, self.row, self.station = np.concatenate(parts), np.concatenate(row), np.concatenate(station)
+        self.start = State(np.array([p.start for p in self.parameters]), registration)
 
     @property
-    def varied(self) -> tuple[Parameter, ...]:
-        """The parameters that x holds."""
-        return tuple(self.parameters[k] for k in self.free)
+    def directed(self) -> Mask:
+        """(V,) which observations are directions."""
+        return np.asarray(self.station < 0)
 
-    def vary(self, free: Sequence[int]) -> None:
-        """Let x hold only the parameters with these indices."""
-        self.free, self._at = list(free), None
+    def _registered(self, poses: Poses, seen: Mask) -> Registration:
+        measured = self.measurements.station_position[seen]
+        return register(measured, self._placed(self.first, poses)[0][seen], self.method, base=self.base)
 
-    def rows(self, index: NDArray[np.intp]) -> TipModel:
-        """The same model of some of the measurements, started from the shapes of this one."""
-        part = TipModel(
-            self.robot, self.measurements.rows(index), self.parameters, self.method, self.base, self.progress
-        )
-        part.vary(self.free)
-        part._shapes = None if self._shapes is None else [self._shapes[k] for k in index]
-        return part
+    def _sensor_axis(self, poses: Poses, registration: Registration) -> Array | None:
+        """The direction along the tube in the sensor's frame: as given, or the one of AXES that fits best."""
+        m = self.measurements
+        if m.orientation is None or m.sensor_axis is not None:
+            return m.sensor_axis
+        seen = np.isfinite(m.orientation).all((1, 2)) & poses.found
+        if not seen.any():
+            return None
+        tangent = poses.frame[seen, :, 2] @ registration.rotation
+        alike = np.einsum("ka,nba,nb->k", AXES, m.orientation[seen], tangent)
+        return np.asarray(AXES[int(np.argmax(alike))])
 
-    def tips(self, x: Array) -> Array:
-        """(N, 3) predicted tips, m; the shapes are kept as guesses for the next."""
-        if self._at is None or not np.array_equal(x, self._at):
-            self._shapes = self._solve(x)
-            self._tips = np.array([shape.tip_position for shape in self._shapes])
-            self._at = np.array(x)
-        return self._tips
+    def with_parameters(self, parameters: Sequence[Parameter]) -> ArmModel:
+        """The same observations with other parameters in x; what was solved is kept."""
+        other = object.__new__(ArmModel)
+        other.__dict__.update(self.__dict__)
+        other.parameters = tuple(parameters)
+        other.start = State(np.array([p.start for p in parameters]), self.start.registration)
+        return other
 
-    def residuals(self, x: Array) -> Array:
-        """(3N,) registered measured minus predicted tips, m; infinite where there is no such robot or no such shape.
+    # --- what a state predicts ----------------------------------------------------------------------------------------
 
-        They have the directions of the device's frame: in the plate's they would turn along with the registration, and
-        a change of x that only turns the robot would seem to have an effect.
-        The registration is kept in `registration`. At the first x an impossible robot or shape is an error.
+    def setup(self, x: Array) -> Setup:
+        """All numbers at parameters x."""
+        return apply(self.first, self.parameters, x)
+
+    def joints(self, setup: Setup) -> tuple[Array, Array]:
+        """(N, n) joint values of the model, rad and m."""
+        rotations, translations = self.timeline.readings(setup.latency)
+        alpha = self.timeline.with_play(rotations * setup.rotation_gain + setup.rotation, setup.rotation_play)
+        return alpha, translations * setup.translation_gain + setup.translation
+
+    def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None) -> Poses:
+        """Equilibria of every row, at its own joint values or at others; the last few are remembered.
+
+        Raises:
+            InputError: there is no such robot, or it cannot be at these joint values.
         """
-        first = self._shapes is None
-        try:
-            tips = self.tips(x)
-        except (InputError, SolveError):
-            if first:
-                raise
-            return np.full(3 * len(self.measurements), np.inf)
-        self.registration = self._register(tips)
-        return self._difference(self.registration, tips)
+        alpha, shift = self.joints(setup) if joints is None else joints
+        for tubes, a, d, poses in self._solved:
+            if np.array_equal(a, alpha) and np.array_equal(d, shift) and tubes.same_tubes(setup):
+                return poses
+        robot = setup.robot(self.robot)
+        self.evaluations += len(alpha)
+        poses = solve_poses(robot, alpha, shift, self.stations, self.timeline.runs)
+        if joints is None:
+            self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
+        return poses
 
-    def jacobian(self, x: Array) -> Array:
-        """(3N, P) derivatives of `residuals`, the registration, which is a closed form of the tips, following along."""
-        tips, columns = self.tips(x), []
-        for slope in np.moveaxis(self._tip_slopes(x), 2, 0):
-            moved = slope * (NUDGE / max(float(np.abs(slope).max()), 1e-300))
-            ends = [self._difference(self._register(tips + side * moved), tips + side * moved) for side in (1, -1)]
-            columns.append((ends[0] - ends[1]) * (float(np.abs(slope).max()) / (2 * NUDGE)))
-        return np.array(columns).T
+    def _placed(self, setup: Setup, poses: Poses) -> tuple[Array, Array]:
+        """Stations (N, K, 3), with the sensor where it sits, and directions (N, 3), in the plate frame."""
+        stations = poses.position.copy()
+        stations[:, 0] += poses.frame @ setup.sensor_offset
+        x, y = setup.sensor_tilt
+        direction = poses.frame @ np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
+        if setup.plate_tilt.any() or setup.plate_shift.any():
+            turn = scipy.spatial.transform.Rotation.from_rotvec([*setup.plate_tilt, 0.0]).as_matrix()
+            stations, direction = stations @ turn.T + setup.plate_shift, direction @ turn.T
+        return stations, direction
 
-    def _tip_slopes(self, x: Array) -> Array:
-        """(N, 3, P) derivatives of the tips at x, by the implicit function theorem."""
-        assert self._shapes is not None
-        by_table, table = self._table_slopes(x), []
-        names = [name for name, part in by_table.items() if part.any()]
-        if not names:
-            return np.zeros((len(self._shapes), 3, len(self.free)))
-        change = np.concatenate([by_table[name] for name in names])
-        for shape in self._shapes:
-            table.append(derivatives_of(shape, names).tip_position @ change)
-        return np.array(table)
+    def predicted(self, state: State) -> Array:
+        """(V, 3) of what the device should see.
 
-    def _table_slopes(self, x: Array) -> dict[str, Array]:
-        """(n, P) change of the rotations and of every dimension of the tubes with x: parabolas inward."""
-        here, columns = self._table(x), []
-        for k, parameter in enumerate(self.varied):
-            step = np.zeros(len(x))
-            step[k] = STEP * parameter.scale * (-1.0 if x[k] > (parameter.low + parameter.high) / 2 else 1.0)
-            one, two = self._table(x + step), self._table(x + 2 * step)
-            columns.append({name: (4 * one[name] - two[name] - 3 * v) / (2 * step[k]) for name, v in here.items()})
-        return {name: np.column_stack([column[name] for column in columns]) for name in here}
+        Raises:
+            InputError: there is no such robot.
+            SolveError: a row that was solved at the start has no stable equilibrium.
+        """
+        setup = self.setup(state.x)
+        return self._seen(setup, self.poses(setup), state.registration)
 
-    def _table(self, x: Array) -> dict[str, Array]:
-        """Offsets of the rotations and dimensions of the tubes at x, (n,) each."""
-        robot, offsets = self._robot(x)
-        return {"rotations": offsets, **dimensions_of(robot.tubes)}
+    def _seen(self, setup: Setup, poses: Poses, motion: Registration) -> Array:
+        stations, direction = self._placed(setup, poses)
+        out = np.empty_like(self.observed)
+        a = self.directed
+        out[~a] = (stations[self.row[~a], self.station[~a]] - motion.translation) @ motion.rotation
+        out[a] = direction[self.row[a]] @ motion.rotation
+        if not np.isfinite(out).all():
+            row = int(self.row[np.argmax(~np.isfinite(out).all(1))])
+            raise SolveError(f"row {row + 1} has no stable equilibrium")
+        return out
 
-    def _register(self, tips: Array) -> Registration:
-        return register(self.measurements.tip_position, tips, self.method, base=self.base)
+    def residuals(self, state: State) -> Array:
+        """(V, 3) measured minus predicted, in the device's frame: m, and unit vectors; raises as `predicted`."""
+        return self.observed - self.predicted(state)
 
-    def _difference(self, registration: Registration, tips: Array) -> Array:
-        registered = registration.apply(self.measurements.tip_position)
-        return np.asarray(((registered - tips) @ registration.rotation).ravel())
+    def jacobian(self, state: State, skip: int = 0) -> Array:
+        """(V, 3, P + F) derivatives of `residuals` by the parameters and by the freedoms of the registration.
 
-    def _solve(self, x: Array) -> list[Equilibrium]:
-        robot, offsets = self._robot(x)
-        turned = self.measurements.turned(offsets)
-        return predict(robot, turned, guesses=self._shapes, progress=self.progress)
+        Difference quotients, in scaled steps towards the middle of each range; a step to where there is no robot is
+        taken the other way, and a parameter that cannot be changed either way gets a column of 0. All parameters of the
+        drives share the derivatives by the joint values. The columns of the first `skip` parameters are left at 0.
+        """
+        here = self.predicted(state)
+        count = len(self.parameters)
+        out = np.zeros((*here.shape, count + self.freedoms))
+        now = self.setup(state.x)
+        joints: Array | None = None
+        for k, p in enumerate(self.parameters[skip:], start=skip):
+            inward = -1.0 if state.x[k] > (p.low + p.high) / 2 else 1.0
+            if p.effect.drives:
+                joints = self._joint_slopes(now, state.registration, here) if joints is None else joints
+                moved = self.setup(_nudged(state.x, k, inward * STEP * p.scale))
+                change = np.hstack(self.joints(moved)) - np.hstack(self.joints(now))
+                change /= inward * STEP * p.scale
+                out[..., k] = -np.einsum("vaj,vj->va", joints, change[self.row])
+                continue
+            for step in (inward * STEP * p.scale, -inward * STEP * p.scale):
+                try:
+                    there = self.predicted(State(_nudged(state.x, k, step), state.registration))
+                except (InputError, SolveError):
+                    continue
+                out[..., k] = (here - there) / step
+                break
+        out[..., count:] = -self._registration_slope(state, here)
+        return out
 
-    def _robot(self, x: Array) -> tuple[CommonRobot, Array]:
-        """The robot at x, and the offsets (n,) of its rotations."""
-        values = np.array([parameter.start for parameter in self.parameters])
-        values[self.free] = x
-        return apply(self.robot, self.parameters, values)
+    def _joint_slopes(self, setup: Setup, motion: Registration, here: Array) -> Array:
+        """(V, 3, 2 n) of what is seen by the joint values of its row; tubes of one carriage share theirs equally."""
+        alpha, shift = self.joints(setup)
+        n = alpha.shape[1]
+        out = np.zeros((*here.shape, 2 * n))
+        carriages = self.robot.moving_together
+        moves = [((i,), 0) for i in range(n)] + [(tubes, n) for tubes in carriages]
+        for tubes, block in moves:
+            for step in (-JOINT_STEP, JOINT_STEP):
+                moved = [alpha.copy(), shift.copy()]
+                moved[block > 0][:, list(tubes)] += step
+                try:
+                    there = self._seen(setup, self.poses(setup, (moved[0], moved[1])), motion)
+                except (InputError, SolveError):
+                    continue
+                out[..., [block + i for i in tubes]] = ((there - here) / step / len(tubes))[..., None]
+                break
+        return out
+
+    def _registration_slope(self, state: State, here: Array) -> Array:
+        """(V, 3, F) of what is predicted by the registration's freedoms."""
+        out = np.zeros((*here.shape, self.freedoms))
+        for k in range(self.freedoms):
+            turn, shift = state.registration.rates(k)
+            lever = np.where(
+                self.directed[:, None], here, here + state.registration.rotation.T @ state.registration.translation
+            )
+            out[..., k] = np.cross(turn, lever) + np.where(self.directed[:, None], 0.0, shift)
+        return out
+
+
+def _nudged(x: Array, k: int, step: float) -> Array:
+    """x with one of its numbers changed."""
+    moved = x.copy()
+    moved[k] += step
+    return moved

@@ -1,38 +1,20 @@
-"""What can be estimated of a robot: named numbers, how a robot changes with them, and their ranges."""
+"""What can be estimated of a robot: named numbers out of the table of effects, their ranges, and how they apply."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ..errors import InputError, nearest
-from ..robots.concentric import ConcentricRobot
-from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot
-from ..robots.tubes import Tube, must_follow_section
 from ..typing import Array
+from .effects import EFFECTS, KINDS, Context, Effect
 from .measurements import Measurements
+from .registration import FITS_PLATE
+from .setup import Setup, members
 
-KINDS = {
-    "curvature": "common factor on the precurvature of all tubes",
-    "curvature_I": "precurvature of tube I (or of the tubes of segment I), 1/m",
-    "stiffness_ratio_I": "bending stiffness EI of tube I (or of the tubes of segment I) over that of the first, I >= 2",
-    "nu": "Poisson's ratio of all tubes",
-    "nu_I": "Poisson's ratio of tube I (or of the tubes of segment I)",
-    "rotation_I": "offset added to the rotation of tube I, rad",
-    "transmission_length": "straight length behind the plate of an eccentric robot, or what is added to every tube, m",
-    "transmission_length_I": "straight length added to tube I (or to the tubes of segment I), m",
-}
-"""Names of parameters, I being a number from 1, and what they mean."""
-
-CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
-AnyRobot = TypeVar("AnyRobot", ConcentricRobot, EccentricRobot, SegmentedEccentricRobot)
-CALIBRATED = " (calibrated)"
+AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -40,10 +22,12 @@ class Parameter:
     """A number to be estimated.
 
     Attributes:
-        name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its tube from 0 (None: all).
-        unit: "", "1/m", "rad" or "m".
+        name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its number from 0 (None: all).
+        unit: "", "1/m", "rad", "m" or "s".
         start, low, high: value of the robot as given, and the range that is searched.
         scale: a change of this size is a large one.
+        prior: how far the drawing may be off, one standard deviation.
+        which: places in the setup that it sets.
     """
 
     name: str
@@ -54,151 +38,142 @@ class Parameter:
     low: float
     high: float
     scale: float
+    prior: float
+    which: tuple[int, ...]
+
+    @property
+    def effect(self) -> Effect:
+        """The entry of the table."""
+        return EFFECTS[self.kind]
 
 
-def members(robot: Robot) -> tuple[Tube, ...]:
-    """The tubes that a robot is described by: all of a concentric one, one per segment of an eccentric one."""
-    if isinstance(robot, EccentricRobot):
-        return (robot.tube,)
-    if isinstance(robot, SegmentedEccentricRobot):
-        return robot.segments
-    return robot.tubes
-
-
-def choose_parameters(robot: Robot, measurements: Measurements, names: Sequence[str]) -> tuple[Parameter, ...]:
-    """The parameters with these names.
+def choose_parameters(
+    robot: Robot, measurements: Measurements, names: Sequence[str], registration: str = "rigid"
+) -> tuple[Parameter, ...]:
+    """The parameters with these names; "rotation_all" is one for every tube, and so on.
 
     Raises:
-        InputError: no name, a name that is unknown, given twice, or means nothing for this robot; a common parameter
-            together with one of the same kind for a single tube.
+        InputError: no name, a name that is unknown, given twice, or means nothing for this robot and these data;
+            parameters that set the same numbers.
     """
     if isinstance(names, str) or not names:
         raise InputError(f"no parameters are named; choose from {', '.join(KINDS)}")
-    chosen = [_parameter(robot, measurements, name) for name in names]
-    for kind in {parameter.kind for parameter in chosen}:
-        same = [parameter for parameter in chosen if parameter.kind == kind]
-        indices = [parameter.index for parameter in same]
-        if len(set(indices)) < len(indices):
-            raise InputError(f"parameter {same[0].name!r} is named twice")
-        if None in indices and len(indices) > 1:
-            raise InputError(f"parameters {' and '.join(p.name for p in same)} both set the {kind}; name one of them")
+    context = Context(robot, measurements, Setup.of(robot))
+    chosen = [_parameter(context, name, registration) for given in names for name in _spelled_out(context, given)]
+    for k, parameter in enumerate(chosen):
+        for other in chosen[:k]:
+            _contradict(other, parameter)
     return tuple(chosen)
 
 
-def _parameter(robot: Robot, measurements: Measurements, name: str) -> Parameter:
-    match = re.fullmatch(r"([a-z_]*[a-z])(?:_(\d+))?", name)
+def _contradict(a: Parameter, b: Parameter) -> None:
+    """Raise InputError where two parameters set the same numbers."""
+    if a.name == b.name:
+        raise InputError(f"parameter {a.name!r} is named twice")
+    same = a.kind == b.kind or set(a.effect.sets) & set(b.effect.sets)
+    if same and set(a.which) & set(b.which):
+        what = a.kind if a.kind == b.kind else "stiffness"
+        raise InputError(f"parameters {a.name} and {b.name} both set the {what}; name one of them")
+
+
+def _spelled_out(context: Context, name: str) -> list[str]:
+    """The names of a group such as "rotation_all", or the name itself."""
+    kind = name.removesuffix("_all")
+    if kind == name or kind not in EFFECTS or not EFFECTS[kind].each:
+        return [name]
+    return [f"{kind}_{word}" for word in numbers_of(context, EFFECTS[kind])]
+
+
+def numbers_of(context: Context, effect: Effect) -> list[str]:
+    """What the parameters of an effect are numbered with."""
+    if effect.each.startswith("x"):
+        return list(effect.each)
+    return [str(i + 1) for i in range(effect.first - 1, _count(context, effect))]
+
+
+def _count(context: Context, effect: Effect) -> int:
+    robot = context.robot
+    counts = {"tube": robot.n_tubes, "kind": len(members(robot)), "carriage": len(robot.moving_together)}
+    return counts.get(effect.each, len(effect.each))
+
+
+def _parameter(context: Context, name: str, registration: str) -> Parameter:
+    match = re.fullmatch(r"([a-z_]*[a-z])_(\d+|[xyz])", name)
     kind, number = (match[1], match[2]) if match else (name, None)
     pattern = kind if number is None else f"{kind}_I"
-    if pattern not in KINDS:
-        known = [word for word in KINDS if "_I" not in word] + [f"{w[:-1]}{number or 1}" for w in KINDS if "_I" in w]
+    if pattern not in KINDS or (number is not None and number.isdigit() == EFFECTS[kind].each.startswith("x")):
+        known = [word for word in KINDS if "_I" not in word]
+        known += [f"{word[:-1]}{number or 1}" for word in KINDS if "_I" in word]
         raise InputError(f"parameter {name!r} is not known{nearest(name, known)}; choose from {', '.join(KINDS)}")
-    count = robot.n_tubes if kind == "rotation" else len(members(robot))
-    first = 2 if kind == "stiffness_ratio" else 1
-    if number is not None and not first <= int(number) <= count:
-        what = "tubes" if count == robot.n_tubes else "different tubes"
-        allowed = f"the number must be {first} to {count}" if first <= count else "it has no such parameter"
-        raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
-    if kind in ("stiffness_ratio", "nu"):
-        must_follow_section(members(robot), f"a fit of {kind}")
-    index = None if number is None else int(number) - 1
-    unit, start, low, high, scale = _RANGES[kind](robot, measurements, index)
-    return Parameter(name, kind, index, unit, start, low, high, scale)
+    effect = EFFECTS[kind]
+    _check_number(context, effect, name, number)
+    _check_needs(context, effect, name, registration)
+    index = None if number is None else (AXES.index(number) if number in AXES else int(number) - 1)
+    span = effect.span(context, index)
+    unit = "" if index is None and kind == "curvature" else effect.unit
+    which = _places(context, effect, index)
+    return Parameter(name, kind, index, unit, span.start, span.low, span.high, span.scale, span.prior, which)
 
 
-Range = tuple[str, float, float, float, float]
+def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, ...]:
+    """Places in the setup that a parameter sets."""
+    if effect.each == "carriage":
+        together = context.robot.moving_together
+        return tuple(range(context.robot.n_tubes)) if index is None else together[index]
+    return tuple(range(_count(context, effect) if effect.each else 1)) if index is None else (index,)
 
 
-def _curvature(robot: Robot, _: Measurements, index: int | None) -> Range:
-    if index is None:
-        return "", 1.0, 0.2, 5.0, 1.0
-    value, thickness = members(robot)[index].curvature, members(robot)[index].outer_diameter
-    return "1/m", value, -1 / thickness, 1 / thickness, max(abs(value), 1.0)
+def _check_number(context: Context, effect: Effect, name: str, number: str | None) -> None:
+    if number is None:
+        return
+    count = _count(context, effect)
+    if number in AXES:
+        if AXES.index(number) >= count:
+            raise InputError(f"parameter {name!r} is not known; it has the axes {' and '.join(effect.each)}")
+        return
+    if effect.first <= int(number) <= count:
+        return
+    what = {"carriage": "carriages", "tube": "tubes"}.get(effect.each, "tubes")
+    what = what if effect.each == "carriage" or count == context.robot.n_tubes else "different tubes"
+    least = effect.first
+    allowed = f"the number must be {least} to {count}" if least <= count else "it has no such parameter"
+    raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
 
 
-def _stiffness(robot: Robot, _: Measurements, index: int | None) -> Range:
-    tubes = members(robot)
-    value = tubes[index or 0].bending_stiffness / tubes[0].bending_stiffness
-    return "", value, value / 20, value * 20, value
+def _check_needs(context: Context, effect: Effect, name: str, registration: str) -> None:
+    missing = lacking(context.measurements, effect, registration)
+    if missing:
+        raise InputError(f"parameter {name!r} {missing}")
 
 
-def _nu(robot: Robot, _: Measurements, index: int | None) -> Range:
-    tubes = members(robot) if index is None else members(robot)[index : index + 1]
-    return "", float(np.mean([tube.material.poisson_ratio for tube in tubes])), 0.0, 0.499, 0.25
+def lacking(measurements: Measurements, effect: Effect, registration: str) -> str:
+    """What the data lack to speak of an effect; "" where they lack nothing."""
+    if effect.needs in ("time", "way") and measurements.time is None:
+        return "needs the time of every row; the measurements have no column time_s"
+    if effect.needs == "orientation" and measurements.orientation is None:
+        return "needs the direction of the tip's sensor; the measurements have none"
+    if effect.needs == "plate" and registration in FITS_PLATE:
+        return f"is part of the registration, which is {registration!r}; it is for none and base-axis"
+    return ""
 
 
-def _rotation(*_: object) -> Range:
-    return "rad", 0.0, -math.pi, math.pi, 1.0
+def groups(robot: Robot, measurements: Measurements, registration: str = "rigid") -> dict[str, tuple[str, ...]]:
+    """Effects that these data of this robot can speak of, each with the names of its parameters."""
+    context = Context(robot, measurements, Setup.of(robot))
+    found: dict[str, tuple[str, ...]] = {}
+    for kind, effect in EFFECTS.items():
+        if not effect.compared or lacking(measurements, effect, registration):
+            continue
+        numbered = effect.each and not (kind in ("translation_gain",) and effect.common)
+        found[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)
+    return found
 
 
-def _transmission(robot: Robot, measurements: Measurements, index: int | None) -> Range:
-    tubes = members(robot)
-    advance = measurements.translations.reshape(len(measurements), len(tubes), -1).max((0, 2))
-    room = [reach - tube.straight_length for reach, tube in zip(advance, tubes, strict=True)]
-    least = max(room) if index is None else room[index]
-    scale = max(tube.length for tube in tubes)
-    start = 0.0
-    if isinstance(robot, EccentricRobot):
-        start, least = robot.transmission_length, max(0.0, least)
-    return "m", start, least, start + 20 * scale, scale
-
-
-_RANGES: Mapping[str, Callable[[Robot, Measurements, int | None], Range]] = {
-    "curvature": _curvature,
-    "stiffness_ratio": _stiffness,
-    "nu": _nu,
-    "rotation": _rotation,
-    "transmission_length": _transmission,
-}
-
-
-def apply(robot: Robot, parameters: Sequence[Parameter], values: Array) -> tuple[CommonRobot, Array]:
-    """The robot with the parameters at `values` (P,), and the offsets (n,), rad, to add to its rotations.
-
-    Raises:
-        InputError: there is no such robot.
-    """
-    changed = list(members(robot))
-    offsets = np.zeros(robot.n_tubes)
-    transmission = None
-    # Stiffness keeps Poisson's ratio, so it goes first; all other kinds are independent of each other.
-    order = sorted(zip(parameters, values.tolist(), strict=True), key=lambda pair: pair[0].kind != "stiffness_ratio")
-    for parameter, value in order:
-        if parameter.kind == "rotation":
-            offsets[parameter.index or 0] = value
-        elif parameter.kind == "transmission_length" and isinstance(robot, EccentricRobot):
-            transmission = value
-        else:
-            which = range(len(changed)) if parameter.index is None else [parameter.index]
-            for i in which:
-                changed[i] = _change(changed[i], parameter, value, changed[0].bending_stiffness)
-    return _rebuild(robot, tuple(changed), transmission), offsets
-
-
-def _change(tube: Tube, parameter: Parameter, value: float, reference: float) -> Tube:
-    """One tube with one parameter changed; `reference` is the bending stiffness of the first tube, N m^2."""
-    if parameter.kind == "curvature":
-        return replace(tube, curvature=value * tube.curvature if parameter.index is None else value)
-    if parameter.kind == "transmission_length":
-        return replace(tube, straight_length=max(0.0, tube.straight_length + value))
-    modulus, nu = tube.material.youngs_modulus, tube.material.poisson_ratio
-    if parameter.kind == "nu":
-        nu = value
-    else:
-        modulus = value * reference / tube.second_moment
-    name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
-    shear = modulus / (2 * (1 + nu))
-    return replace(tube, material=replace(tube.material, name=name, youngs_modulus=modulus, shear_modulus=shear))
-
-
-def _rebuild(robot: Robot, tubes: tuple[Tube, ...], transmission: float | None) -> CommonRobot:
-    if isinstance(robot, ConcentricRobot):
-        return replace(robot, tubes=tubes)
-    if isinstance(robot, SegmentedEccentricRobot):
-        return replace(robot, segments=tubes)
-    if isinstance(robot, EccentricRobot):
-        return replace(
-            robot,
-            tube=tubes[0],
-            transmission_length=robot.transmission_length if transmission is None else transmission,
-        )
-    raise InputError(f"robot is a {type(robot).__name__}; only robots that a file can describe can be fitted")
+def apply(setup: Setup, parameters: Sequence[Parameter], values: Array) -> Setup:
+    """A setup with the parameters at `values` (P,)."""
+    changed = setup.copy()
+    order = list(EFFECTS)
+    pairs = sorted(zip(parameters, values.tolist(), strict=True), key=lambda pair: order.index(pair[0].kind))
+    for parameter, value in pairs:
+        parameter.effect.change(changed, setup, parameter.which, value, parameter.index is None)
+    return changed

@@ -15,6 +15,9 @@ from ..typing import Array
 FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0}
 """Methods, and how many numbers each takes from the measured tips."""
 
+FITS_PLATE = tuple(name for name, count in FREEDOMS.items() if count == 6)
+"""Methods that leave nothing of the plate's pose to be found otherwise."""
+
 IN_LINE = 1e-6
 """Tips that lie within this distance (m, root mean square) of a line do not tell how the frame is turned about it."""
 
@@ -54,6 +57,24 @@ class Registration:
     def apply(self, points: Array) -> Array:
         """Points (..., 3) of the device in the plate frame, m."""
         return np.asarray(points @ self.rotation.T + self.translation)
+
+    def moved(self, step: Array) -> Registration:
+        """After a small step in its freedoms (F,): the plate turned (rad) about its centre, then shifted (m), as the
+        device sees it; for base-axis turned about its own axis."""
+        if not len(step):
+            return self
+        turns = [np.array(self.rates(k)[0]) * x for k, x in enumerate(step[:3])]
+        turn = scipy.spatial.transform.Rotation.from_rotvec(np.sum(turns, axis=0)).as_matrix()
+        centre = -self.rotation.T @ self.translation + (step[3:] if len(step) > 3 else 0.0)
+        rotation = self.rotation @ turn.T
+        return Registration(self.method, rotation, -rotation @ centre)
+
+    def rates(self, k: int) -> tuple[Array, Array]:
+        """Axis of the turn and direction of the shift in freedom k, in the device's frame."""
+        if FREEDOMS[self.method] == 1:
+            return self.rotation[2], np.zeros(3)
+        axis = np.eye(3)[k % 3]
+        return (axis, np.zeros(3)) if k < 3 else (np.zeros(3), axis)
 
     @property
     def yaw(self) -> float:

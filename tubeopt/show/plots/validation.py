@@ -38,8 +38,9 @@ def plot_residuals(validation: Validation) -> Figure:
     v = validation
     figure = new_figure(8.0, 4.6)
     above, beside = figure.subplots(1, 2)
-    spread = float(np.ptp(v.predicted, axis=0).max()) or 1e-3
-    factor = _round_factor(LONG_ENOUGH * spread / max(float(v.errors.max()), 1e-12))
+    seen = np.isfinite(v.errors)
+    spread = float(np.ptp(v.predicted[seen], axis=0).max()) or 1e-3
+    factor = _round_factor(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
         _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
         axes.set_xlabel(f"{'xyz'[i]} (mm)")

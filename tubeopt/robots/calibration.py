@@ -1,0 +1,137 @@
+"""What was found out about a robot's drives: how joint readings become the joint values of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, finite, positive
+from ..typing import Array
+from .limits import JointLimits, default_limits
+from .tubes import Tube
+
+if TYPE_CHECKING:
+    from .robot import Robot
+
+Numbers = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Joint values of the model from the readings of the drives, tube by tube:
+
+        model = gain * reading + offset
+
+    The library works in the model's joint values throughout; the command line takes and gives readings.
+
+    Args:
+        rotation_offsets (rad), translation_offsets (m): n numbers each.
+        rotation_gains, translation_gains: n numbers each; 1 is a drive that reads true.
+        rotation_play: n half widths of the backlash, rad: the tube follows its drive once it has turned by as much.
+            It depends on the way, so `to_model` leaves it out.
+        latency: s by which measured tips come later than the readings with the same time stamp.
+        found_by: what it was found by, in words.
+
+    Raises:
+        InputError: tables of different length, a number that is not finite, a gain that is not positive, or a play
+            below 0.
+    """
+
+    rotation_offsets: Numbers
+    translation_offsets: Numbers
+    rotation_gains: Numbers
+    translation_gains: Numbers
+    rotation_play: Numbers
+    latency: float = 0.0
+    found_by: str = ""
+
+    def __post_init__(self) -> None:
+        count = len(self.rotation_offsets)
+        for name in TABLES:
+            values = getattr(self, name)
+            if len(values) != count:
+                raise InputError(f"{name} are {len(values)} numbers; rotation_offsets are {count}, one per tube")
+            object.__setattr__(self, name, tuple(_number(name, i, value) for i, value in enumerate(values)))
+        object.__setattr__(self, "latency", finite("latency", self.latency))
+
+    @classmethod
+    def none(cls, n_tubes: int) -> Calibration:
+        """Drives that read true."""
+        zero, one = (0.0,) * n_tubes, (1.0,) * n_tubes
+        return cls(zero, zero, one, one, zero)
+
+    @property
+    def n_tubes(self) -> int:
+        """Number of tubes n."""
+        return len(self.rotation_offsets)
+
+    @property
+    def trivial(self) -> bool:
+        """Whether the drives read true."""
+        return replace(self, found_by="") == Calibration.none(self.n_tubes)
+
+    def to_model(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
+        """Joint values (..., n) of the model, rad and m, at readings (..., n)."""
+        alpha = np.asarray(rotations, dtype=float) * self.rotation_gains + self.rotation_offsets
+        shift = np.asarray(translations, dtype=float) * self.translation_gains + self.translation_offsets
+        return alpha, shift
+
+    def to_readings(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
+        """Readings (..., n) at which the model has these joint values (..., n), rad and m."""
+        alpha = (np.asarray(rotations, dtype=float) - self.rotation_offsets) / self.rotation_gains
+        shift = (np.asarray(translations, dtype=float) - self.translation_offsets) / self.translation_gains
+        return alpha, shift
+
+    def limits_of_model(self, limits: JointLimits) -> JointLimits:
+        """Limits of the readings as limits of the model's joint values."""
+        tables = (limits.rotations, limits.translations)
+        low = self.to_model(*(np.array([pair[0] for pair in table]) for table in tables))
+        high = self.to_model(*(np.array([pair[1] for pair in table]) for table in tables))
+        rotations, translations = (
+            tuple(zip(a.tolist(), b.tolist(), strict=True)) for a, b in zip(low, high, strict=True)
+        )
+        return JointLimits(rotations=rotations, translations=translations)
+
+
+TABLES = tuple(field.name for field in fields(Calibration) if field.type == "Numbers")
+"""Names of what a calibration holds for every tube."""
+
+
+def _number(name: str, tube: int, value: float) -> float:
+    what = f"{name} of tube {tube + 1}"
+    if name.endswith("_gains"):
+        return positive(what, value)
+    return positive(what, value, zero=True) if name == "rotation_play" else finite(what, value)
+
+
+def check_calibration(calibration: Calibration | None, n_tubes: int) -> None:
+    """Raise InputError where a calibration is for another number of tubes."""
+    if calibration is not None and calibration.n_tubes != n_tubes:
+        raise InputError(f"calibration is for {calibration.n_tubes} tubes; the robot has {n_tubes}")
+
+
+def to_model(robot: Robot, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
+    """The model's joint values at readings of a robot: the readings where it has no calibration."""
+    own = robot.calibration
+    if own is None:
+        return np.array(rotations, dtype=float), np.array(translations, dtype=float)
+    return own.to_model(rotations, translations)
+
+
+def to_readings(robot: Robot, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
+    """The readings of a robot at joint values of the model: the same where it has no calibration."""
+    own = robot.calibration
+    if own is None:
+        return np.array(rotations, dtype=float), np.array(translations, dtype=float)
+    return own.to_readings(rotations, translations)
+
+
+def limits_of(given: JointLimits | None, calibration: Calibration | None, tubes: Sequence[Tube]) -> JointLimits:
+    """Limits of the joint values: those given of the readings, or what the lengths allow."""
+    if given is None:
+        return default_limits(tubes)
+    return given if calibration is None else calibration.limits_of_model(given)

@@ -1,0 +1,66 @@
+"""Whether recorded numbers can be what their columns say: wrapped angles unwrapped, and units that cannot be right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..robots.robot import Robot
+from ..typing import Array
+from ..validation.measurements import Measurements
+from ..validation.timeline import runs_of
+
+A_TURN = 1.5 * math.pi
+"""rad: between rows on end, a larger step of a rotation is a turn that was counted away."""
+
+SMALL, LARGE = 0.02, 8.0
+"""Parts of the arm's length between which the spread of tips that move must lie."""
+
+MOVES = 0.3
+"""rad: a robot whose tubes turn by more against each other moves its tip."""
+
+
+def unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
+    """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any."""
+    out = rotations.copy()
+    for rows in runs_of(time):
+        out[rows] = np.unwrap(rotations[rows], discont=A_TURN, axis=0)
+    steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
+    for tube in np.flatnonzero(steps.any(0)).tolist():
+        count = int(steps[:, tube].sum())
+        often = "once" if count == 1 else f"{count} times"
+        words.append(
+            f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
+        )
+    return out
+
+
+def doubts_of(found: Measurements, robot: Robot) -> list[str]:
+    """Remarks on units that the numbers speak against."""
+    words = []
+    turned = np.abs(found.rotations).max()
+    if 0 < turned <= 2 * math.pi / 57:
+        words.append(
+            f"no rotation is beyond {math.degrees(turned):.2g} deg: are they in rad, in a column that says deg?"
+        )
+    if turned > 20 * math.pi:
+        words.append(f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?")
+    length = max(tube.length for tube in robot.tubes)
+    tips = found.tip_position[np.isfinite(found.tip_position[:, 0])]
+    spread = float(np.linalg.norm(np.ptp(tips, axis=0))) if len(tips) else 0.0
+    moving = np.ptp(found.rotations, axis=0).max() > MOVES or np.ptp(found.translations, axis=0).max() > 0.1 * length
+    if len(tips) > 1 and moving and spread < SMALL * length:
+        words.append(
+            f"the tips lie within {1e3 * spread:.2g} mm of each other, and the tubes are up to {1e3 * length:.0f} mm "
+            "long: are positions in m, in columns that say mm, or was the sensor not on the tip?"
+        )
+    if spread > LARGE * length:
+        words.append(
+            f"the tips lie up to {1e3 * spread:.0f} mm apart, and the tubes are up to {1e3 * length:.0f} mm long: are "
+            "positions in mm, in columns that say m?"
+        )
+    reach = np.abs(found.translations).max()
+    if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
+        words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
+    return words

@@ -1,0 +1,104 @@
+"""Which effects explain how far a robot is from its model: held-out errors as effects are added."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import FAINT, INK, finish, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...validation import Comparison
+
+MM = 1e3
+KEPT, REFUSED, GRID = "#0072B2", "#B8BEC6", "#E6E8EB"
+
+
+@styled
+def plot_effects(comparison: Comparison, path: str | PathLike[str] | None = None) -> Figure:
+    """Held-out errors of the robot as given and with every effect that pays, then the gain of those that do not; of
+    places passed both ways, what of the error depends on the way, before and after.
+
+    Args:
+        comparison: what to draw.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+
+    Raises:
+        InputError: the name of the picture does not end in a known format.
+    """
+    c = comparison
+    both = c.fit is not None and c.fit.before.parity is not None
+    figure = new_figure(9.6 if both else 7.2, 0.9 + 0.30 * (2 + len(c.steps) + len(c.refused)))
+    if both:
+        left, right = figure.subplots(1, 2, width_ratios=[2.6, 1])
+        _draw_parity(right, c)
+    else:
+        left = figure.subplots()
+    _draw_steps(left, c)
+    return finish(figure, path)
+
+
+def _draw_steps(axes: Axes, c: Comparison) -> None:
+    rows = [("as given", c.start.rms), *((f"+ {s.effect.replace('_', ' ')}", s.held_out.rms) for s in c.steps)]
+    values = np.array([value for _, value in rows]) * MM
+    axes.barh(range(len(rows)), values, height=0.62, color=KEPT)
+    for k, value in enumerate(values):
+        axes.annotate(f"{value:.2f}", (value, k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+    last = values[-1]
+    for k, step in enumerate(c.refused, start=len(rows)):
+        value = step.held_out.rms * MM
+        axes.barh(k, value, height=0.62, color="none", edgecolor=REFUSED, lw=0.9)
+        gain = f"{100 * step.gain:+.1f} %".replace("-", "−")
+        axes.annotate(gain, (max(value, last), k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,
+                      color=FAINT)  # fmt: skip
+    names = [name for name, _ in rows] + [f"({s.effect.replace('_', ' ')})" for s in c.refused]
+    axes.set_yticks(range(len(names)), names)
+    for label in axes.get_yticklabels()[len(rows) :]:
+        label.set_color(FAINT)
+    if c.fit is not None:
+        noise = c.fit.noise * np.sqrt(3) * MM
+        axes.axvline(noise, color=INK, lw=0.8, ls=(0, (4, 3)))
+        axes.annotate(
+            f"what the fit leaves, {noise:.2f}",
+            (noise, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+        )
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1.14 * float(values.max()))
+    axes.set_xlabel(f"RMS tip error held out (mm), {c.folds} blocks")
+    axes.xaxis.grid(color=GRID, lw=0.5)
+    axes.set_axisbelow(True)
+
+
+def _draw_parity(axes: Axes, c: Comparison) -> None:
+    assert c.fit is not None
+    for k, v in enumerate((c.fit.before, c.fit.after)):
+        if v.parity is None:
+            continue
+        for j, (value, colour) in enumerate(((v.parity.history, "#D55E00"), (v.parity.static, "#009E73"))):
+            height = value * MM
+            label = ("depends on the way", "does not")[j] if k == 0 else None
+            axes.bar(k + 0.36 * (j - 0.5), height, width=0.34, color=colour, label=label)
+            axes.annotate(
+                f"{height:.2f}",
+                (k + 0.36 * (j - 0.5), height),
+                xytext=(0, 2),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7,
+            )
+    axes.set_xticks([0, 1], ["as given", "calibrated"])
+    axes.set_ylabel("RMS of places passed both ways (mm)")
+    axes.set_ylim(0, 1.32 * axes.get_ylim()[1])
+    axes.legend(loc="upper right", fontsize=7)
+    axes.yaxis.grid(color=GRID, lw=0.5)
+    axes.set_axisbelow(True)

@@ -1,0 +1,167 @@
+"""Weighted, robust nonlinear least squares of observations, in steps that never leave the robots that can be built.
+
+    minimise  sum_v w_v rho(|r_v(x)|^2 / sigma_v^2)  +  sum_p ((x_p - start_p) / prior_p)^2
+
+by Levenberg and Marquardt's method with bounds; the loss by reweighting (Holland and Welsch, Commun. Stat. A 6 (1977)).
+A step to where there is no robot, or no stable shape, is shortened like one that does not descend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError, SolveError
+from ..typing import Array
+from .model import ArmModel, State
+
+ITERATIONS = 50
+LOSSES = ("linear", "huber", "soft_l1")
+"""How a large error counts: by its square, or in the end by its size."""
+
+TURNS_LINEAR = 3.0
+"""Length of an error of three coordinates, in standard deviations of one, from which Huber's loss is linear."""
+
+SETTLED = 1e-7
+"""Relative decrease of the cost at which the descent ends: a small part of what noise makes of it."""
+
+EXACT = 1e-14
+"""Cost of an observation, in squares of its standard deviation, that is as good as none."""
+
+STEEPEST = 1e12
+"""Damping at which a step is too short to be worth another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """sigma (V,): standard deviation of a coordinate of each observation; share (V,): 0 leaves an observation out;
+    prior (P,): standard deviation of each parameter around its start, infinite for none."""
+
+    sigma: Array
+    share: Array
+    prior: Array
+    loss: str = "linear"
+
+    def losses(self, residuals: Array) -> Array:
+        """(V,) what each observation costs, in squares of its standard deviation."""
+        square = (residuals**2).sum(1) / self.sigma**2
+        if self.loss == "huber":
+            size = np.sqrt(square)
+            square = np.where(size > TURNS_LINEAR, 2 * TURNS_LINEAR * size - TURNS_LINEAR**2, square)
+        elif self.loss == "soft_l1":
+            square = 2 * TURNS_LINEAR**2 * (np.sqrt(1 + square / TURNS_LINEAR**2) - 1)
+        return np.asarray(square)
+
+    def cost(self, residuals: Array) -> float:
+        """Of the observations; the priors' part comes to it."""
+        return float(self.share @ self.losses(residuals))
+
+    def of(self, residuals: Array) -> Array:
+        """(V,) weights of the squares at residuals (V, 3)."""
+        size = np.sqrt((residuals**2).sum(1)) / self.sigma
+        softened = np.ones(len(size))
+        if self.loss == "huber":
+            softened = np.minimum(1.0, TURNS_LINEAR / np.maximum(size, TURNS_LINEAR))
+        elif self.loss == "soft_l1":
+            softened = 1 / np.sqrt(1 + (size / TURNS_LINEAR) ** 2)
+        return np.asarray(self.share * softened / self.sigma**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended: state, residuals (V, 3), Jacobian (V, 3, P + F), whether it converged, and what cut its
+    last steps short, in words."""
+
+    state: State
+    residuals: Array
+    jacobian: Array
+    converged: bool
+    obstacle: str = ""
+
+
+def normal_equations(
+    model: ArmModel, weights: Weights, state: State, residuals: Array, jacobian: Array
+) -> tuple[Array, Array]:
+    """J'WJ with the priors (Q, Q), and half the gradient (Q,)."""
+    w = weights.of(residuals)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    weighted = flat * np.repeat(w, 3)[:, None]
+    square, slope = weighted.T @ flat, weighted.T @ residuals.ravel()
+    count = len(state.x)
+    inverse = 1 / weights.prior**2
+    square[np.arange(count), np.arange(count)] += inverse
+    slope[:count] += (state.x - model.start.x) * inverse
+    return square, slope
+
+
+def descend(
+    model: ArmModel,
+    weights: Weights,
+    start: State,
+    *,
+    jacobian: Array | None = None,
+    iterations: int = ITERATIONS,
+    settled: float = SETTLED,
+) -> Descent:
+    """The least cost near a start at which every row can be solved.
+
+    Args:
+        jacobian: to keep throughout, where the start is close to the answer; None is that of every state.
+        settled: relative decrease of the cost, won or promised, at which to end.
+    """
+    bounds = np.array([[p.low, p.high] for p in model.parameters]).reshape(-1, 2).T
+    state = State(np.clip(start.x, *bounds), start.registration)
+    residuals = model.residuals(state)
+    slopes = model.jacobian(state) if jacobian is None else jacobian
+    cost, damping, obstacle = _cost(model, weights, state, residuals), 1e-6, ""
+    for _ in range(iterations):
+        square, slope = normal_equations(model, weights, state, residuals, slopes)
+        before, accepted, enough = cost, False, settled * cost + EXACT * len(residuals)
+        while not accepted and damping < STEEPEST:
+            step = _step(square, slope, damping, state.x, bounds)
+            if -slope @ step <= enough:
+                break
+            trial = state.moved(step)
+            try:
+                there = model.residuals(trial)
+                cost_there, obstacle = _cost(model, weights, trial, there), ""
+            except (InputError, SolveError) as error:
+                cost_there, obstacle = np.inf, str(error).splitlines()[0]
+            accepted = cost_there <= cost
+            if accepted:
+                state, residuals, cost, damping = trial, there, cost_there, max(damping / 10, 1e-9)
+            else:
+                damping *= 10
+        if not accepted or before - cost <= enough:
+            # After so short a step the slopes are those of the state before it.
+            return Descent(state, residuals, slopes, True, obstacle)
+        if jacobian is None:
+            slopes = model.jacobian(state)
+    return Descent(state, residuals, slopes, False, obstacle)
+
+
+def _cost(model: ArmModel, weights: Weights, state: State, residuals: Array) -> float:
+    return weights.cost(residuals) + float((((state.x - model.start.x) / weights.prior) ** 2).sum())
+
+
+def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) -> Array:
+    """The damped step that stays within the bounds (2, P); those that a bound stops are held, the others go on."""
+    size, count = len(slope), len(x)
+    held = np.zeros(size, dtype=bool)
+    step = np.zeros(size)
+    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    for _ in range(count + 1):
+        free = np.flatnonzero(~held)
+        fixed = square[np.ix_(free, held.nonzero()[0])] @ step[held]
+        matrix = square[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+        matrix[np.arange(len(free)), np.arange(len(free))] += damping
+        step[free] = -np.linalg.lstsq(matrix, (slope[free] + fixed) / scale[free], rcond=1e-13)[0] / scale[free]
+        target = x + step[:count]
+        beyond = (target < bounds[0]) | (target > bounds[1])
+        beyond &= ~held[:count]
+        if not beyond.any():
+            break
+        step[:count][beyond] = np.clip(target, *bounds)[beyond] - x[beyond]
+        held[:count] |= beyond
+    return step

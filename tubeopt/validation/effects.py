@@ -1,0 +1,286 @@
+"""Effects that may part a robot from its drawing: one table of what they are called, mean, and change.
+
+A new effect is an entry of `EFFECTS`, and, where it changes what no other does, a number in `Setup`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.eccentric import EccentricRobot
+from ..robots.robot import Robot
+from .measurements import Measurements
+from .setup import Setup, members
+
+
+@dataclass(frozen=True)
+class Span:
+    """Start, least and greatest value, a change that is large, and how far the drawing may be off (one sigma)."""
+
+    start: float
+    low: float
+    high: float
+    scale: float
+    prior: float
+
+
+@dataclass(frozen=True)
+class Context:
+    """What the range of an effect follows from."""
+
+    robot: Robot
+    measurements: Measurements
+    setup: Setup
+
+    @property
+    def length(self) -> float:
+        """Of the longest tube, m."""
+        return max(tube.length for tube in members(self.robot))
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One kind of deviation from the drawing.
+
+    Attributes:
+        meaning: in words, with I for the number.   unit: "", "1/m", "rad", "m" or "s".
+        each: what its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
+            eccentric one), "carriage", "xyz", "xy", or "" for a single parameter.
+        span: range of the parameter with an index from 0 (None: common to all).
+        change: sets the parameter of a setup: (setup, first setup, indices, value, whether common).
+        common: whether a parameter for all at once, without a number, is known as well.
+        first: the lowest number that there is.
+        needs: what the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration
+            that does not fit the plate's pose itself), or "".
+        sets: names of what it sets, by which effects contradict each other.
+        history: whether it makes the tip depend on how its configuration was reached.
+        compared: whether a model comparison tries it.
+        drives: whether it changes nothing but joint values.
+    """
+
+    meaning: str
+    unit: str
+    each: str
+    span: Callable[[Context, int | None], Span]
+    change: Callable[[Setup, Setup, Sequence[int], float, bool], None]
+    common: bool = False
+    first: int = 1
+    needs: str = ""
+    sets: tuple[str, ...] = ()
+    history: bool = False
+    compared: bool = True
+    drives: bool = False
+
+
+Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
+
+
+def _put(name: str) -> Change:
+    """The value itself."""
+
+    def change(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
+        getattr(setup, name)[list(which)] = value
+
+    return change
+
+
+def _scale(*names: str) -> Change:
+    """The value as a factor on what there was."""
+
+    def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
+        for name in names:
+            getattr(setup, name)[list(which)] = value * getattr(first, name)[list(which)]
+
+    return change
+
+
+def _lengthen(name: str) -> Change:
+    """The value added to what there was."""
+
+    def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
+        getattr(setup, name)[list(which)] = value + getattr(first, name)[list(which)]
+
+    return change
+
+
+def _latency(setup: Setup, _: Setup, __: Sequence[int], value: float, ___: bool) -> None:
+    setup.latency = value
+
+
+def _curvature(setup: Setup, first: Setup, which: Sequence[int], value: float, common: bool) -> None:
+    setup.curvature[list(which)] = value * first.curvature[list(which)] if common else value
+
+
+def _ratio(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
+    """Bending stiffness over that of the first tube, Poisson's ratio kept."""
+    i = list(which)
+    setup.bending_stiffness[i] = value * first.bending_stiffness[0]
+    setup.torsional_stiffness[i] = setup.bending_stiffness[i] * (first.torsional_stiffness / first.bending_stiffness)[i]
+
+
+def _nu(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
+    setup.torsional_stiffness[list(which)] = setup.bending_stiffness[list(which)] / (1 + value)
+
+
+def _within(start: float, reach: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
+    return lambda _, __: Span(start, start - reach, start + reach, scale, prior)
+
+
+def _own(name: str, reach: float, scale: float, prior: float) -> Callable[[Context, int | None], Span]:
+    """Around the value of the setup."""
+
+    def span(context: Context, index: int | None) -> Span:
+        start = float(np.atleast_1d(getattr(context.setup, name))[index or 0])
+        return Span(start, start - reach, start + reach, scale, prior)
+
+    return span
+
+
+def _curvature_span(context: Context, index: int | None) -> Span:
+    if index is None:
+        return Span(1.0, 0.2, 5.0, 1.0, 0.1)
+    tube = members(context.robot)[index]
+    value, edge = tube.curvature, 1 / tube.outer_diameter
+    return Span(value, -edge, edge, max(abs(value), 1.0), 0.1 * abs(value) + 0.5)
+
+
+def _ratio_span(context: Context, index: int | None) -> Span:
+    value = float(context.setup.bending_stiffness[index or 0] / context.setup.bending_stiffness[0])
+    return Span(value, value / 20, value * 20, value, 0.2 * value)
+
+
+def _nu_span(context: Context, index: int | None) -> Span:
+    tubes = members(context.robot) if index is None else members(context.robot)[index : index + 1]
+    return Span(float(np.mean([tube.material.poisson_ratio for tube in tubes])), 0.0, 0.499, 0.25, 0.1)
+
+
+def _translation_span(context: Context, index: int | None) -> Span:
+    together = context.robot.moving_together
+    tubes = list(range(context.robot.n_tubes)) if index is None else list(together[index])
+    start = float(context.setup.translation[tubes[0]])
+    room = min(context.robot.tubes[i].straight_length - _furthest(context, i) for i in tubes)
+    scale = context.length / 10
+    return Span(start, start - 2 * scale, start + max(0.0, min(2 * scale, room)), scale, 2e-3)
+
+
+def _furthest(context: Context, tube: int) -> float:
+    """The largest translation of a tube by the model, m."""
+    setup, measured = context.setup, context.measurements.translations[:, tube].max()
+    return float(setup.translation_gain[tube] * measured + setup.translation[tube])
+
+
+def _transmission_span(context: Context, index: int | None) -> Span:
+    tubes = members(context.robot)
+    reach = [max(_furthest(context, i) for i in _tubes_of(context, k)) for k in range(len(tubes))]
+    room = [most - tube.straight_length for most, tube in zip(reach, tubes, strict=True)]
+    least = max(room) if index is None else room[index]
+    start = 0.0
+    if isinstance(context.robot, EccentricRobot):
+        start, least = context.robot.transmission_length, max(0.0, least)
+    return Span(start, min(start, least), start + 20 * context.length, context.length, 0.1 * context.length)
+
+
+def _tubes_of(context: Context, kind: int) -> tuple[int, ...]:
+    each = context.robot.n_tubes // len(members(context.robot))
+    return tuple(range(kind * each, (kind + 1) * each))
+
+
+def _transmission(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
+    i = list(which)
+    setup.straight_length[i] = first.straight_length[i] + value - first.transmission
+
+
+def _curved_span(context: Context, index: int | None) -> Span:
+    reach = 0.2 * float(context.setup.curved_length[index or 0])
+    return Span(0.0, -reach, reach, context.length / 10, 2e-3)
+
+
+def _play_span(context: Context, index: int | None) -> Span:
+    start = float(context.setup.rotation_play[index or 0])
+    return Span(start, 0.0, max(start, math.radians(20)), 0.1, math.radians(1))
+
+
+DEGREE = math.pi / 180
+
+EFFECTS: dict[str, Effect] = {
+    "latency": Effect(
+        "the measured tips come so much later than the joint readings", "s", "",
+        _own("latency", 0.5, 0.1, 0.1), _latency, needs="time", history=True, drives=True,
+    ),
+    "translation": Effect(
+        "offset added to the translation of carriage I", "m", "carriage",
+        _translation_span, _put("translation"), drives=True,
+    ),
+    "rotation": Effect(
+        "offset added to the rotation of tube I", "rad", "tube",
+        _own("rotation", math.pi, 1.0, 10 * DEGREE), _put("rotation"), drives=True,
+    ),
+    "rotation_gain": Effect(
+        "factor on the rotation readings of tube I", "", "tube",
+        _own("rotation_gain", 0.2, 0.1, 0.02), _put("rotation_gain"), drives=True,
+    ),
+    "translation_gain": Effect(
+        "factor on all translation readings, or on those of carriage I", "", "carriage",
+        _own("translation_gain", 0.2, 0.1, 0.02), _put("translation_gain"), common=True, drives=True,
+    ),
+    "rotation_play": Effect(
+        "half width of the backlash between drive and tube I", "rad", "tube",
+        _play_span, _put("rotation_play"), needs="way", history=True, drives=True,
+    ),
+    "curvature": Effect(
+        "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",
+        _curvature_span, _curvature, common=True, sets=("curvature",),
+    ),
+    "curved_length": Effect(
+        "length added to the curved part of tube I", "m", "kind", _curved_span, _lengthen("curved_length")
+    ),
+    "transmission_length": Effect(
+        "straight length behind the plate of an eccentric robot, or what is added to every tube, or to tube I: the "
+        "compliance of its transmission", "m", "kind",
+        _transmission_span, _transmission, common=True, sets=("transmission",),
+    ),
+    "bending_stiffness": Effect(
+        "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
+        _within(1.0, 0.9, 1.0, 0.2), _scale("bending_stiffness"), sets=("bending_stiffness",),
+    ),
+    "stiffness_ratio": Effect(
+        "bending stiffness of tube I over that of the first, I >= 2, Poisson's ratio kept", "", "kind",
+        _ratio_span, _ratio, first=2, sets=("bending_stiffness",), compared=False,
+    ),
+    "torsional_stiffness": Effect(
+        "factor on the torsional stiffness GJ of tube I, or of all, EI kept", "", "kind",
+        _within(1.0, 0.9, 1.0, 0.2), _scale("torsional_stiffness"), common=True, sets=("torsional_stiffness",),
+    ),
+    "nu": Effect(
+        "Poisson's ratio of all tubes, or of tube I, EI kept", "", "kind",
+        _nu_span, _nu, common=True, sets=("torsional_stiffness",), compared=False,
+    ),
+    "plate_shift": Effect(
+        "the plate stands off where the registration puts it", "m", "xyz",
+        _within(0.0, 0.05, 0.01, 2e-3), _put("plate_shift"), needs="plate",
+    ),
+    "plate_tilt": Effect(
+        "the plate is tilted against where the registration puts it", "rad", "xy",
+        _within(0.0, 0.5, 0.1, 3 * DEGREE), _put("plate_tilt"), needs="plate",
+    ),
+    "sensor_offset": Effect(
+        "the tip's sensor sits off the tip, in the frame of the tube that ends last", "m", "xyz",
+        _within(0.0, 0.05, 0.01, 2e-3), _put("sensor_offset"),
+    ),
+    "sensor_tilt": Effect(
+        "the sensor's axis is tilted against the tip's tangent", "rad", "xy",
+        _within(0.0, 0.5, 0.1, 5 * DEGREE), _put("sensor_tilt"), needs="orientation",
+    ),
+}  # fmt: skip
+"""Every effect by the kind of its parameters, in the order in which they are applied."""
+
+KINDS = {
+    f"{kind}{suffix}": effect.meaning
+    for kind, effect in EFFECTS.items()
+    for suffix in ([""] if effect.common or not effect.each else []) + (["_I"] if effect.each else [])
+}
+"""Names of parameters, I being a number from 1, or x, y, z, and what they mean."""

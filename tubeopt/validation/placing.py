@@ -1,0 +1,259 @@
+"""Where to measure: configurations that determine chosen parameters best, and a way through them without a snap.
+
+D-optimal: of many random configurations, those that make the determinant of the parameters' covariance least, the
+registration being estimated along (D_s-optimality; Atkinson, Donev and Tobias, Optimum Experimental Designs (2007),
+section 10.3), added one by one and then exchanged while that gains (Fedorov 1972).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import InputError, SolveError, positive
+from ..robots.calibration import to_readings
+from ..robots.robot import Robot
+from ..stability import follow
+from ..typing import Array
+from .measurements import Measurements
+from .model import ArmModel
+from .parameters import Parameter, choose_parameters
+from .poses import Poses, solve_poses
+
+CANDIDATES = 600
+"""Random configurations that are chosen from."""
+
+DRAWS = 60
+"""Times as many are drawn at most, until enough are admissible."""
+
+ROUNDS = 8
+"""Times that every chosen configuration is offered for exchange, at most."""
+
+RANDOM_CHOICES = 20
+"""Random choices whose median tells what is gained."""
+
+TINY = 1e-9
+"""Part of the largest information that stands for what is not known yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Configurations to measure, in an order that can be driven.
+
+    Attributes:
+        rotations, translations: (N, n) readings of the drives, rad and m; home where a leg goes round a snap.
+        measured: (N,) whether a row is one to measure, or only on the way.
+        margin: (N,) stability margin.
+        parameters: names.   units: of their standard errors.
+        standard_errors: (P,) expected at `noise`; random: (P,) of as many random configurations, the median.
+        noise: standard deviation of a measured coordinate, m, that the errors are told for.
+    """
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    measured: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    margin: Array
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    standard_errors: Array
+    random: Array
+    noise: float
+
+
+def where_to_measure(
+    robot: Robot,
+    parameters: Sequence[str],
+    count: int,
+    *,
+    min_margin: float = 0.1,
+    noise: float = 0.5e-3,
+    registration: str = "rigid",
+    seed: int = 0,
+) -> Placement:
+    """Configurations within the joint limits whose tips determine parameters best.
+
+    Each has at least the margin `min_margin`, and is reached from home by a straight motion of the joints on which the
+    robot was followed without a snap, so that every leg of the way can at worst go through home.
+
+    Args:
+        parameters: as for `fit`; those that need time (latency, play) are found by driving one path slowly and fast.
+        count: how many configurations; at least as many as give more numbers than there are unknowns.
+        noise: of a measured coordinate, m.   seed: of the random configurations.
+
+    Raises:
+        InputError: too few configurations, a noise or margin out of range, and what `choose_parameters` raises.
+        SolveError: too few configurations of the robot have the margin.
+    """
+    positive("noise", noise)
+    if not 0 <= min_margin < 1:
+        raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
+    alpha, shift, poses = _candidates(robot, min_margin, seed)
+    readings = to_readings(robot, alpha, shift)
+    data = Measurements(*readings, poses.position[:, 0], source="where to measure")
+    chosen = choose_parameters(robot, data, parameters, registration)
+    model = ArmModel(robot, data, chosen, registration)
+    if 3 * count <= len(chosen) + model.freedoms:
+        raise InputError(
+            f"count is {count}; {len(chosen) + model.freedoms} unknowns need more than {3 * count} numbers"
+        )
+    if count > len(data) // 2:
+        raise SolveError(
+            f"of {CANDIDATES} random configurations {len(data)} have the margin; too few to choose {count}"
+        )
+    slopes = _scaled(model, chosen, noise)
+    usable = np.ones(len(data), dtype=bool)
+    while True:
+        best = _exchange(slopes, len(chosen), count, usable)
+        blocked = [k for k in best if not _reached(robot, alpha[k], shift[k], poses.position[k, 0])]
+        if not blocked:
+            break
+        usable[blocked] = False
+        if usable.sum() < count:
+            raise SolveError(f"fewer than {count} random configurations can be reached from home without a snap")
+    scale = np.array([p.scale for p in chosen])
+    random = np.random.default_rng(seed + 1)
+    others = [
+        _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(RANDOM_CHOICES)
+    ]
+    rows, joints = _way(robot, alpha[best], shift[best])
+    margin = solve_poses(robot, *joints, model.stations).margin
+    return Placement(
+        robot,
+        *to_readings(robot, *joints),
+        measured=rows >= 0,
+        margin=margin,
+        parameters=tuple(p.name for p in chosen),
+        units=tuple(p.unit for p in chosen),
+        standard_errors=_errors(slopes[best], len(chosen)) * scale,
+        random=np.median(others, axis=0) * scale,
+        noise=noise,
+    )
+
+
+def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Poses]:
+    """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin."""
+    random, limits = np.random.default_rng(seed), robot.limits
+    tubes = robot.tubes
+    straight = np.array([tube.straight_length for tube in tubes])
+    curved = np.array([tube.curved_length for tube in tubes])
+    low, high = np.array(limits.translations).T
+    found: list[Array] = []
+    for _ in range(CANDIDATES * DRAWS):
+        if len(found) == CANDIDATES:
+            break
+        shift = random.uniform(low, np.minimum(high, straight))
+        for together in robot.moving_together:
+            shift[list(together)] = shift[together[0]]
+        ordered = all(
+            shift[i] - straight[i] <= shift[j] - straight[j] and shift[i] + curved[i] >= shift[j] + curved[j]
+            for i, j in robot.nested_pairs
+        )
+        if ordered and (shift + curved).max() > 0.25 * curved.max() and _admissible(robot, shift):
+            found.append(shift)
+    if not found:
+        raise SolveError("no random translations within the limits keep carriages and ends in order")
+    shift = np.array(found)
+    alpha = random.uniform(*np.array(limits.rotations).T, size=(len(found), robot.n_tubes))
+    poses = solve_poses(robot, alpha, shift, np.zeros(1))
+    good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
+    if good.sum() < 3:
+        raise SolveError(f"hardly any random configuration of the robot has the margin {min_margin:g}")
+    return alpha[good], shift[good], solve_poses(robot, alpha[good], shift[good], np.zeros(1))
+
+
+def _admissible(robot: Robot, shift: Array) -> bool:
+    try:
+        robot.assembly(shift)
+    except InputError:
+        return False
+    return True
+
+
+def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array:
+    """(C, 3, Q) slopes of every candidate, by parameters in their scales and the registration, in units of the noise."""
+    slopes = model.jacobian(model.start) / noise
+    slopes[..., : len(chosen)] *= [p.scale for p in chosen]
+    slopes[..., len(chosen) : len(chosen) + 3] *= 0.1  # rad
+    slopes[..., len(chosen) + 3 :] *= 1e-2  # m
+    return slopes
+
+
+def _exchange(slopes: Array, parameters: int, count: int, usable: Array) -> list[int]:
+    """The rows of a D_s-optimal choice."""
+    size = slopes.shape[2]
+    start = TINY * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)
+    chosen: list[int] = []
+
+    def best(without: Sequence[int]) -> int:
+        information = start + np.einsum("caq,car->qr", slopes[list(without)], slopes[list(without)])
+        gain = _gain(information, slopes) - _gain(information[parameters:, parameters:], slopes[..., parameters:])
+        gain[~usable] = -np.inf
+        gain[list(without)] = -np.inf
+        return int(np.argmax(gain))
+
+    while len(chosen) < count:
+        chosen.append(best(chosen))
+    for _ in range(ROUNDS):
+        before = list(chosen)
+        for k in range(count):
+            chosen[k] = best([j for i, j in enumerate(chosen) if i != k])
+        if chosen == before:
+            break
+    return chosen
+
+
+def _gain(information: Array, slopes: Array) -> Array:
+    """(C,) by which each candidate raises log det of the information."""
+    if not len(information):
+        return np.zeros(len(slopes))
+    inverse = np.linalg.inv(information)
+    return np.asarray(np.linalg.slogdet(np.eye(3) + slopes @ inverse @ slopes.transpose(0, 2, 1))[1])
+
+
+def _errors(slopes: Array, parameters: int) -> Array:
+    """(P,) standard errors in the scales of the parameters."""
+    information = np.einsum("caq,car->qr", slopes, slopes)
+    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0))[:parameters])
+
+
+def _home(robot: Robot) -> tuple[Array, Array]:
+    return np.zeros(robot.n_tubes), robot.home_translations
+
+
+def _reached(robot: Robot, rotations: Array, translations: Array, tip: Array) -> bool:
+    """Whether a straight motion from home leads to this equilibrium without a snap."""
+    return _leg(robot, _home(robot), (rotations, translations), tip)
+
+
+def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
+    try:
+        path = follow(robot, [start[0], end[0]], [start[1], end[1]])
+    except SolveError:
+        return False
+    arrived = path.equilibria[-1]
+    return not path.snaps and (tip is None or float(np.linalg.norm(arrived.tip_position - tip)) < 1e-6)
+
+
+def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Rows of a way from home, each time to the nearest that is left, -1 for home, and its joint values."""
+    home = _home(robot)
+    place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
+    left, here, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]
+    while left:
+        nearest = min(left, key=lambda k: float(np.linalg.norm(place[k] - here)))
+        left.remove(nearest)
+        here = place[nearest]
+        order.append(nearest)
+    joints = [home if k < 0 else (rotations[k], translations[k]) for k in order]
+    rows, out = [-1], [home]
+    for (_, start), (k, end) in pairwise(zip(order, joints, strict=True)):
+        if k >= 0 and start is not home and not _leg(robot, start, end):
+            rows.append(-1)
+            out.append(home)
+        rows.append(k)
+        out.append(end)
+    return np.array(rows), (np.array([a for a, _ in out]), np.array([d for _, d in out]))

@@ -1,0 +1,152 @@
+"""Where a robot's tip and stations along its arm are at many joint values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..robots.robot import Robot
+from ..typing import Array, Mask
+
+Index = NDArray[np.intp]
+
+LEAP = 0.5
+STEEP = 15.0
+"""Between rows on end, a tube's tip that turns against its drive by more than LEAP (rad), and by more than STEEP times
+what any drive turned, may have gone to another equilibrium."""
+
+SAME = 1e-3
+"""rad: tips of the tubes that differ by less are of one equilibrium."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI.
+
+    Attributes:
+        position: (N, K, 3) of K stations, the foremost first.
+        frame: (N, 3, 3) of the tip of the tube that ends last: its own axes, turned with it.
+        margin: (N,).   length: (N,) of the arm in front of the plate, m.
+        failures: (row, reason in words).
+    """
+
+    position: Array
+    frame: Array
+    margin: Array
+    length: Array
+    failures: tuple[tuple[int, str], ...]
+
+    @property
+    def found(self) -> Mask:
+        """(N,) whether there is an equilibrium."""
+        return np.isfinite(self.margin)
+
+
+def solve_poses(
+    robot: Robot, rotations: Array, translations: Array, stations: Array, runs: Sequence[Index] = ()
+) -> Poses:
+    """Poses at joint values (N, n) of the model; stations (K,) behind the tip, m, the foremost first.
+
+    Each row is solved on its own. Along `runs` of rows on end the branch is followed: where a row on its own leads to
+    another equilibrium than the one before it, it is solved from there, until both ways agree or the branch ends.
+
+    Raises:
+        InputError: joint values at which the robot cannot be; the row is named.
+    """
+    try:
+        batch = forward_kinematics_batch(robot, rotations, translations)
+    except InputError as error:
+        raise _by_row(robot, rotations, translations, error) from None
+    shapes = {row: shape for run in runs for row, shape in _followed(robot, batch, run)}
+    last = np.argmax(translations + np.array([tube.curved_length for tube in robot.tubes]), axis=1)
+    rows = np.arange(len(batch))
+    tip, turned, turns, margin = (
+        getattr(batch, name).copy() for name in ("tip_position", "tip_rotation", "tip_rotations", "margin")
+    )
+    for row, shape in shapes.items():
+        tip[row], turned[row] = shape.tip_position, shape.tip_rotation
+        turns[row], margin[row] = shape.tip_rotations, shape.margin
+    theta = turns[rows, last]
+    length = np.maximum(translations + np.array([tube.curved_length for tube in robot.tubes]), 0.0).max(1)
+    position = tip[:, None]
+    if stations.any():
+        position = _along(robot, rotations, translations, stations, np.isfinite(margin), shapes)
+    failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
+    return Poses(position, turned @ _about_z(theta), margin, length, failures)
+
+
+def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:
+    """Rows of a run at which the branch of the rows before goes on, where the row on its own leads elsewhere."""
+    own = batch.tip_rotations[run] - batch.rotations[run]
+    driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
+    leaps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > LEAP + STEEP * driven) + 1
+    here, done = None, 0
+    for leap in leaps.tolist():
+        if leap < done:
+            continue
+        k = leap
+        while k < len(run):
+            row, before = int(run[k]), int(run[k - 1])
+            try:
+                if here is None:
+                    here = forward_kinematics(robot, batch.rotations[before], batch.translations[before])
+                here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], guess=here)
+            except SolveError:
+                break  # the branch ends: the robot snaps to what the row alone leads to
+            if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < SAME).all():
+                break
+            yield row, here
+            k += 1
+        here, done = None, k + 1
+
+
+def _about_z(angle: Array) -> Array:
+    """(N, 3, 3) turns about z."""
+    turn = np.zeros((len(angle), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+    turn[:, 1, 0], turn[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    turn[:, 2, 2] = 1.0
+    return turn
+
+
+def _along(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    stations: Array,
+    found: Mask,
+    shapes: Mapping[int, Equilibrium],
+) -> Array:
+    """(N, K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
+    out = np.full((len(rotations), len(stations), 3), np.nan)
+    for k in np.flatnonzero(found):
+        try:
+            shape = shapes.get(int(k)) or forward_kinematics(robot, rotations[k], translations[k])
+        except SolveError:
+            continue
+        at = shape.arc_length[-1] - stations
+        kept = np.append(True, np.diff(shape.arc_length) > 0)
+        line = scipy.interpolate.CubicHermiteSpline(
+            shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2]
+        )
+        out[k] = line(np.maximum(at, 0.0))
+        out[k, :, 2] += np.minimum(at, 0.0)
+    return out
+
+
+def _by_row(robot: Robot, rotations: Array, translations: Array, error: InputError) -> InputError:
+    """The complaint about the first row that the robot cannot take, in the words of a single configuration."""
+    for k in range(len(rotations)):
+        try:
+            robot.assembly(translations[k])
+        except InputError as own:
+            return InputError(f"row {k + 1}: {own}")
+    return error

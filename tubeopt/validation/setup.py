@@ -1,0 +1,161 @@
+"""All numbers on which a prediction depends: drives, tubes, plate and sensor; and the robot and joints they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.calibration import Calibration
+from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.robot import Robot
+from ..robots.tubes import Tube
+from ..typing import Array
+
+CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
+CALIBRATED = " (calibrated)"
+
+
+@dataclass(eq=False)
+class Setup:
+    """The numbers of a robot with n tubes of m kinds, as measured; effects change them in place. SI units.
+
+    Attributes:
+        latency: s by which the measured tips come later than the joint readings.
+        rotation, rotation_gain, rotation_play, translation, translation_gain: (n,) of the drives; see `Calibration`.
+        curvature, straight_length, curved_length, bending_stiffness, torsional_stiffness: (m,) of the tubes that the
+            robot is described by, one per segment of an eccentric one; straight_length with the transmission.
+        plate_shift, plate_tilt: (3,) m and (2,) rad about x and y, by which the plate stands off where the
+            registration puts it.
+        sensor_offset: (3,) m, of the tip's sensor from the tip, in the frame of the tube that ends last.
+        sensor_tilt: (2,) rad about x and y of that frame, between the tip's tangent and the sensor's axis.
+        transmission: the part of straight_length that the file of an eccentric robot calls transmission, m.
+    """
+
+    latency: float
+    rotation: Array
+    rotation_gain: Array
+    rotation_play: Array
+    translation: Array
+    translation_gain: Array
+    curvature: Array
+    straight_length: Array
+    curved_length: Array
+    bending_stiffness: Array
+    torsional_stiffness: Array
+    plate_shift: Array
+    plate_tilt: Array
+    sensor_offset: Array
+    sensor_tilt: Array
+    transmission: float = 0.0
+
+    @classmethod
+    def of(cls, robot: Robot) -> Setup:
+        """The robot as its file describes it, on a plate and with a sensor that are where they should be."""
+        drives = robot.calibration or Calibration.none(robot.n_tubes)
+        tubes = members(robot)
+        extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
+        return cls(
+            latency=drives.latency,
+            rotation=np.array(drives.rotation_offsets),
+            rotation_gain=np.array(drives.rotation_gains),
+            rotation_play=np.array(drives.rotation_play),
+            translation=np.array(drives.translation_offsets),
+            translation_gain=np.array(drives.translation_gains),
+            curvature=np.array([tube.curvature for tube in tubes]),
+            straight_length=np.array([tube.straight_length + extra for tube in tubes]),
+            curved_length=np.array([tube.curved_length for tube in tubes]),
+            bending_stiffness=np.array([tube.bending_stiffness for tube in tubes]),
+            torsional_stiffness=np.array([tube.torsional_stiffness for tube in tubes]),
+            plate_shift=np.zeros(3),
+            plate_tilt=np.zeros(2),
+            sensor_offset=np.zeros(3),
+            sensor_tilt=np.zeros(2),
+            transmission=extra,
+        )
+
+    def copy(self) -> Setup:
+        """The same numbers, to be changed."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        changed: dict[str, Any] = {k: v.copy() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+        return Setup(**changed)
+
+    def same_tubes(self, other: Setup) -> bool:
+        """Whether both describe the same tubes."""
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
+
+    def calibration(self, found_by: str = "") -> Calibration | None:
+        """The part that the drives have; None where they read true."""
+        found = Calibration(
+            rotation_offsets=tuple(self.rotation.tolist()),
+            translation_offsets=tuple(self.translation.tolist()),
+            rotation_gains=tuple(self.rotation_gain.tolist()),
+            translation_gains=tuple(self.translation_gain.tolist()),
+            rotation_play=tuple(self.rotation_play.tolist()),
+            latency=self.latency,
+            found_by=found_by,
+        )
+        return None if found.trivial else found
+
+    def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
+        """The robot with these numbers.
+
+        Raises:
+            InputError: there is no such robot.
+        """
+        first = Setup.of(given)
+        if self.same_tubes(first):
+            tubes = members(given)
+        else:
+            tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(given)))
+        extra = 0.0
+        if isinstance(given, EccentricRobot):
+            # What is behind the straight part of the tube is transmission, as far as there is any.
+            extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
+        return _rebuild(given, tubes, extra, self.calibration(found_by))
+
+    def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
+        changed: dict[str, Any] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
+        lengthened = float(self.straight_length[k] - first.straight_length[k])
+        changed["straight_length"] = max(0.0, tube.straight_length + lengthened)
+        kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
+        if kb == first.bending_stiffness[k] and kt == first.torsional_stiffness[k]:
+            return replace(tube, **changed)
+        return replace(tube, **changed, **_stiffness(tube, kb, kt))
+
+
+TUBES = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
+"""What describes the tubes."""
+
+
+def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
+    """What gives a tube these stiffnesses, N m^2: themselves, or moduli where they follow from the material."""
+    if any(field.name == "bending_stiffness" for field in fields(tube)):
+        return {"bending_stiffness": bending, "torsional_stiffness": torsional}
+    moduli: dict[str, Any] = {"youngs_modulus": bending / tube.second_moment}
+    moduli["shear_modulus"] = torsional / tube.polar_moment
+    name = tube.material.name.removesuffix(CALIBRATED) + CALIBRATED
+    return {"material": replace(tube.material, name=name, **moduli)}
+
+
+def members(robot: Robot) -> tuple[Tube, ...]:
+    """The tubes that a robot is described by: all of a concentric one, one per segment of an eccentric one."""
+    if isinstance(robot, EccentricRobot):
+        return (robot.tube,)
+    if isinstance(robot, SegmentedEccentricRobot):
+        return robot.segments
+    return robot.tubes
+
+
+def _rebuild(given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None) -> CommonRobot:
+    if isinstance(given, ConcentricRobot):
+        return replace(given, tubes=tubes, calibration=drives)
+    if isinstance(given, SegmentedEccentricRobot):
+        return replace(given, segments=tubes, calibration=drives)
+    if isinstance(given, EccentricRobot):
+        kept = replace(tubes[0], straight_length=given.tube.straight_length)
+        return replace(given, tube=kept, transmission_length=transmission, calibration=drives)
+    raise InputError(f"robot is a {type(given).__name__}; only robots that a file can describe can be calibrated")

@@ -1,0 +1,100 @@
+"""Joint readings at any time: interpolated within each run, behind by a latency, and through the play of the drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..typing import Array
+from .measurements import Measurements
+
+GAP = 5.0
+"""A step of time that is so many times the median one parts two runs."""
+
+Index = NDArray[np.intp]
+
+
+def runs_of(time: Array) -> list[Index]:
+    """Indices of every run: rows on end whose times ascend without a gap."""
+    step = np.diff(time)
+    forward = step[step > 0]
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    cuts = np.flatnonzero((step <= 0) | (step > GAP * usual)) + 1
+    return list(np.split(np.arange(len(time)), cuts))
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The joint readings of measurements, as a function of a latency.
+
+    Readings between two rows are interpolated by monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980)),
+    which do not overshoot where a joint stops. Before the first and behind the last row of a run they are held.
+    """
+
+    measurements: Measurements
+    runs: tuple[Index, ...]
+    source: tuple[tuple[Array, Array], ...]
+    """Times and joints (M, 2 n) of every run of what was recorded of the joints."""
+
+    @classmethod
+    def of(cls, measurements: Measurements) -> Timeline:
+        """The runs of measurements, in the order of time; without times there are none."""
+        m = measurements
+        if m.time is None:
+            return cls(m, (), ())
+        runs = tuple(runs_of(m.time))
+        if m.log is None:
+            time, joints, parts = m.time, np.hstack([m.rotations, m.translations]), list(runs)
+        else:
+            time, joints = m.log.time, np.hstack([m.log.rotations, m.log.translations])
+            parts = runs_of(time)
+        return cls(m, runs, tuple((time[part], joints[part]) for part in parts))
+
+    def readings(self, latency: float) -> tuple[Array, Array]:
+        """(N, n) rotations, rad, and translations, m, by a latency (s) before each row."""
+        m = self.measurements
+        if m.time is None or (m.log is None and latency == 0):
+            return m.rotations, m.translations
+        joints = np.empty((len(m), 2 * m.n_tubes))
+        if m.log is None:
+            for rows, (time, values) in zip(self.runs, self.source, strict=True):
+                joints[rows] = _between(time, values, m.time[rows] - latency)
+        else:
+            wanted = m.time - latency
+            first = np.array([time[0] for time, _ in self.source])
+            run = np.clip(np.searchsorted(first, wanted, side="right") - 1, 0, len(first) - 1)
+            for k, (time, values) in enumerate(self.source):
+                joints[run == k] = _between(time, values, wanted[run == k])
+        return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
+
+    def with_play(self, rotations: Array, play: Array) -> Array:
+        """(N, n) rotations of the tubes behind drives at `rotations` with play of half width (n,), rad.
+
+        A tube stands still until its drive has taken up the play. At the start of a run the play is taken up in the
+        direction of the first motion.
+        """
+        if not play.any():
+            return rotations
+        followed = rotations.copy()
+        for rows in self.runs:
+            drive = rotations[rows]
+            moved = np.diff(drive, axis=0)
+            begins = np.argmax(moved != 0, axis=0) if len(moved) else np.zeros(len(play), dtype=int)
+            first = np.sign(moved[begins, np.arange(len(play))]) if len(moved) else np.zeros(len(play))
+            low, high = drive - play, drive + play
+            here = drive[0] - play * first
+            for k, row in enumerate(rows):
+                here = np.minimum(np.maximum(here, low[k]), high[k])
+                followed[row] = here
+        return followed
+
+
+def _between(time: Array, values: Array, wanted: Array) -> Array:
+    """Values (M, c) at times (M,), at wanted times, held beyond the ends."""
+    if len(time) == 1 or not len(wanted):
+        return np.repeat(values[:1], len(wanted), axis=0)
+    inside = np.clip(wanted, time[0], time[-1])
+    return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
