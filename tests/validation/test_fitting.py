@@ -98,14 +98,18 @@ def test_the_jacobian_is_that_of_the_residuals(case: Callable[[], Case]) -> None
         step = np.zeros(len(scales))
         step[k] = size
         ahead, behind = (model.residuals(state.moved(side * step)) for side in (1, -1))
-        np.testing.assert_allclose((ahead - behind) / (2 * size), slopes[..., k], rtol=0, atol=2e-3 * np.abs(slopes[..., k]).max())
+        np.testing.assert_allclose(
+            (ahead - behind) / (2 * size), slopes[..., k], rtol=0, atol=2e-3 * np.abs(slopes[..., k]).max()
+        )
 
 
 def test_held_out_errors_are_a_little_larger_than_those_of_the_fit() -> None:
     given, perfect, _ = eccentric_case()
     data = noisy(perfect, 0)
     told: list[tuple[int, int]] = []
-    found = fit(given, data, ["curvature"], FitOptions(folds=4), progress=lambda done, total: told.append((done, total)))
+    found = fit(
+        given, data, ["curvature"], FitOptions(folds=4), progress=lambda done, total: told.append((done, total))
+    )
     assert found.held_out is not None
     assert found.held_out_errors is not None
     assert found.held_out_errors.shape == (20,)

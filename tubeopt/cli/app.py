@@ -23,6 +23,7 @@ from . import (
     heat,
     inverse,
     kinematics,
+    measure,
     mold,
     plan,
     robot,
@@ -68,6 +69,10 @@ app.command(
     epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv "
     "--fit curvature"
 )(validation.validate)
+app.command(
+    epilog="Example: tubeopt measure configs/robots/crl_ctr.yaml --fit rotation_2,rotation_3,curvature_1 --count 12 "
+    "--out results"
+)(measure.measure)
 app.command(epilog="Example: tubeopt design configs/studies/design_thesis_snap_free.yaml --out results")(design.design)
 app.command(epilog="Example: tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")(sweep.sweep)
 app.command(epilog="Example: tubeopt workspace configs/robots/crl_ctr.yaml --samples 20000 --out results")(

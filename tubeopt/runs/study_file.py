@@ -23,6 +23,7 @@ from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
 from .load_file import LoadedStudy
+from .measure_study import MeasureStudy
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
@@ -68,6 +69,7 @@ STUDY_KINDS: dict[str, type[Study]] = {
     "certify": CertifyStudy,
     "stability_map": StabilityMapStudy,
     "validation": ValidationStudy,
+    "measure": MeasureStudy,
     "design": DesignStudy,
     "plan": PlanStudy,
     "workspace": WorkspaceStudy,

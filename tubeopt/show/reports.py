@@ -21,6 +21,7 @@ from . import (  # noqa: F401  (each registers its reports)
     inverse_report,
     mandrel_report,
     map_report,
+    measure_report,
     mold_report,
     plan_report,
     robot_report,

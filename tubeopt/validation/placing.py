@@ -17,7 +17,8 @@ from ..errors import InputError, SolveError, positive
 from ..robots.calibration import to_readings
 from ..robots.robot import Robot
 from ..stability import follow
-from ..typing import Array
+from ..typing import Array, Mask
+from .effects import EFFECTS
 from .measurements import Measurements
 from .model import ArmModel
 from .parameters import Parameter, choose_parameters
@@ -94,6 +95,12 @@ def where_to_measure(
     alpha, shift, poses = _candidates(robot, min_margin, seed)
     readings = to_readings(robot, alpha, shift)
     data = Measurements(*readings, poses.position[:, 0], source="where to measure")
+    for name in parameters:
+        if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
+            raise InputError(
+                f"parameter {name!r} depends on the way: single configurations do not tell it; drive one path slowly "
+                "and fast"
+            )
     chosen = choose_parameters(robot, data, parameters, registration)
     model = ArmModel(robot, data, chosen, registration)
     if 3 * count <= len(chosen) + model.freedoms:
@@ -157,7 +164,8 @@ def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Arra
     if not found:
         raise SolveError("no random translations within the limits keep carriages and ends in order")
     shift = np.array(found)
-    alpha = random.uniform(*np.array(limits.rotations).T, size=(len(found), robot.n_tubes))
+    least, most = np.array(limits.rotations).T
+    alpha = random.uniform(least, most, size=(len(found), robot.n_tubes))
     poses = solve_poses(robot, alpha, shift, np.zeros(1))
     good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
     if good.sum() < 3:
@@ -174,7 +182,7 @@ def _admissible(robot: Robot, shift: Array) -> bool:
 
 
 def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array:
-    """(C, 3, Q) slopes of every candidate, by parameters in their scales and the registration, in units of the noise."""
+    """(C, 3, Q) slopes of every candidate, by scaled parameters and the registration, in units of the noise."""
     slopes = model.jacobian(model.start) / noise
     slopes[..., : len(chosen)] *= [p.scale for p in chosen]
     slopes[..., len(chosen) : len(chosen) + 3] *= 0.1  # rad
@@ -182,7 +190,7 @@ def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array
     return slopes
 
 
-def _exchange(slopes: Array, parameters: int, count: int, usable: Array) -> list[int]:
+def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[int]:
     """The rows of a D_s-optimal choice."""
     size = slopes.shape[2]
     start = TINY * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)

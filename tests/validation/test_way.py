@@ -1,0 +1,191 @@
+"""Data along a way: latency, play, places that are passed again, what is held out, and which effects pay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tubeopt import InputError
+from tubeopt.validation import FitOptions, compare_effects, fit, validate
+from tubeopt.validation.folds import deal, passes
+from tubeopt.validation.timeline import Timeline, runs_of
+
+from .laboratory import MM, TURN
+from .way import driven, joints, poses, robot, trivial
+
+NAMES = ["latency", "rotation_2", "translation_all", "rotation_gain_all"]
+TRUTH = {
+    "latency": 0.09,
+    "rotation_2": 0.08,
+    "translation_1": -2 * MM,
+    "translation_2": 1.5 * MM,
+    "rotation_gain_1": 1.01,
+    "rotation_gain_2": 0.992,
+}
+
+
+def test_readings_are_interpolated_between_rows() -> None:
+    m = driven(count=200)
+    assert m.time is not None
+    rotations, translations = Timeline.of(m).readings(0.043)
+    exact = joints(m.time - 0.043, m.time[-1])
+    inside = slice(2, 95)  # before it turns back, where the speed jumps
+    np.testing.assert_allclose(np.hstack([rotations, translations])[inside], exact[inside], atol=2e-4)
+    np.testing.assert_array_equal(Timeline.of(m).readings(0.0)[0], m.rotations)
+
+
+def test_runs_part_at_gaps_and_where_time_begins_anew() -> None:
+    time = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 0.0, 0.1])
+    assert [list(rows) for rows in runs_of(time)] == [[0, 1, 2], [3, 4], [5, 6]]
+
+
+def test_play_lets_the_drive_turn_before_the_tube_follows() -> None:
+    m = replace(driven(count=5), rotations=np.array([[0, 0], [1, 0], [0.9, 0], [0.5, 0], [1, 0]], dtype=float))
+    followed = Timeline.of(m).with_play(m.rotations, np.array([0.1, 0.0]))
+    np.testing.assert_allclose(followed[:, 0], [-0.1, 0.9, 0.9, 0.6, 0.9])
+    np.testing.assert_array_equal(followed[:, 1], m.rotations[:, 1])
+
+
+def test_what_is_wrong_with_the_drives_is_found_within_the_intervals() -> None:
+    hits = dict.fromkeys(TRUTH, 0)
+    for seed in range(10):
+        found = fit(robot(), driven(seed=seed), NAMES, FitOptions(folds=0))
+        for e in found.estimates:
+            hits[e.name] += bool(e.low <= TRUTH[e.name] <= e.high)
+        assert found.noise == pytest.approx(0.3 * MM, rel=0.1)
+    assert min(hits.values()) >= 8, hits
+    assert sum(hits.values()) >= 53
+
+
+def test_the_calibrated_robot_predicts_by_itself() -> None:
+    m = driven()
+    found = fit(robot(), m, NAMES)
+    assert found.robot.calibration is not None
+    assert found.robot.calibration.latency == pytest.approx(0.09, abs=0.01)
+    assert "300 rows of a way" in found.robot.calibration.found_by
+    again = validate(found.robot, m)
+    assert again.summary.rms == pytest.approx(found.after.summary.rms, rel=1e-3)
+    assert found.held_out is not None
+    assert found.after.summary.rms < found.held_out.rms < 1.1 * found.after.summary.rms
+    assert found.before.parity is not None
+    assert found.after.parity is not None
+    assert found.before.parity.history > 1.5 * found.after.parity.history
+
+
+def test_effects_that_are_there_are_found_and_no_others() -> None:
+    c = compare_effects(
+        robot(), driven(), ["latency", "rotation_play", "translation", "rotation_gain", "sensor_offset"]
+    )
+    assert set(c.chosen) >= {"latency", "translation_1", "translation_2"}
+    assert {step.effect for step in c.refused} >= {"rotation_play", "sensor_offset"}
+    assert all(step.kept for step in c.steps)
+    assert not any(step.kept for step in c.refused)
+    rms = [c.start.rms, *(step.held_out.rms for step in c.steps)]
+    assert rms == sorted(rms, reverse=True)
+    assert c.fit is not None
+    assert c.fit.robot.calibration is not None
+
+
+def test_where_nothing_is_wrong_nothing_is_chosen() -> None:
+    c = compare_effects(robot(), driven(trivial()), ["latency", "rotation_play", "translation", "curvature"])
+    assert not c.steps
+    assert c.fit is None
+
+
+def test_play_is_told_from_latency_only_with_care() -> None:
+    m = driven(trivial(latency=0.09))
+    found = fit(robot(), m, ["latency"], FitOptions(folds=0))
+    said = [remark for remark in found.remarks if "hardly be told from rotation_play" in remark]
+    assert all("slowly and once fast" in remark for remark in said)
+
+
+def test_outliers_do_not_move_a_robust_fit() -> None:
+    m = driven(trivial(latency=0.09), noise=0.2 * MM)
+    spoiled = m.sensors.copy()
+    spoiled[::12] += 40 * MM
+    wild = replace(m, sensors=spoiled)
+    plain, robust = (
+        fit(robot(), wild, ["latency", "translation_all"], FitOptions(folds=0, loss=loss))
+        for loss in ("linear", "huber")
+    )
+    off = [abs(f.estimates[1].value) for f in (plain, robust)]
+    assert off[1] < 0.5 * MM < off[0]
+    assert robust.noise < 0.1 * plain.noise
+
+
+# --- what is held out -------------------------------------------------------------------------------------------------
+
+
+def test_rows_of_the_way_back_are_in_the_fold_of_the_way_there() -> None:
+    m = driven()
+    found = passes(m)
+    there = np.arange(150)
+    back = len(m) - 1 - there
+    fold = deal(m, 10)
+    assert (fold[there[:140]] == fold[back[:140]]).mean() > 0.97
+    assert np.bincount(fold).min() > 20
+    assert len(found.pairs) > 130
+    np.testing.assert_allclose(found.pairs.sum(1), len(m) - 1, atol=2)
+
+
+def test_folds_are_blocks_of_time_where_the_way_is_new() -> None:
+    m = driven(count=240)
+    fold = deal(m.rows(np.arange(120)), 6)
+    assert (np.diff(fold) >= 0).all()
+    np.testing.assert_array_equal(np.bincount(fold), 20)
+
+
+def test_rows_without_time_and_with_equal_joints_are_in_one_fold() -> None:
+    m = replace(driven(count=40), time=None)
+    twice = m.rows(np.tile(np.arange(40), 2))
+    fold = deal(twice, 5)
+    np.testing.assert_array_equal(fold[:40], fold[40:])
+
+
+def test_data_without_time_know_no_latency() -> None:
+    m = replace(driven(count=40), time=None)
+    with pytest.raises(InputError, match="parameter 'latency' needs the time of every row"):
+        fit(robot(), m, ["latency"])
+    with pytest.raises(InputError, match="effect 'latency' cannot be compared"):
+        compare_effects(robot(), m, ["latency"])
+
+
+# --- directions, stations, sensors that do not see --------------------------------------------------------------------
+
+
+def test_directions_tell_the_sensor_s_axis_and_weigh_by_their_noise() -> None:
+    m = driven(trivial(rotation_offsets=(0.0, 0.1)), noise=0.2 * MM)
+    assert m.time is not None
+    frames = poses(robot(), trivial(rotation_offsets=(0.0, 0.1)), joints(m.time, m.time[-1])).frame
+    shaken = Rotation.from_rotvec(np.random.default_rng(1).normal(0, np.radians(0.5), (len(m), 3))).as_matrix()
+    sideways = np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], dtype=float)  # its -x axis points along the tube
+    seen = TURN @ shaken @ frames @ sideways
+    seen[5] = np.nan
+    found = fit(robot(), replace(m, orientation=seen), ["rotation_2"], FitOptions(folds=3))
+    assert found.after.axis_errors is not None
+    assert np.isnan(found.after.axis_errors).sum() == 1
+    assert np.sqrt(np.nanmean(found.after.axis_errors**2)) < np.radians(1.0)
+    assert found.axis_noise == pytest.approx(np.radians(0.5), rel=0.15)
+    assert found.noise == pytest.approx(0.2 * MM, rel=0.1)
+    plain = fit(robot(), m, ["rotation_2"], FitOptions(folds=0))
+    assert found.estimates[0].standard_error < plain.estimates[0].standard_error
+
+
+def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
+    m = driven(trivial(), count=60, noise=0.0)
+    assert m.time is not None
+    from tubeopt.validation.poses import solve_poses
+
+    behind = np.array([0.0, 35 * MM])
+    read = joints(m.time, m.time[-1])
+    along = solve_poses(robot(), read[:, :2], read[:, 2:], behind).position
+    both = along @ TURN.T
+    both[7, 0] = np.nan
+    both[8, 1] = np.nan
+    found = validate(robot(), replace(m, sensors=both, behind=behind))
+    assert np.nanmax(found.along) < 1e-9
+    assert np.argwhere(np.isnan(found.along)).tolist() == [[7, 0], [8, 1]]
+    assert found.summary.count == 59

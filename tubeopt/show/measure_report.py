@@ -1,0 +1,82 @@
+"""What is said and saved about where to measure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Group
+
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import DEG, MM, SIGNS, in_unit
+from ..robots.path_file import joint_columns
+from ..typing import Array, Mask
+from ..validation import Placement
+from .quantities import Quantity, in_units
+from .report import Report, grid, report, two_columns
+from .validation_report import SUFFIXES
+
+
+def _expected(p: Placement) -> list[dict[str, Any]]:
+    rows = zip(p.parameters, p.units, p.standard_errors.tolist(), p.random.tolist(), strict=True)
+    return [_error(name, SUFFIXES[unit], own, random) for name, unit, own, random in rows]
+
+
+def _error(name: str, unit: str, own: float, random: float) -> dict[str, Any]:
+    ending = f"_{unit}" if unit else ""
+    values = {"standard_error": own, "at_random": random}
+    return {"name": name, **{f"{key}{ending}": in_units(value, unit) for key, value in values.items()}}
+
+
+PLACEMENT: tuple[Quantity[Placement], ...] = (
+    Quantity("robot", "name of the robot", lambda p: p.robot.name),
+    Quantity("count", "configurations to measure", lambda p: int(p.measured.sum()), form="d"),
+    Quantity("waypoints", "waypoints with home and what leads round snaps", lambda p: len(p.measured), form="d"),
+    Quantity("least_margin", "least margin", lambda p: p.margin.min(), form=".3f"),
+    Quantity("noise_mm", "noise that errors are told for", form=".3g"),
+    Quantity("expected", "expected standard errors, and those of random configurations", _expected),
+    Quantity("rotations_deg", "rotations of the drives at the waypoints"),
+    Quantity("translations_mm", "translations of the drives at the waypoints"),
+    Quantity("measured", "whether a waypoint is to be measured"),
+)
+
+
+class PlacementReport(Report[Placement]):
+    """What is said and saved about where to measure."""
+
+    command = "measure"
+    quantities = PLACEMENT
+    file = "report.json"
+
+    def table(self) -> Group:
+        """How many, and the expected errors."""
+        p = self.answer
+        cells = []
+        for name, unit, own, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):
+            suffix = SUFFIXES[unit]
+            sign = SIGNS.get(suffix, suffix)
+            shown = (f"{in_units(float(x), suffix):.3g} {sign}".strip() for x in (own, random))
+            cells.append((name, *shown, f"{random / own:.1f}"))
+        heads = ("parameter", "standard error >", "at random >", "times less >")
+        return Group(two_columns(self.title(), self.rows()), grid(heads, cells, key=True))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write report.json, way.csv, which `tubeopt follow` reads, and configurations.csv, those to measure."""
+        every = [self.answer.measured >= 0, self.answer.measured]
+        names = ("way.csv", "configurations.csv")
+        tables = [_write(directory / name, self.answer, rows) for name, rows in zip(names, every, strict=True)]
+        return [self.save_record(directory), *tables]
+
+
+def _write(path: Path, p: Placement, rows: Array | Mask) -> Path:
+    turns, shifts = joint_columns(p.robot.n_tubes)
+    cells = (
+        [*(in_unit(float(x), DEG) for x in a), *(in_unit(float(x), MM) for x in d)]
+        for a, d in zip(p.rotations[rows], p.translations[rows], strict=True)
+    )
+    write_text(path, to_csv([*turns, *shifts], cells))
+    return path
+
+
+report.register(Placement, PlacementReport)
