@@ -51,7 +51,8 @@ def main(out: Path) -> list[Path]:
         opti.subject_to(block.tip_position[2] == HEIGHT)
         opti.subject_to(opti.bounded(-2 * np.pi, rotations, 2 * np.pi))
         opti.minimize(sign * softness(block))
-        opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
+        settings = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive"}
+        opti.solver("ipopt", {"print_time": False, "expand": True}, settings)
         solution = opti.solve()
         poses.append(block.equilibrium(solution))
         way = 1e3 * solution.value(softness(block))
