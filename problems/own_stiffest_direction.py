@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -51,7 +52,7 @@ def main(out: Path) -> list[Path]:
         opti.subject_to(block.tip_position[2] == HEIGHT)
         opti.subject_to(opti.bounded(-2 * np.pi, rotations, 2 * np.pi))
         opti.minimize(sign * softness(block))
-        settings = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive"}
+        settings: dict[str, Any] = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive"}
         opti.solver("ipopt", {"print_time": False, "expand": True}, settings)
         solution = opti.solve()
         poses.append(block.equilibrium(solution))

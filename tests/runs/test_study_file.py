@@ -87,6 +87,6 @@ def test_the_robot_is_named_by_a_path(tmp_path: Path) -> None:
 def test_an_unknown_kind(tmp_path: Path) -> None:
     assert problems(tmp_path / "x.yaml", "kind: forward_kinematic\n") == [
         "kind is 'forward_kinematic'; it must be forward_kinematics, inverse_kinematics, equilibria, snap, follow, "
-        "certify, stability_map, validation, design, plan, workspace, heating or mold_plan; did you mean "
+        "certify, stability_map, validation, measure, design, plan, workspace, heating or mold_plan; did you mean "
         "'forward_kinematics'?"
     ]

@@ -95,7 +95,7 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
         "after the fit",
         "held out",
         "95 % interval",
-        "add to the rotations",
+        "their offsets, gains and latency are in robot.yaml",
     ):
         assert part in outcome.out
     record = json.loads((tmp_path / "report.json").read_text())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...files.units import TO_MM
 from .style import FAINT, INK, finish, new_figure, styled
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
     from ...validation import Comparison
 
-MM = 1e3
 KEPT, REFUSED, GRID = "#0072B2", "#B8BEC6", "#E6E8EB"
 
 
@@ -45,13 +45,13 @@ def plot_effects(comparison: Comparison, path: str | PathLike[str] | None = None
 
 def _draw_steps(axes: Axes, c: Comparison) -> None:
     rows = [("as given", c.start.rms), *((f"+ {s.effect.replace('_', ' ')}", s.held_out.rms) for s in c.steps)]
-    values = np.array([value for _, value in rows]) * MM
+    values = np.array([value for _, value in rows]) * TO_MM
     axes.barh(range(len(rows)), values, height=0.62, color=KEPT)
     for k, value in enumerate(values):
         axes.annotate(f"{value:.2f}", (value, k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
     last = values[-1]
     for k, step in enumerate(c.refused, start=len(rows)):
-        value = step.held_out.rms * MM
+        value = step.held_out.rms * TO_MM
         axes.barh(k, value, height=0.62, color="none", edgecolor=REFUSED, lw=0.9)
         gain = f"{100 * step.gain:+.1f} %".replace("-", "−")
         axes.annotate(gain, (max(value, last), k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,
@@ -61,7 +61,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     for label in axes.get_yticklabels()[len(rows) :]:
         label.set_color(FAINT)
     if c.fit is not None:
-        noise = c.fit.noise * np.sqrt(3) * MM
+        noise = c.fit.noise * np.sqrt(3) * TO_MM
         axes.axvline(noise, color=INK, lw=0.8, ls=(0, (4, 3)))
         axes.annotate(
             f"what the fit leaves, {noise:.2f}",
@@ -85,7 +85,7 @@ def _draw_parity(axes: Axes, c: Comparison) -> None:
         if v.parity is None:
             continue
         for j, (value, colour) in enumerate(((v.parity.history, "#D55E00"), (v.parity.static, "#009E73"))):
-            height = value * MM
+            height = value * TO_MM
             label = ("depends on the way", "does not")[j] if k == 0 else None
             axes.bar(k + 0.36 * (j - 0.5), height, width=0.34, color=colour, label=label)
             axes.annotate(
