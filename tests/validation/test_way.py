@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
-from tubeopt.validation import FitOptions, compare_effects, fit, validate
+from tubeopt.validation import FitOptions, compare_effects, fit, validate, where_to_measure
 from tubeopt.validation.folds import deal, passes
 from tubeopt.validation.timeline import Timeline, runs_of
 
@@ -187,3 +187,8 @@ def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
     assert np.nanmax(found.along) < 1e-9
     assert np.argwhere(np.isnan(found.along)).tolist() == [[7, 0], [8, 1]]
     assert found.summary.count == 59
+
+
+def test_what_no_configuration_determines_is_said() -> None:
+    with pytest.raises(InputError, match="rotation_2 cannot be told from a change of rotation_1.*measure the base"):
+        where_to_measure(robot(), ["rotation_all"], 10)

@@ -19,6 +19,7 @@ from ..robots.robot import Robot
 from ..stability import follow
 from ..typing import Array, Mask
 from .effects import EFFECTS
+from .identifiability import undetermined
 from .measurements import Measurements
 from .model import ArmModel
 from .parameters import Parameter, choose_parameters
@@ -112,6 +113,9 @@ def where_to_measure(
             f"of {CANDIDATES} random configurations {len(data)} have the margin; too few to choose {count}"
         )
     slopes = _scaled(model, chosen, noise)
+    _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
+    if lost:
+        raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
     usable = np.ones(len(data), dtype=bool)
     while True:
         best = _exchange(slopes, len(chosen), count, usable)
