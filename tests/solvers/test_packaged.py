@@ -53,6 +53,7 @@ def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path
 def test_without_a_compiler_the_kernel_of_the_package_answers(
     generations: tuple[packaged.Generation, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("TUBEOPT_COMPILE", raising=False)
     expected = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
     building.compile_to(building.source(3, False), generations[1].kernel(tmp_path, CONCENTRIC), ())
     monkeypatch.setattr(building, "_compiler", lambda: None)
@@ -71,6 +72,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
 def test_where_there_is_no_kernel_it_is_said_once(
     generations: object, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.delenv("TUBEOPT_COMPILE", raising=False)
     monkeypatch.setattr(building, "_compiler", lambda: None)
     building._tell_once.cache_clear()
     assert building.library.__wrapped__(3, False) is None
