@@ -56,7 +56,6 @@ def solved(robot: ConcentricRobot, back: float) -> Equilibrium:
     return forward_kinematics(robot, np.zeros(2), robot.home_translations - np.array([back, 0.0]))
 
 
-
 def fitted() -> np.ndarray:
     """(4,) curvatures (1/m) of the best pair."""
 
