@@ -4,10 +4,10 @@ The way goes 40 mm to one side and 40 mm to the other, on radii of 60 and 45 mm 
 of the two pieces of either tube. The fit is by least squares of the distance from the way, at full length and while
 the inner tube is drawn back into the outer one.
 
-One learns: at full length many pairs of tubes fit alike, since only the mean of the curvatures by stiffness is seen from
-outside. That the robot keeps to the way while it grows leaves one pair: an inner tube that is bent alike all along, which
-may slide as it likes, and an outer S that makes up for it. In the plane that is stable, with a margin of 0.15; the tubes
-must not be turned, since the certificate is negative: turned, they may snap.
+One learns: at full length many pairs of tubes fit alike, since only the mean of the curvatures by stiffness is seen
+from outside. That the robot keeps to the way while it grows leaves one pair: an inner tube that is bent alike all
+along, which may slide as it likes, and an outer S that makes up for it. In the plane that is stable, with a margin of
+0.15; the tubes must not be turned, since the certificate is negative: turned, they may snap.
 """
 
 from __future__ import annotations

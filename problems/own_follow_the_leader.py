@@ -4,9 +4,9 @@ Both tubes come out together, then the inner one alone, and each may be turned i
 curvature and natural twist of either tube and how far each turns per length. The least squares of the distance between
 the robot, at many lengths, and the beginning of the curve decide.
 
-One learns: a helix, and two helices of one torsion after one another, are followed without any error, as theory says; it
-takes an inner tube with the second helix' curvature and an outer one that makes up for it. Of a curve whose curvature
-grows all along no pair of helical tubes is the exact one; what remains is told in millimetres.
+One learns: a helix, and two helices of one torsion after one another, are followed without any error, as theory says;
+it takes an inner tube with the second helix' curvature and an outer one that makes up for it. Of a curve whose
+curvature grows all along, the pair of helical tubes that the fit ends at is 0.7 mm off.
 """
 
 from __future__ import annotations
@@ -54,8 +54,12 @@ CURVES = {
 
 
 def deployed(x: np.ndarray, count: int) -> list[Equilibrium]:
-    """The robot at `count` lengths in either phase: x = curvature and twist of the inner and the outer tube, 1/m; how
-    far both turn per length drawn back, and the inner one alone, rad/m; and where both are turned to at the end, rad."""
+    """The robot at `count` lengths in either phase.
+
+    Args:
+        x: curvature and twist of the inner and the outer tube, 1/m; how far both turn per length drawn back, and the
+            inner one alone, rad/m; where both are turned to in the end, rad.
+    """
     inner = Tube.of_pieces(*INNER, [Piece(TOGETHER + ALONE, (x[0], 0.0, x[1]))], straight_length=40e-3)
     outer = Tube.of_pieces(*OUTER, [Piece(TOGETHER, (x[2], 0.0, x[3]))], straight_length=20e-3)
     robot = ConcentricRobot((inner, outer))
