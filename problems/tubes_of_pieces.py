@@ -1,8 +1,8 @@
 """A robot of tubes made of pieces: a helix, an S, and an outer tube with slots; at home and with its tubes turned.
 
 One learns: what each tube is like is a line or two in the robot's file; the solver is the same for all, and so are
-margin and certificate. Slots in a single tube are no cure in themselves: a softer outer tube resists the inner two less,
-which then act on each other more.
+margin and certificate. Slots in a single tube are no cure in themselves: a softer outer tube resists the inner two
+less, which then act on each other more.
 """
 
 from __future__ import annotations

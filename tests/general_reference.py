@@ -1,6 +1,6 @@
 """Tubes of any precurvature and stiffness written once more, and solved by shooting: nothing of the library is used.
 
-A tube is a list of pieces (length, u*, EI, GJ), each a function of the piece's own arc length; see design of the theory
+A tube is a list of pieces (length, u*, EI, GJ), each a function of the piece's own arc length; see the theory
 page, "Tubes made of pieces". From the rotations and torques at the plate the equations are integrated to the tip by
 DOP853 (SciPy) at 1e-12, and Newton's method, with differences, finds the torques that vanish at the tubes' ends.
 """

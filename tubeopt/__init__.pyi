@@ -51,6 +51,7 @@ from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
+from .robots.load import Load
 from .robots.materials import NITINOL, Material
 from .robots.pieces import Piece
 from .robots.tubes import Tube
@@ -67,6 +68,7 @@ from .stability import (
     Certificate,
     EnergyMap,
     Finding,
+    LoadLimit,
     Path,
     Snap,
     StabilityMap,
@@ -76,6 +78,7 @@ from .stability import (
     certify,
     energy_map,
     find_equilibria,
+    find_load_limit,
     find_snap,
     follow,
     judge,
@@ -85,6 +88,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
+from .validation.force import ForceEstimate, estimate_force
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -103,6 +107,7 @@ __all__ = [
     "EquilibriumBatch",
     "EquilibriumBlock",
     "Finding",
+    "ForceEstimate",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
@@ -113,6 +118,8 @@ __all__ = [
     "Ipopt",
     "Jacobian",
     "JointLimits",
+    "Load",
+    "LoadLimit",
     "Material",
     "Mold",
     "MoldSpec",
@@ -145,7 +152,9 @@ __all__ = [
     "WorstMargin",
     "certify",
     "energy_map",
+    "estimate_force",
     "find_equilibria",
+    "find_load_limit",
     "find_snap",
     "follow",
     "follow_the_leader",

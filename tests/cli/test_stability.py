@@ -449,7 +449,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         (["stability-map", THESIS, "--tubes", "1,4"], "--tubes is [1, 4]; it must be two different tubes from 1 to 3"),
         (["stability-map", THESIS, "--tubes", "1,1"], "--tubes is [1, 1]; it must be two different tubes from 1 to 3"),
         (["stability-map", THESIS, "--tubes", "1,1.5"], "--tubes[1] is 1.5; it must be a whole number"),
-        (["stability-map", THESIS, "--samples", "1"], "--samples is 1; it must be greater than or equal to 2"),
+        (["stability-map", THESIS, "--samples", "1"], "--samples is 1; it must be at least 2"),
         (["stability-map", THESIS, "--workers", "x"], "--workers is 'x'; it must be a number"),
     ],
 )

@@ -519,6 +519,7 @@ def test_every_array_has_the_shape_that_is_promised() -> None:
         "tube_end": (n,),
         "point": (points,),
         "point_rotation": (points, n),
+        "point_curvature": (0,),
     }
     assert {name: getattr(solved, name).shape for name in ARRAYS} == shapes
     assert all(getattr(solved, name).dtype == np.float64 for name in ARRAYS)

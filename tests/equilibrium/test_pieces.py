@@ -16,6 +16,7 @@ from tubeopt import (
     InputError,
     Piece,
     Tube,
+    energy_map,
     find_equilibria,
     find_snap,
     forward_kinematics,
@@ -283,3 +284,9 @@ def test_a_straight_stretch_only_hands_on_torque() -> None:
     torque = found.torsion[:, 0] * np.array([kt, 2 * kt])
     shot = shoot([inner, outer], [0.0, 2.5], [-0.14, -0.09], torque.tolist())
     assert np.linalg.norm(found.tip_position - shot.tip) < 1e-10
+
+
+def test_an_energy_map_knows_no_natural_twist() -> None:
+    wound, plain = (energy_map(pair(twist, kappa=20.0), [0.0, 3.0], samples=7) for twist in (30.0, 0.0))
+    assert wound.energy == pytest.approx(plain.energy, rel=1e-9)
+    assert wound.first == pytest.approx(plain.first + 3.0, abs=1e-6)

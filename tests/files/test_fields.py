@@ -109,13 +109,13 @@ def test_keys_are_in_their_units() -> None:
     [
         ({"widht_mm": 3}, "widht_mm is not a known key; did you mean 'width_mm'?"),
         ({"width_mm": 0}, "width_mm is 0; it must be greater than 0"),
-        ({"slack_percent": 51}, "slack_percent is 51; it must be less than or equal to 50"),
+        ({"slack_percent": 51}, "slack_percent is 51; it must be at most 50"),
         ({"dried_degC": -300}, "dried_degC is -300; it must be greater than -273.15"),
         ({"board": "elm"}, "board is 'elm'; it must be oak"),
         ({"board": {"name": "fir", "density_kg_per_m3": 450, "grain": "fin"}}, "did you mean 'fine'?"),
         (
             {"pegs": [{"length_mm": 1, "taper_deg": -1}]},
-            "pegs[0].taper_deg is -1; it must be greater than or equal to 0",
+            "pegs[0].taper_deg is -1; it must be at least 0",
         ),
         ({"place_mm": [1]}, "place_mm has 1 item; it must have at least 2"),
         ({"marks_mm": []}, "marks_mm has 0 items; it must have at least 1"),

@@ -24,6 +24,7 @@ from tubeopt import (
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.control.clock import Clock
 from tubeopt.control.joints import joint_space
 from tubeopt.control.posture import posture_of
 from tubeopt.inverse.descent import reach
@@ -412,6 +413,13 @@ class TestStarts:
         (tmp_path / "file").write_text("in the way")
         monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path / "file" / "below"))
         assert len(start_table(joint_space(TWO_TUBE), 32).q) > 0
+
+    def test_a_table_for_which_there_is_no_time_is_not_kept(self) -> None:
+        space = joint_space(nested((0.05, 0.06, 7.0), (0.03, 0.04, 6.0)))
+        before = set(cache_directory().glob("inverse-*.npz"))
+        assert not start_table(space, 64, Clock(0.0)).whole
+        assert set(cache_directory().glob("inverse-*.npz")) == before
+        assert start_table(space, 64, Clock(60.0)).whole
 
     def test_starts_are_turned_towards_the_target(self) -> None:
         space = joint_space(CRL)

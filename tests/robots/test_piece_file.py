@@ -101,7 +101,7 @@ def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
         (
             "{length_mm: 10, radius_mm: 80, pattern: {bending_factor: 1.2, torsion_factor: 1, source: x}}",
             "",
-            "pattern.bending_factor is 1.2; it must be less than or equal to 1",
+            "pattern.bending_factor is 1.2; it must be at most 1",
         ),
         (
             "{length_mm: 10, radius_mm: 80, pattern: {bending_factor: 0, torsion_factor: 1, source: x}}",

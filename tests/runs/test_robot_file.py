@@ -208,7 +208,7 @@ PROBLEMS = [
     (
         "straight_length_mm: 10",
         "straight_length_mm: -1",
-        "tubes[0].straight_length_mm is -1; it must be greater than or equal to 0",
+        "tubes[0].straight_length_mm is -1; it must be at least 0",
     ),
     (
         "radius_mm: 100",

@@ -117,7 +117,7 @@ def test_every_key_of_a_mold_file() -> None:
         (("mold", ETR, "--tubes", "1-2"), "--tubes[0] is '1-2'; it must be a number"),
         (("mold", ETR, "--tubes", "4"), "tubes is [4]; it must be numbers from 1 to 3"),
         (("mold", ETR, "--material", "stel"), "mold material is 'stel'; it must be one of steel, mdf, glass_mica"),
-        (("mold", ETR, "--cold-length-mm", "-3"), "--cold-length-mm is -3; it must be greater than or equal to 0"),
+        (("mold", ETR, "--cold-length-mm", "-3"), "--cold-length-mm is -3; it must be at least 0"),
         (("mold", "nowhere.yaml"), "nowhere.yaml: there is no such file"),
         (("mold", "calibrate", "nowhere.csv"), "nowhere.csv: there is no such file"),
         (

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from ..errors import InputError, SolveError
+from ..errors import InputError
 from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.tubes import Tube
@@ -18,26 +17,13 @@ from ..shaping.heating.calibration import FACTORS, RigFit, calibrate
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import CHARGES
 from ..shaping.heating.trials import TrialFit, calibrate_from_trials
-from ..show.heat_report import missed
 from ..show.progress import working
 from ..show.report import can_be_saved, present
 from ..show.reports import report
 from .flags import ask, asks
-from .options import JsonOption, OutOption, PlotOption, numbers
+from .options import JsonOption, OutOption, PlanByDefault, PlotOption, numbers
 
-
-class _PlanByDefault(TyperGroup):
-    """`tubeopt heat RIG.yaml` is short for `tubeopt heat plan RIG.yaml`."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `plan` in front of arguments that name no command."""
-        if args and args[0] not in self.commands and args[0] != "--help":
-            args = ["plan", *args]
-        rest: list[str] = super().parse_args(ctx, args)
-        return rest
-
-
-app = typer.Typer(cls=_PlanByDefault, help="Heating schedules for setting the shape of tubes.", no_args_is_help=True)
+app = typer.Typer(cls=PlanByDefault, help="Heating schedules for setting the shape of tubes.", no_args_is_help=True)
 
 RigArgument = Annotated[str, typer.Argument(metavar="RIG.yaml", help="Rig file.", show_default=False)]
 RobotOption = Annotated[
@@ -87,10 +73,7 @@ def plan(study: HeatingStudy, plot: PlotOption = False, out: OutOption = None, a
     Ends with 3 where the window cannot be held within limit, ramp and currents; the best schedule and what would help
     are shown and saved all the same.
     """
-    answer = ask(study, "planning the heating", out)
-    present(report(answer), out=out, as_json=as_json, plot=plot)
-    if not answer.plan.feasible:
-        raise SolveError(missed(answer.plan))
+    present(report(ask(study, "planning the heating", out)), out=out, as_json=as_json, plot=plot)
 
 
 @app.command("calibrate", epilog="Example: tubeopt heat calibrate configs/experiments/heating_log.csv "

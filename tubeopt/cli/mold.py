@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
 from ..errors import InputError, positive
 from ..files.units import TO_MM
@@ -22,21 +21,9 @@ from ..shaping.mold.springback import calibrate_springback
 from ..show.report import can_be_saved, present
 from ..show.reports import report
 from .flags import ask, asks
-from .options import JsonOption, OutOption, PlotOption, RobotArgument
+from .options import JsonOption, OutOption, PlanByDefault, PlotOption, RobotArgument
 
-
-class _PlanByDefault(TyperGroup):
-    """`tubeopt mold ROBOT.yaml` is short for `tubeopt mold plan ROBOT.yaml`."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `plan` in front of arguments that name no command."""
-        if args and args[0] not in self.commands and args[0] != "--help":
-            args = ["plan", *args]
-        rest: list[str] = super().parse_args(ctx, args)
-        return rest
-
-
-app = typer.Typer(cls=_PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
+app = typer.Typer(cls=PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
 
 
 @app.command(epilog="Example: tubeopt mold plan configs/robots/thesis_etr.yaml --out results")

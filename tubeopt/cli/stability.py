@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import typer
-
 from ..runs.stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
-from ..show.certify_report import EXIT_CODES
 from ..show.report import present
 from ..show.reports import report
 from .flags import ROBOT, ask, asks
@@ -43,11 +40,10 @@ def certify(study: CertifyStudy, robot: str, out: OutOption = None, as_json: Jso
     """Whether the robot can snap at any rotation: what is proved, and what search finds.
 
     Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known; with a box, at the translations of its least
-    certificate that was found.
+    certificate that was found. With a force, 0 is only for what is proved under it.
     """
     answer = replace(ask(study, "looking for snaps", out), robot_file=robot)
     present(report(answer), out=out, as_json=as_json)
-    raise typer.Exit(EXIT_CODES[answer.verdict.finding])
 
 
 @asks(StabilityMapStudy)

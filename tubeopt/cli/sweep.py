@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from ..errors import SolveError
 from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import sweep as run_sweep
 from ..show.progress import counting
@@ -48,5 +47,3 @@ def sweep(
             progress=progress,
         )
     present(report(answer), out=None, as_json=as_json)
-    if len(answer.failures) == answer.points:
-        raise SolveError(f"all {answer.points} points failed; the first: {answer.failures[0][1]}")

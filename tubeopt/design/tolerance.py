@@ -11,7 +11,7 @@ import numpy as np
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector
 from ..robots.concentric import ConcentricRobot
-from ..robots.tubes import Tube
+from ..robots.tubes import Tube, must_follow_section
 from ..typing import Array
 from .checks import whole
 from .pool import Progress, executor, run_all
@@ -91,6 +91,7 @@ def tolerance_analysis(
         InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
         SolveError: a pose has no equilibrium of the robot as designed.
     """
+    must_follow_section(robot.tubes, "a tolerance analysis")
     if not isinstance(tolerances, Tolerances):
         raise InputError(f"tolerances is {tolerances!r}; it must be Tolerances")
     whole("samples", samples, 2)

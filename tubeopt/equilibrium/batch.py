@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask
@@ -32,8 +33,10 @@ class EquilibriumBatch:
         tip_rotations: (N, n) theta_i at each tube's own end, rad.
         margin: (N,) stability margin.   energy: (N,) J.
         residual (N,), mesh_error (N,): of theta, rad.   tip_error (N,): estimated error of the tip, m.
-        converged: (N,) whether a stable equilibrium was found to the tolerance.
+        converged: (N,) whether a stable equilibrium was found to the tolerance; one without a margin under loads that
+            have none.
         failures: (row, reason in words) of those that were not.
+        compliance: (N, 6, 6) of the tip, m and rad by N and N m, under a load; (0, 6, 6) without one.
     """
 
     robot: Robot
@@ -49,13 +52,14 @@ class EquilibriumBatch:
     tip_error: Array
     converged: Mask
     failures: tuple[tuple[int, str], ...] = ()
+    compliance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
 
     def __len__(self) -> int:
         return len(self.rotations)
 
     @property
     def stable(self) -> Mask:
-        """(N,) whether a stable equilibrium was found."""
+        """(N,) whether a stable equilibrium was found; not told, so False, where there is no margin."""
         return np.asarray(self.converged & (self.margin > 0))
 
 
@@ -64,6 +68,7 @@ def forward_kinematics_batch(
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
+    load: Load | None = None,
     tolerance: float = 1e-8,
     workers: int = 1,
     on_failure: str = "return",
@@ -77,6 +82,7 @@ def forward_kinematics_batch(
     Args:
         rotations: (N, n) rad.
         translations: (N, n) m, or (n,) for all; None is home.
+        load: on every configuration; solved one by one.
         tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm.
         workers: threads of the kernel; 0 is one per core.
         on_failure: "return" marks what has no stable equilibrium; "raise" raises SolveError for the first.
@@ -93,10 +99,14 @@ def forward_kinematics_batch(
         raise InputError(f"workers is {workers!r}; it must be 0 (one per core) or a number of threads")
     _admissible(robot, shift)
     table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
+    compliance = np.full((len(alpha) if load is not None else 0, 6, 6), np.nan)
     failures: list[tuple[int, str]] = []
 
     def run(rows: slice) -> int:
-        failures.extend(_solve_rows(robot, alpha, shift, rows, table, tolerance))
+        if load is None:
+            failures.extend(_solve_rows(robot, alpha, shift, rows, table, tolerance))
+        else:
+            failures.extend(_solve_loaded(robot, (alpha, shift, load), rows, (table, compliance), tolerance))
         return len(alpha[rows])
 
     done = 0
@@ -107,7 +117,7 @@ def forward_kinematics_batch(
         if failures and on_failure == "raise":
             row, reason = min(failures)
             raise SolveError(f"configuration {row}: {reason}")
-    return _batch(robot, alpha, shift, table, sorted(failures))
+    return replace(_batch(robot, alpha, shift, table, sorted(failures)), compliance=compliance)
 
 
 def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
@@ -189,6 +199,21 @@ def _solve_rows(
         except SolveError as error:
             table[row] = np.nan
             failures.append((row, str(error)))
+    return failures
+
+
+def _solve_loaded(
+    robot: Robot, given: tuple[Array, Array, Load], rows: slice, out: tuple[Array, Array], tolerance: float
+) -> list[tuple[int, str]]:
+    """Solve some rows under load into a table and compliances; returns those without an answer, with the reason."""
+    (alpha, shift, load), (table, compliance), failures = given, out, []
+    for row in range(*rows.indices(len(alpha))):
+        try:
+            e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
+        except SolveError as error:
+            failures.append((row, str(error)))
+            continue
+        table[row], compliance[row] = _row(e), e.compliance
     return failures
 
 

@@ -23,6 +23,9 @@ from .result import ARRAYS, Equilibrium, Status
 ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
 """Arrays with a value per point; the others are short enough to be read in the JSON file."""
 
+LOAD_FIELDS = ("load", "work", "point_curvature")
+"""What a file written without loads does not have."""
+
 _IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
 
 _StatusByName = Annotated[
@@ -36,7 +39,9 @@ def _record_model() -> type[BaseModel]:
     """The model of `result.json`, derived from `Equilibrium` so that no field can be forgotten."""
     types: dict[str, Any] = typing.get_type_hints(Equilibrium)
     types |= dict.fromkeys(ARRAYS, list[float] | list[list[float]]) | {"status": _StatusByName, "robot": AnyRobot}
-    fields: dict[str, Any] = {name: (types[name], ...) for name in _IN_JSON}
+    optional = {field.name: field.default for field in dataclasses.fields(Equilibrium) if field.name in LOAD_FIELDS}
+    optional["point_curvature"] = []
+    fields: dict[str, Any] = {name: (types[name], optional.get(name, ...)) for name in _IN_JSON}
     # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
     return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
@@ -49,8 +54,10 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
     """Write `result.json` and `arrays.npz` into `directory`, each whole or not at all, and return their paths.
 
     Raises:
-        InputError: the files cannot be written.
+        InputError: the files cannot be written, or the load is distributed by a function, which no file can hold.
     """
+    if equilibrium.load is not None and callable(equilibrium.load.distributed):
+        raise InputError("the distributed load is a function; to be saved it must be (3,) or stretches of (3,)")
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     content = io.BytesIO()
     np.savez(content, **{name: getattr(equilibrium, name) for name in ALONG_THE_ARM})

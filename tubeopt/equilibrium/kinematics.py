@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, choice, positive, vector
+from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import must_be_plain
 from ..solvers.compiled.binding import Start, solve_compiled
@@ -29,6 +30,8 @@ from .continuation import (
     follow_to,
     largest_twist,
 )
+from .load_problem import check_load
+from .loaded import loaded_kinematics
 from .result import Equilibrium, Status
 from .solving import (
     DEFAULT_DISCRETISATION,
@@ -83,6 +86,7 @@ def forward_kinematics(
     *,
     method: str | Newton | Ipopt = "newton",
     guess: Equilibrium | None = None,
+    load: Load | None = None,
     tolerance: float = 1e-8,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,
@@ -95,6 +99,8 @@ def forward_kinematics(
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
+        load: forces on the robot. Without a guess the answer is then the stable equilibrium into which the unloaded one
+            grows with the load; with one, the branch of the guess is followed to these joint values and this load.
         method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
             nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
             solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`.
@@ -104,9 +110,10 @@ def forward_kinematics(
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
-            actuator, unknown method.
-        SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), or the tolerance
-            is out of reach; `.solution` holds the best equilibrium found, where there is one.
+            actuator, unknown method; a load on an eccentric robot, or with another method, `verify` or discretisation.
+        SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
+            or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
+            out of reach; `.solution` holds the best equilibrium found, where there is one.
     """
     began = time.perf_counter()
     alpha = vector("rotations", rotations, robot.n_tubes)
@@ -119,6 +126,13 @@ def forward_kinematics(
         must_be_plain(robot.tubes, f"method {method!r}")
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+    if load is not None:
+        check_load(robot, load, shift)
+        _only_plain(by, verify, discretisation)
+        first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
+        return loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
+    if guess is not None and guess.load is not None:
+        raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
         quick = _compiled(robot, alpha, shift, guess, began)
         if quick is not None and _error(quick) <= tolerance:
@@ -131,6 +145,16 @@ def forward_kinematics(
             solution = _resolve(solution.problem, alpha, solution.arm, by)
     equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
     return verify_equilibrium(equilibrium) if verify else equilibrium
+
+
+def _only_plain(by: Method, verify: bool, discretisation: Discretisation) -> None:
+    """Raise InputError for what there is not under load."""
+    if by is not NAMED["newton"]:
+        raise InputError(f"method is {by.name!r} or has settings of its own; under load it must be 'newton'")
+    if verify:
+        raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
+    if discretisation != DEFAULT_DISCRETISATION:
+        raise InputError("discretisation is given; under load it is chosen for you")
 
 
 def check_turn(name: str, rotations: Array) -> None:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..errors import InputError
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
 
@@ -20,8 +25,12 @@ class Status(Sentence):
 
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
+    NO_MARGIN = (
+        "an equilibrium was found; moments and forces that turn with the tip have no energy, so it has no margin"
+    )
     NOT_CONVERGED = "no equilibrium was found"
     BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
+    BRANCH_ENDED_UNDER_LOAD = "the branch that grows from no load is lost before the whole load is on"
     MESH_TOO_COARSE = "the wanted tolerance was not reached on the finest mesh"
 
 
@@ -74,6 +83,10 @@ class Equilibrium:
         mesh_error: estimated largest error of theta_i(s), rad.   tip_error: estimated error of tip_position, m.
         status, statistics: how the solve ended, and its cost.
         verification: comparison with an adaptive re-integration, where asked for.
+        load: the load that the robot bears, None without one.
+        work: int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for
+            loads that have no energy.
+        point_curvature (N, 2): curvature at the collocation points under load; empty without one.
     """
 
     robot: Robot
@@ -101,6 +114,9 @@ class Equilibrium:
     status: Status
     statistics: Statistics
     verification: Verification | None = None
+    load: Load | None = None
+    work: float = 0.0
+    point_curvature: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def value(self) -> Array:
@@ -109,8 +125,28 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether the robot stays in this equilibrium: margin > 0."""
+        """Whether the robot stays in this equilibrium: margin > 0. Not told, so False, where there is no margin."""
         return self.margin > 0
+
+    @property
+    def potential(self) -> float:
+        """Elastic energy less the work of dead loads, J: what a stable equilibrium makes least."""
+        return self.energy - self.work
+
+    @cached_property
+    def compliance(self) -> Array:
+        """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
+        world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last."""
+        from .loaded import compliance_of
+
+        return compliance_of(self)
+
+    @cached_property
+    def base_wrench(self) -> Array:
+        """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
+        from .loaded import base_wrench_of
+
+        return base_wrench_of(self)
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
@@ -123,6 +159,12 @@ class Equilibrium:
         from .file import save_equilibrium
 
         save_equilibrium(self, directory)
+
+
+def refuse_load(equilibrium: Equilibrium) -> None:
+    """Raise InputError for an equilibrium under load, where what is asked knows of no load."""
+    if equilibrium.load is not None:
+        raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")

@@ -26,7 +26,7 @@ from ..transcription.reduced import (
 )
 from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
-from .result import Equilibrium, Statistics, Status
+from .result import Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,11 @@ def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
 
 
 def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> Solution:
-    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold)."""
+    """The solved reduced problem behind an equilibrium; raises SolveError where Newton does not stay there (a fold).
+
+    Raises InputError for an equilibrium under load, which is none of the reduced problem.
+    """
+    refuse_load(equilibrium)
     shift = tuple(equilibrium.translations.tolist())
     problem = reduced_problem(equilibrium.robot, shift, discretisation)
     theta = sample_rotation(equilibrium, problem.arc_length)

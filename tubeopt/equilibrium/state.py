@@ -15,7 +15,7 @@ from ..transcription.reduced import ReducedProblem
 from ..transcription.tableau import tableau
 from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
-from .result import Equilibrium
+from .result import Equilibrium, refuse_load
 from .solving import Solution, discretisation_of, polish, reduced_problem
 
 
@@ -44,7 +44,8 @@ def arm_of(solution: Solution) -> Arm:
 
 
 def problem_of(equilibrium: Equilibrium) -> ReducedProblem:
-    """The reduced problem of an equilibrium, on its own mesh."""
+    """The reduced problem of an equilibrium without load, on its own mesh."""
+    refuse_load(equilibrium)
     return reduced_problem(equilibrium.robot, tuple(equilibrium.translations.tolist()), discretisation_of(equilibrium))
 
 
@@ -59,6 +60,7 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
         SolveError: the mesh is of a degree that shape points do not tell, and Newton's method does not stay at the
             equilibrium (a fold).
     """
+    refuse_load(equilibrium)
     how = equilibrium.statistics
     if how.degree + 2 > HERMITE:
         return arm_of(polish(equilibrium, discretisation_of(equilibrium)))

@@ -15,13 +15,14 @@ from ..robots.assembly import Assembly
 from ..robots.series import Quantity, Series
 from ..robots.tubes import stretches
 from ..typing import Array
-from .result import Equilibrium, Verification
+from .result import Equilibrium, Verification, refuse_load
 
 TOLERANCE = 1e-12
 
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
-    """The same equilibrium with its `verification` filled in."""
+    """The same equilibrium with its `verification` filled in; raises InputError for one under load."""
+    refuse_load(equilibrium)
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     n = assembly.n_tubes
     state = _base(equilibrium, assembly)

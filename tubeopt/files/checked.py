@@ -127,6 +127,10 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]
         case "too_long":
             return [f"{path} has {_items(context['actual_length'])}; it must have at most {context['max_length']}"]
+        case "greater_than_equal":
+            return [f"{path} is {shown(value)}; it must be at least {context['ge']}"]
+        case "less_than_equal":
+            return [f"{path} is {shown(value)}; it must be at most {context['le']}"]
         case kind if kind in _NOUNS:
             return [f"{path or 'it'} is {shown(value)}; it must be {_NOUNS[kind]}"]
         case _:  # pydantic's own words, which read "Input should be greater than 0"

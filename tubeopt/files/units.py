@@ -31,6 +31,7 @@ UNITS = {
             "per_K",
             "m",
             "s",
+            "m_per_s2",
             "Hz",
             "N",
             "V",
@@ -50,7 +51,7 @@ UNITS = {
         ],
         Decimal(1),
     ),
-    **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g"], Decimal("1e-3")),
+    **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g", "mN", "mN_m", "mN_per_m"], Decimal("1e-3")),
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
     **dict.fromkeys(["um", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
@@ -64,7 +65,16 @@ UNITS = {
 }
 """Units that a key may end in -> one of it in SI; degC counts as K, without the offset."""
 
-SIGNS = {"percent": "%", "per_m": "1/m", "N_mm2": "N mm²", "deg_per_s": "deg/s", "mm_per_s": "mm/s"}
+SIGNS = {
+    "percent": "%",
+    "per_m": "1/m",
+    "N_mm2": "N mm²",
+    "mN_m": "mN m",
+    "mN_per_m": "mN/m",
+    "m_per_s2": "m/s²",
+    "deg_per_s": "deg/s",
+    "mm_per_s": "mm/s",
+}
 """How a unit is written in a table, where that is not its suffix."""
 
 TO_MM = TO_MILLI = 1e3

@@ -19,7 +19,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.eccentric import EccentricRobot
 from ..typing import Array
-from .mirror import STRAIGHT, mirror_rotations
+from .mirror import STRAIGHT, mirror_rotations, mirror_separation
 
 CLOSE_ENOUGH = 1e-9
 """Distance (m) of the tip from the target at which Newton's method ends."""
@@ -78,7 +78,7 @@ def mirror_closed_form(
     towards = np.arctan2(target[1], target[0]) if radius > 0 else 0.0
     direction = float(towards + np.copysign(np.pi / 2, tube.curvature))
     direction -= 2 * np.pi * round((direction - towards) / (2 * np.pi))
-    separation = float(np.arccos(np.clip((3 * min(bend / kappa, 1.0) - 1) / 2, -0.5, 1.0)))
+    separation = mirror_separation(bend / kappa)
     shift = float(np.clip(translation, low, high))
     return MirrorPose(
         direction, separation, shift, mirror_rotations(direction, separation, assignment), np.full(3, shift)

@@ -10,6 +10,7 @@ from itertools import islice
 
 import numpy as np
 
+from ..control.clock import Clock
 from ..control.joints import JointSpace
 from ..control.posture import Posture, posture_of, same_place, start_at
 from ..errors import SolveError
@@ -56,10 +57,18 @@ CLEAR_STARTS = 8
 """Starts clear of the obstacles that are tried where all others ended in one."""
 
 
+def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
+    """The table of configurations of a robot from which a search may begin, built or loaded once; of what there is time
+    for, where there is too little."""
+    shelf = _shelf(space)
+    if not (shelf and shelf[0].whole):
+        shelf[:] = [start_table(space, clock=clock)]
+    return shelf[0]
+
+
 @lru_cache(maxsize=32)
-def known_starts(space: JointSpace) -> StartTable:
-    """The table of configurations of a robot from which a search may begin, built or loaded once."""
-    return start_table(space)
+def _shelf(space: JointSpace) -> list[StartTable]:
+    return []
 
 
 @lru_cache(maxsize=32)
@@ -209,7 +218,8 @@ class Hunt:
         goal = self.goal
         reference = goal.reference if self.near else None
         target = (goal.position, goal.direction)
-        near = nearest_starts(goal.space, known_starts(goal.space), target, min_margin=goal.floor, reference=reference)
+        known = known_starts(goal.space, Clock(max(0.0, self.options.time_limit - self.seconds)))
+        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
         first = 0 if self.everywhere else NEAREST_FIRST
         for q in spread_starts(goal.space, near, most, first=first):
             start = start_at(goal.space, q)
@@ -357,7 +367,10 @@ class Hunt:
                 f"no answer was found within {self.options.time_limit:g} s, which ran out before any search had ended: "
                 "whether the target can be reached is not known"
             )
-        best = max(float(known_starts(goal.space).margin.max()), -np.inf if self.first is None else self.first.margin)
+        best = max(
+            float(known_starts(goal.space).margin.max(initial=-np.inf)),
+            -np.inf if self.first is None else self.first.margin,
+        )
         if best < goal.floor:
             return (
                 f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}, "

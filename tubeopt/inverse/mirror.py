@@ -49,6 +49,12 @@ def mirror_rotations(direction: float, separation: float, assignment: Sequence[i
     return rotations
 
 
+def mirror_separation(share: float) -> float:
+    """Separation, rad, at which the law of three vectors bends the arm with this share of the precurvature; 0 from 1
+    on."""
+    return math.acos((3 * min(share, 1.0) - 1) / 2)
+
+
 def arc_curvature(equilibrium: Equilibrium) -> Array:
     """(2,) 1/m: the arc that leaves the robot upright, where its tubes begin to curve, and ends at its tip.
 
@@ -203,8 +209,7 @@ class _Arm:
         towards = math.atan2(bend[1], bend[0]) if size > 1e-12 * self.most else self.azimuth
         # A tube of positive precurvature and rotation 0 bends towards -y.
         direction = towards + math.copysign(math.pi / 2, self.robot.tube.curvature)
-        share = (3 * min(size / self.most, 1.0) - 1) / 2
-        return _near(direction, self.azimuth), math.acos(share)
+        return _near(direction, self.azimuth), mirror_separation(size / self.most)
 
     def pose(self, direction: float, separation: float) -> tuple[Array, Equilibrium]:
         """Rotations and equilibrium for a direction and a separation."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
 import sys
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..control.clock import Clock
 from ..control.joints import JointSpace
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
@@ -43,30 +45,45 @@ NEARNESS_WEIGHT = 0.02
 """Weight of the distance from a reference in joint space, in units of the joints' scales."""
 
 
+SLICE = 128
+"""Configurations that are solved between two looks at the clock."""
+
 POOL = 400
 """Most promising configurations among which starts are spread."""
 
 
 @dataclass(frozen=True, eq=False)
 class StartTable:
-    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,)."""
+    """Stable configurations q (N, m) with tip (N, 3) m, direction (N, 3) and margin (N,); `whole` if time did not run
+    out before all of them were solved."""
 
     q: Array
     tip: Array
     direction: Array
     margin: Array
+    whole: bool = True
 
 
-def build_table(space: JointSpace, size: int) -> StartTable:
-    """Solve `size` configurations spread over what the limits allow; keep those with a stable equilibrium."""
+def build_table(space: JointSpace, size: int, clock: Clock | None = None) -> StartTable:
+    """Solve `size` configurations spread over what the limits allow, or as many as there is time for; keep those with a
+    stable equilibrium."""
+    clock = clock or Clock(math.inf)
     q = _by_mirror(space, space.sample(size))
-    joint = q @ space.spread.T + space.offset
-    n = space.robot.n_tubes
-    found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
-    kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
-    if not kept.any():
+    n, parts, tried = space.robot.n_tubes, [], 0
+    while tried < size and not clock.over:
+        some = q[tried : tried + SLICE]
+        joint = some @ space.spread.T + space.offset
+        found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
+        kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
+        parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
+        tried += SLICE
+    m = len(space.lower)
+    empty = (np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+    solved, tip, direction, margin = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
+    table = StartTable(solved, tip, direction, margin, whole=tried >= size)
+    if table.whole and not len(table.q):
         raise InputError("limits leave no joint values at which a stable equilibrium was found")
-    return StartTable(q[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept])
+    return table
 
 
 def _by_mirror(space: JointSpace, q: Array) -> Array:
@@ -85,14 +102,16 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
     return out
 
 
-def start_table(space: JointSpace, size: int | None = None) -> StartTable:
-    """The table of a joint space: from the cache on disk where it is there, else built and put there."""
+def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
+    """The table of a joint space: from the cache on disk where it is there, else built and, if whole, put there."""
     size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower))
     if stored is not None:
         return stored
-    table = build_table(space, size)
+    table = build_table(space, size, clock)
+    if not table.whole:
+        return table
     try:
         with atomic_write(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, q=table.q, tip=table.tip, direction=table.direction, margin=table.margin)

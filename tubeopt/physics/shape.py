@@ -14,6 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 SERIES_TERMS = 9
 """Terms of the series of the exponential: for a turn of 2 rad the first left out is 4^9 / 20! = 1e-13."""
@@ -86,6 +87,38 @@ def rotation_matrix(quaternion: Any) -> Any:
     """(3, 3) of a unit quaternion (4,), scalar first."""
     w, v = quaternion[0], quaternion[1:]
     return (w**2 - ca.dot(v, v)) * ca.DM.eye(3) + 2 * v @ v.T + 2 * w * ca.skew(v)
+
+
+@lru_cache(maxsize=1)
+def quaternion_rates() -> NDArray[np.float64]:
+    """(2, 4, 4) matrices Omega_j: Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
+    q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
+    turned = quaternion_product(q, ca.vertcat(0, u, 0))
+    parts = [ca.evalf(ca.jacobian(ca.jacobian(turned, u)[:, j], q)).full() for j in range(2)]
+    return np.array(parts)
+
+
+@lru_cache(maxsize=1)
+def tangent_forms() -> NDArray[np.float64]:
+    """(3, 4, 4) symmetric matrices T_i with t_i = Q' T_i Q, the tangent R e3 of a unit quaternion Q."""
+    q = ca.SX.sym("q", 4)
+    tangent = rotation_matrix(q)[:, 2]
+    return np.array([ca.evalf(ca.hessian(tangent[i], q)[0]).full() / 2 for i in range(3)])
+
+
+@lru_cache(maxsize=1)
+def world_turns() -> NDArray[np.float64]:
+    """(3, 4, 4) matrices Z_i with dpsi_i = 2 (Z_i Q)' dQ, the turn about world axes of a unit quaternion Q."""
+    q, e = ca.SX.sym("q", 4), ca.SX.sym("e", 3)
+    product = quaternion_product(ca.vertcat(0, e), q)
+    return np.array([ca.evalf(ca.jacobian(ca.jacobian(product, e)[:, i], q)).full() for i in range(3)])
+
+
+@lru_cache(maxsize=1)
+def rotation_matrix_function() -> ca.Function:
+    """Q (4,) -> R (3, 3)."""
+    q = ca.SX.sym("q", 4)
+    return ca.Function("rotation_matrix", [q], [ca.densify(rotation_matrix(q))])
 
 
 @lru_cache(maxsize=1)

@@ -119,7 +119,9 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     y' dM/dtheta y, its gradient with respect to theta, kb and m (3 n).  `linear`: M, g, u, V and their derivatives
     (n, 3 n), (n, 3 n), (2, 3 n), (1, 3 n) with respect to theta, kb and m.  `mode`, of eccentric tubes, with further
     arguments y, b, c, e (n,):
-    b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta, kb and m (3 n).
+    b' dM/dtheta y + c' dg/dtheta y + e' g, its gradient with respect to theta, kb and m (3 n).  `bending`, of
+    concentric tubes: V, M = dV/dtheta, V'' (n, n), u, du/dtheta (2, n), and the diagonals d2u/dtheta_i^2 (2, n) of its
+    second derivatives, which have nothing else: what tubes under load need, whose curvature is not u.
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
@@ -142,6 +144,10 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
         "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }
+    if not eccentric:
+        second = ca.vertcat(*(ca.diag(ca.hessian(here.curvature[j], theta)[0]).T for j in range(2)))
+        bending = [here.bending_energy, here.moment, stiff, here.curvature, turned, second]
+        table["bending"] = (inputs, [ca.densify(part) for part in bending])
     if eccentric:
         weights = [ca.SX.sym(name, n) for name in "bce"]
         mode = sum(ca.dot(w, v) for w, v in zip(weights, (stiff @ y, stretched @ y, here.stretch), strict=True))

@@ -179,7 +179,8 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     miss = least_miss(task.chart, position, clock)
     if miss > 0:
         raise SolveError(
-            f"no plan exists: the goal is out of reach, the tip comes no closer to it than {miss * 1e3:.4g} mm"
+            "no plan was found: the goal is out of reach as far as searches tell, in which the tip comes no closer to "
+            f"it than {miss * 1e3:.4g} mm"
         )
     try:
         answer = inverse_kinematics(task.chart.space.robot, position, **_inverse(task, start, goal, clock))

@@ -2,7 +2,7 @@
 
 What is tested is an easier question than the one that is asked. Margin, branch, ranges of rotations, obstacles and the
 direction of the tip are left out; ranges of the translations and the order of the tubes are kept. Who cannot reach the
-place even so cannot reach it at all.
+place even so cannot reach it at all; that the best of some local searches cannot is evidence, not a proof.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def least_miss(chart: Chart, position: Array, clock: Clock | None = None) -> flo
     where the clock is over before all of them ended."""
     space = chart.space
     target = (position, None)
-    known = nearest_starts(space, known_starts(space), target, min_margin=0.0, reference=None)
+    known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
     least = np.inf
     for q in spread_starts(space, known, STARTS, first=STARTS // 2):
         if clock is not None and clock.over:

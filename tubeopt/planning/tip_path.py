@@ -160,8 +160,8 @@ def _starts(
     miss = least_miss(task.chart, curve[0], clock)
     if miss > 0:
         raise SolveError(
-            "the tip can follow 0 % of the curve: its first point is out of reach, the tip comes no closer to it than "
-            f"{miss * 1e3:.4g} mm"
+            "the tip can follow 0 % of the curve: its first point is out of reach as far as searches tell, in which "
+            f"the tip comes no closer to it than {miss * 1e3:.4g} mm"
         )
     how = InverseOptions(
         clearance=options.clearance,

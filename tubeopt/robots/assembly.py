@@ -221,6 +221,18 @@ def merge(points: Iterable[float]) -> Array:
     return np.array(kept)
 
 
+def cut(assembly: Assembly, at: Array) -> Assembly:
+    """The same bundle with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
+    total = assembly.total_length
+    inside = at[(at > ROUND_OFF) & (at < total - ROUND_OFF)]
+    start = merge(np.concatenate([assembly.start, inside]))
+    length = np.diff(np.append(start, total))
+    section = np.searchsorted(assembly.start, start + length / 2) - 1
+    return replace(
+        assembly, start=start, length=length, present=assembly.present[section], curved=assembly.curved[section]
+    )
+
+
 def without_offsets(assembly: Assembly) -> Assembly:
     """The same tubes, all on the centreline."""
     zero = np.zeros(assembly.n_tubes)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..equilibrium.result import Equilibrium
-from ..files.checked import in_file
+from ..files.checked import Positive, in_file
+from ..files.units import UNITS, to_si
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
+    Finding,
     Path,
     Snap,
     StabilityMap,
@@ -22,11 +24,14 @@ from ..stability import (
     find_snap,
     follow,
     judge,
+    snap_free_certificate,
     stability_map,
     worst_certificate,
 )
+from ..stability.certificate import ROUNDING
 from ..typing import Array
 from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .load_file import LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +44,7 @@ class Equilibria:
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(Study):
+class EquilibriaStudy(LoadedStudy):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
     kind: Literal["equilibria"]
@@ -55,7 +60,7 @@ class EquilibriaStudy(Study):
             progress(0, 0)
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
-        found = find_equilibria(self.robot, rotations, translations)
+        found = find_equilibria(self.robot, rotations, translations, load=self.pushing())
         return Equilibria(self.robot, rotations, translations, tuple(found))
 
 
@@ -73,7 +78,7 @@ class Way:
     arrived: Equilibrium | None
 
 
-class SnapStudy(Study):
+class SnapStudy(LoadedStudy):
     """The first snap on the straight way between two sets of joint values."""
 
     kind: Literal["snap"]
@@ -100,10 +105,11 @@ class SnapStudy(Study):
         if progress is not None:
             progress(0, 0)
         start, end = self._ends()
-        snap = find_snap(self.robot, start, end)
+        load = self.pushing()
+        snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
-        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]])
+        motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
@@ -115,7 +121,7 @@ class Motion:
     path: Path
 
 
-class FollowStudy(Study):
+class FollowStudy(LoadedStudy):
     """Slow motion through waypoints of joint values, with the snaps on the way."""
 
     kind: Literal["follow"]
@@ -134,7 +140,8 @@ class FollowStudy(Study):
             if progress is not None:
                 progress(waypoint, last)
 
-        return Motion(self.robot, follow(self.robot, self.path.rotations, self.path.translations, progress=step))
+        way = self.path.rotations, self.path.translations
+        return Motion(self.robot, follow(self.robot, *way, load=self.pushing(), progress=step))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,12 +149,22 @@ class Certification:
     """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
 
     robot_file: what the commands that repeat it name.
+    force: a force on the tip, N, and forced: the certificate for all dead forces up to it; None where not asked for.
     """
 
     robot: Robot
     verdict: Verdict
     box: WorstCertificate | None
     robot_file: str = "ROBOT.yaml"
+    force: float | None = None
+    forced: float | None = None
+
+    @property
+    def finding(self) -> Finding:
+        """The verdict in a word, under the force too where one is asked for: nothing is proved then but by `forced`."""
+        if self.forced is None or self.forced > ROUNDING or self.verdict.finding is not Finding.SNAP_FREE:
+            return self.verdict.finding
+        return Finding.OPEN
 
 
 class CertifyStudy(Study):
@@ -159,6 +176,9 @@ class CertifyStudy(Study):
     box: bool = Field(False, description="for all translations that the robot's limits allow")
     lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
     upper_mm: OnePerTube | None = Field(None, description="largest translations of a box, in place of the limits")
+    max_tip_force_mN: Positive | None = Field(
+        None, description="whatever pushes on the tip with up to this force, in any direction that it keeps"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -177,11 +197,20 @@ class CertifyStudy(Study):
             progress(0, 0)
         if not self.over_box:
             translations = metres(self.translations_mm, self.robot.home_translations)
-            return Certification(self.robot, judge(self.robot, translations, progress=progress), None)
+            return self._under_force(
+                Certification(self.robot, judge(self.robot, translations, progress=progress), None)
+            )
         low, high = np.array(self.robot.limits.translations).T
         worst = worst_certificate(self.robot, metres(self.lower_mm, low), metres(self.upper_mm, high))
         verdict = judge(self.robot, worst.certificate.translations, progress=progress)
-        return Certification(self.robot, verdict, worst)
+        return self._under_force(Certification(self.robot, verdict, worst))
+
+    def _under_force(self, answer: Certification) -> Certification:
+        if self.max_tip_force_mN is None:
+            return answer
+        force = to_si(self.max_tip_force_mN, UNITS["mN"])
+        shift = answer.verdict.certificate.translations
+        return replace(answer, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
 
 
 def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:

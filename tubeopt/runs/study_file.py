@@ -21,6 +21,7 @@ from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
+from .load_file import LoadedStudy
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
 from .stability_studies import CertifyStudy, EquilibriaStudy, FollowStudy, SnapStudy, StabilityMapStudy
@@ -28,7 +29,7 @@ from .validation_study import ValidationStudy
 from .workspace_study import WorkspaceStudy
 
 
-class ForwardKinematicsStudy(Study):
+class ForwardKinematicsStudy(LoadedStudy):
     """The equilibrium of a robot at given joint values."""
 
     kind: Literal["forward_kinematics"]
@@ -49,6 +50,7 @@ class ForwardKinematicsStudy(Study):
             self.robot,
             radians(self.rotations_deg, np.zeros(self.robot.n_tubes)),
             metres(self.translations_mm, self.robot.home_translations),
+            load=self.pushing(),
             method=self.method,
             tolerance=float(self.tolerance_rad),
             verify=self.verify,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -19,12 +20,19 @@ class WorkspaceStudy(Study):
 
     kind: Literal["workspace"]
     robot: RobotPath
-    samples: Annotated[Whole, Field(ge=1, description="joint values")] = 10_000
-    method: Literal["sobol", "random", "grid"] = Field("sobol", description="how they are chosen")
-    seed: Annotated[Whole, Field(ge=0)] = 0
-    voxel_mm: Positive | None = Field(None, description="edge of the voxels; by default about fifty samples each")
-    min_margin: Annotated[Number, Field(le=1)] = Field(Decimal(0), description="only shapes at least as stable count")
-    loss: Annotated[Whole, Field(ge=0)] = Field(0, description="equilibria that tell what is lost to snapping")
+    samples: Annotated[Whole, Field(ge=1)] = Field(10_000, description="joint values")
+    method: Literal["sobol", "random", "grid"] = Field("sobol", description="how they are chosen: sobol, random, grid")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random and Sobol points", examples=["K"])
+    voxel_mm: Positive | None = Field(
+        None, description="edge of the voxels; by default for about fifty samples in each"
+    )
+    min_margin: Annotated[Number, Field(le=1)] = Field(
+        Decimal(0), description="only configurations at least as stable count", examples=["MU"]
+    )
+    loss: Annotated[Whole, Field(ge=0)] = Field(
+        0, description="find what is lost to snapping from so many equilibria of all kinds"
+    )
+    workers: Annotated[Whole, Field(ge=0)] = Field(1, description="threads; 0 is one per core")
 
     @model_validator(mode="after")
     def _has_a_loss(self) -> Self:
@@ -32,8 +40,19 @@ class WorkspaceStudy(Study):
             require_centred(self.robot)
         return self
 
-    def run(self, progress: Progress | None = None) -> Findings:
-        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough."""
-        found = workspace(self.robot, self.samples, method=self.method, seed=self.seed, progress=progress)
+    def run(self, progress: Progress | None = None, *, out: Path | None = None) -> Findings:
+        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough.
+
+        With `out` the samples are saved there as they come, and a run that was stopped goes on.
+        """
+        found = workspace(
+            self.robot,
+            self.samples,
+            method=self.method,
+            seed=self.seed,
+            out=out,
+            workers=self.workers,
+            progress=progress,
+        )
         size = None if self.voxel_mm is None else to_si(self.voxel_mm, MM)
-        return examine(found, size, min_margin=float(self.min_margin), loss=self.loss)
+        return examine(found, size, min_margin=float(self.min_margin), loss=self.loss, progress=progress)

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import typer
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -109,6 +110,16 @@ def _certificate(a: Certification) -> str:
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 
+def _forced(a: Certification) -> str | None:
+    """The certificate under a force in words."""
+    if a.force is None or a.forced is None:
+        return None
+    pushed = f"of up to {a.force * TO_MILLI:.6g} mN that keeps its direction"
+    if a.finding is Finding.SNAP_FREE:
+        return f"{pushed}: cannot snap or buckle at any rotation (margin {a.forced:.3g} proved)"
+    return f"{pushed}: nothing is proved (certificate {a.forced:.3g})"
+
+
 def _least(a: Certification) -> str:
     worst = a.verdict.worst
     if worst is None:
@@ -174,11 +185,14 @@ BOX: tuple[Quantity[WorstCertificate], ...] = (
 CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("translations_mm", "translations", lambda a: a.verdict.certificate.translations, form=".6g"),
-    Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.verdict.finding.name),
-    Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.verdict.finding]),
+    Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.finding.name),
+    Quantity("exit_code", "what the command ends with", lambda a: EXIT_CODES[a.finding]),
     Quantity("answer", "the verdict in words", sentence),
     Quantity("assumed", "what all is said under", lambda a: ASSUMING),
     Quantity("certificate", "certificate", lambda a: _number(a.verdict.certificate.margin), words=_certificate),
+    Quantity("max_tip_force_mN", "force up to which anything may push on the tip", lambda a: a.force, optional=True),
+    Quantity("certificate_under_force", "lower bound of the margin at all rotations and under all such forces",
+             lambda a: a.forced, label="under a force on the tip", words=_forced, optional=True),
     Quantity("untwisted_margin", "eccentric robots: margin of the softest untwisted equilibrium, in closed form",
              lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricVerdict) else None),
     Quantity("margin_found", "least margin found",
@@ -266,6 +280,10 @@ class CertificationReport(Report[Certification]):
 
         snap = self.answer.verdict.snap
         return [] if snap is None else self.drawn(directory, {"snap.png": plot_snap}, snap)
+
+    def conclude(self) -> None:
+        """End with the exit code of the finding."""
+        raise typer.Exit(EXIT_CODES[self.answer.finding])
 
 
 def _number(value: float) -> float | None:

@@ -8,9 +8,10 @@ from pathlib import Path
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI
+from .load_words import LOADED
 from .quantities import Quantity, line
 from .report import Report, report
-from .words import in_a_word
+from .words import margin_in_words
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
     Quantity("tip_position_mm", "distance of the tips"),
@@ -29,8 +30,9 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("tip_position_mm", "tip position", form=".4f"),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
     Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
-    Quantity("margin", "margin", words=lambda e: f"{e.margin:.3f}, {in_a_word(e.margin)}"),
+    Quantity("margin", "margin", words=lambda e: margin_in_words(e.margin)),
     Quantity("energy_mJ", "elastic energy", form=".4f"),
+    *LOADED,
     Quantity("residual_rad", "residual", form=".1e"),
     Quantity("mesh_error_rad", "estimated error of the tubes' rotations"),
     Quantity("tip_error_mm", "estimated error of the tip"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Group
 
+from ..errors import SolveError
 from ..files.units import TO_MM
 from ..robots.file import save_robot
 from ..runs.fabrication import Fabrication, TubeParts
@@ -41,7 +42,7 @@ FABRICATION: tuple[Quantity[Fabrication], ...] = (
 )
 
 
-def faults(a: Fabrication) -> list[str]:
+def _faults(a: Fabrication) -> list[str]:
     """What is not kept, in words."""
     found = []
     for part in a.parts:
@@ -102,6 +103,12 @@ class FabricationReport(Report[Fabrication]):
             place = directory / f"tube_{part.number}"
             paths += MoldReport(part.mold).draw(place / "mold") + HeatingReport(part.heating).draw(place / "heating")
         return paths
+
+    def conclude(self) -> None:
+        """Raise SolveError where a window is not held, or mold and heating do not agree."""
+        faults = _faults(self.answer)
+        if faults:
+            raise SolveError("; ".join(faults))
 
 
 report.register(Fabrication, FabricationReport)

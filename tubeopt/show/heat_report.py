@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_study import Heating
@@ -239,6 +240,11 @@ class HeatingReport(Report[Heating]):
         from .plots.heating import plot_heating
 
         return self.drawn(directory, {"heating.png": plot_heating}, self.answer.plan, band=self.answer.band)
+
+    def conclude(self) -> None:
+        """Raise SolveError where the window cannot be held within limit, ramp and currents."""
+        if not self.answer.plan.feasible:
+            raise SolveError(missed(self.answer.plan))
 
 
 def _cure_words(cure: Cure) -> str:

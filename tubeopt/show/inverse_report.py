@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
+from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
@@ -123,6 +124,12 @@ class PosturesReport(Report[Postures]):
 
         return self.drawn(directory, {"inverse.png": plot_inverse}, self.answer.solutions)
 
+    def conclude(self) -> None:
+        """Raise SolveError where the target is missed."""
+        best = self.answer.solutions[0]
+        if not best.reached:
+            raise SolveError(f"{best.status}: {_miss(best)}", best)
+
 
 def _joints(rotations: Array, translations: Array) -> list[object]:
     """Cells of one row of joint values."""
@@ -188,15 +195,15 @@ def _leaps(a: TargetTable) -> str | None:
     return f"{leaping or 'none'}, of {len(a.rows)} rows" if a.followed else None
 
 
-def miss(s: InverseSolution) -> str:
+def _miss(s: InverseSolution) -> str:
     """By how much a target is missed, and what holds the robot back."""
     held = ", ".join(s.active)
     return f"{s.position_error * TO_MM:.4g} mm short{f': {held}' if held else ''}"
 
 
-def why(r: Row) -> str:
+def _why(r: Row) -> str:
     """Why a target of a table was not reached."""
-    return r.problem if r.solution is None else miss(r.solution)
+    return r.problem if r.solution is None else _miss(r.solution)
 
 
 class TargetTableReport(Report[TargetTable]):
@@ -207,7 +214,7 @@ class TargetTableReport(Report[TargetTable]):
 
     def table(self) -> Group:
         """How many targets were reached, and why others were not."""
-        notes = [(r, why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
+        notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
         notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
         texts = [Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]]
         texts += [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
@@ -245,6 +252,12 @@ class TargetTableReport(Report[TargetTable]):
 
         reached = _reached(self.answer)
         return self.drawn(directory, {"targets.png": plot_targets}, reached) if len(reached) > 1 else []
+
+    def conclude(self) -> None:
+        """Raise SolveError where every target is missed; misses within a table are named in it."""
+        given = _given(self.answer)
+        if not _reached(self.answer):
+            raise SolveError(f"none of {len(given)} targets was reached; the first: {_why(given[0])}")
 
 
 report.register(Postures, PosturesReport)

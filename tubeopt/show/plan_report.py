@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from ..errors import NotProvedError, SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
@@ -156,6 +157,11 @@ class TrajectoryReport(Report[Trajectory]):
 
         return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
 
+    def conclude(self) -> None:
+        """Raise NotProvedError where the proof was not finished."""
+        if not self.answer.proved:
+            raise NotProvedError(f"a motion was found, but it is {self.answer.status}")
+
 
 CHECKED: tuple[Quantity[Checked], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.joints.robot.name),
@@ -178,6 +184,11 @@ class CheckedReport(Report[Checked]):
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
         return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, two_columns("", self.rows()))
+
+    def conclude(self) -> None:
+        """Raise SolveError where something does not hold."""
+        if not self.answer.proof.holds:
+            raise SolveError(f"{self.answer.file}: {'; '.join(self.answer.proof.faults)}")
 
 
 report.register(Trajectory, TrajectoryReport)

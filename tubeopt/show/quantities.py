@@ -7,6 +7,7 @@ describes it. To add a number to an answer is to add a line to its list.
 
 from __future__ import annotations
 
+import functools
 import string
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -49,10 +50,14 @@ class Quantity(Generic[A]):
     digits: int | None = None
     optional: bool = False
 
-    @property
+    @functools.cached_property
     def unit(self) -> str:
         """The unit that its key ends in, or ""."""
         return unit_of(self.key)
+
+    @functools.cached_property
+    def _attribute(self) -> str:
+        return self.key.removesuffix(f"_{self.unit}") if self.unit else self.key
 
     @property
     def sign(self) -> str:
@@ -63,7 +68,7 @@ class Quantity(Generic[A]):
         """Its value in SI."""
         if self.get is not None:
             return self.get(answer)
-        return getattr(answer, self.key.removesuffix(f"_{self.unit}"))
+        return getattr(answer, self._attribute)
 
     def value(self, answer: A) -> Any:
         """What the record holds under its key: in the unit of the key, plain numbers and lists."""
@@ -128,6 +133,8 @@ def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
 
 def in_units(value: Any, unit: str) -> Any:
     """A value in SI, plain and in a unit: numbers and arrays are converted, all else is left as it is."""
+    if type(value) is float:
+        return value * per_si(unit) if unit else value
     if isinstance(value, np.ndarray):
         return (value * per_si(unit)).tolist() if unit else value.tolist()
     if isinstance(value, np.generic):

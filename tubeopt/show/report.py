@@ -73,6 +73,9 @@ class Report(Generic[A]):
         """Write the pictures into `directory`; return the paths."""
         return []
 
+    def conclude(self) -> None:
+        """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""
+
     def drawn(
         self, directory: Path, pictures: Mapping[str, Callable[..., object]], what: Any = None, **options: Any
     ) -> list[Path]:
@@ -89,7 +92,7 @@ def report(answer: object) -> Report[Any]:
 
 
 def present(answer: Report[Any], *, out: Path | None, as_json: bool, plot: bool = False) -> None:
-    """Save `answer` into `out` where that is given, and print it.
+    """Save `answer` into `out` where that is given, print it, and end as it says.
 
     With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
     """
@@ -98,14 +101,15 @@ def present(answer: Report[Any], *, out: Path | None, as_json: bool, plot: bool 
     files += pictures
     if as_json:
         print(to_text(answer.record() | {"files": [str(path) for path in files]}), end="")
-        return
-    console = Console()
-    console.print(answer.table(), crop=False)
-    for path in files:
-        console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
-    if plot and has_display():
-        for path in pictures:
-            typer.launch(str(path))
+    else:
+        console = Console()
+        console.print(answer.table(), crop=False)
+        for path in files:
+            console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
+        if plot and has_display():
+            for path in pictures:
+                typer.launch(str(path))
+    answer.conclude()
 
 
 def can_be_saved(out: Path | None) -> None:

@@ -10,7 +10,7 @@ from rich.text import Text
 from ..files.units import TO_MM
 from ..robots.file import AnyRobot
 from ..robots.robot import Robot
-from ..robots.tubes import Tube
+from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
 from .report import Report, grid, remarks, report
 
@@ -30,9 +30,15 @@ TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("material", "material", lambda tube: tube.material.name),
     Quantity("bending_stiffness_N_mm2", "bending stiffness EI"),
     Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ"),
-    Quantity("poisson_ratio", "Poisson's ratio", lambda tube: tube.material.poisson_ratio),
+    Quantity("poisson_ratio", "Poisson's ratio", lambda tube: _poisson_ratio(tube)),
     Quantity("straightened_strain_percent", "strain held straight"),
 )
+
+
+def _poisson_ratio(tube: Tube) -> float | None:
+    """That of the material; None where a stiffness was given, of which it says nothing."""
+    derived = all(isinstance(k, OfCrossSection) for k in (tube.bending_stiffness, tube.torsional_stiffness))
+    return tube.material.poisson_ratio if derived else None
 
 
 class Nested(NamedTuple):

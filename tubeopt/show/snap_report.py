@@ -32,6 +32,12 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("margin", "stability margin"),
     Quantity("index", "number of ways in which it is unstable"),
     Quantity("energy_mJ", "elastic energy"),
+    Quantity(
+        "potential_mJ",
+        "elastic energy less the work of the load; absent without load",
+        lambda e: None if e.load is None else e.potential,
+        optional=True,
+    ),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
@@ -120,7 +126,7 @@ class EquilibriaReport(Report[Equilibria]):
                 row(e.tip_position * TO_MM, ".2f"),
                 row(np.degrees(e.tip_rotations), ".2f"),
                 f"{e.margin:.4f}",
-                f"{e.energy * TO_MILLI:.4f}",
+                f"{e.potential * TO_MILLI:.4f}",
                 str(e.index),
                 in_a_word(e.margin),
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..errors import SolveError
 from ..runs.sweeping import Sweep
 from .quantities import Quantity
 from .report import Report, report
@@ -43,6 +44,12 @@ class SweepReport(Report[Sweep]):
         if len(a.failures) > SHOWN:
             told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
         return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+
+    def conclude(self) -> None:
+        """Raise SolveError where every point failed."""
+        a = self.answer
+        if len(a.failures) == a.points:
+            raise SolveError(f"all {a.points} points failed; the first: {a.failures[0][1]}")
 
 
 report.register(Sweep, SweepReport)

@@ -14,9 +14,16 @@ CLOSE_TO_A_SNAP = 0.05
 
 def in_a_word(margin: float) -> str:
     """What a stability margin means."""
+    if np.isnan(margin):
+        return "not told: moments and following forces have no energy"
     if margin <= 0:
         return "unstable"
     return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
+
+
+def margin_in_words(margin: float) -> str:
+    """A stability margin with what it means."""
+    return in_a_word(margin) if np.isnan(margin) else f"{margin:.3f}, {in_a_word(margin)}"
 
 
 def row(values: ArrayLike, form: str) -> str:

@@ -5,6 +5,7 @@ from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
+from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
 from .verdict import ASSUMING, Finding, Verdict, judge
@@ -17,6 +18,7 @@ __all__ = [
     "EccentricVerdict",
     "EnergyMap",
     "Finding",
+    "LoadLimit",
     "Path",
     "Snap",
     "StabilityMap",
@@ -26,6 +28,7 @@ __all__ = [
     "certify",
     "energy_map",
     "find_equilibria",
+    "find_load_limit",
     "find_snap",
     "follow",
     "judge",

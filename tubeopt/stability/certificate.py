@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from ..errors import vector
+from ..errors import InputError, positive, vector
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
@@ -16,6 +16,7 @@ from ..transcription.buffered import mapped
 from ..transcription.reduced import ReducedProblem
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
+from .loaded_certificate import loaded_worst_case
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -50,7 +51,7 @@ class Certificate:
         return self.margin > ROUNDING
 
 
-def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -> float:
+def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
@@ -65,14 +66,28 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None) -
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
     cannot snap either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
 
+    With `max_force` it is a bound over all rotations and all forces on the tip, of at most that size and in any
+    direction, that keep their direction (see `loaded_certificate`): above 0 the robot cannot snap or buckle, whatever
+    pushes so. It does not cover moments, forces that turn with the tip, or forces along the arm.
+
     Args:
         translations: (n,) m; default home.
+        max_force: N; concentric tubes only.
 
     Raises:
-        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+        InputError: wrong number of translations, one that is not finite, a tube out of its actuator; a force that is
+            negative, or on tubes off the centreline.
     """
     shift = _shift(robot, translations)
     assembly = robot.assembly(shift)
+    if positive("max_force", max_force, zero=True):
+        if assembly.eccentric:
+            raise InputError(
+                f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
+            )
+        if assembly.general:
+            raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
+        return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
     if assembly.eccentric:
         return proof(assembly)[0]
     value = worst_case(_problem(robot, shift))[0]

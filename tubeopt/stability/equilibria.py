@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError, vector
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import descend, newton
 from ..transcription.reduced import ReducedProblem, margin, to_unknowns
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
+from .loaded_equilibria import loaded_equilibria
 from .shooting import profiles
 from .tips import Preimage, preimage
 
@@ -29,7 +31,9 @@ CONVEX_OF_PIECES = 1e-3
 """The same of tubes made of pieces, whose couplings vary between the points of the mesh."""
 
 
-def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None) -> list[Equilibrium]:
+def find_equilibria(
+    robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None, *, load: Load | None = None
+) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
     Where the certificate of tubes on the centreline is positive there is one, and no search. Else tubes that act on one
@@ -41,9 +45,12 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
+        load: forces that keep their direction; the equilibria are then ordered by potential energy, and found from many
+            starting points, with the degree as the check (see `stability.loaded_equilibria`).
 
     Raises:
-        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator.
+        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load with a
+            moment or one that turns with the tip, or on an eccentric robot.
         SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
             a fold.
     """
@@ -53,6 +60,8 @@ def find_equilibria(robot: Robot, rotations: ArrayLike, translations: ArrayLike 
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     found = all_solutions(problem, alpha)
     equilibria = [to_equilibrium(robot, s, shift, ("newton", "search over tip angles", 0.0)) for s in found]
+    if load is not None:
+        return loaded_equilibria(robot, alpha, shift, load, equilibria)
     return sorted(equilibria, key=lambda e: e.energy)
 
 

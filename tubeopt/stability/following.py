@@ -13,11 +13,13 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..transcription.reduced import softest
 from ..typing import Array
 from .folds import Fold, polish_fold
 from .landing import distance, land
+from .loaded_following import LoadedSnap, loaded_legs
 
 SMOOTH_TURN = 0.05
 """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
@@ -70,6 +72,7 @@ def follow(
     translations: ArrayLike | None = None,
     *,
     start: Equilibrium | None = None,
+    load: Load | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Move a robot slowly through waypoints of joint values, along straight lines between them.
@@ -78,6 +81,7 @@ def follow(
         rotations, translations: (T, n) rad and m; translations default to home.
         start: stable equilibrium at the first waypoint; by default the one of `forward_kinematics`. If its joint
             values are others, the robot is first moved from there, and snaps on that way are not recorded.
+        load: forces that keep their direction and stay on the robot; a start without it is first loaded.
         progress: called with the number of each waypoint that is reached.
 
     Raises:
@@ -87,6 +91,8 @@ def follow(
     """
     alpha, shift = _waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
+    if load is not None:
+        return _follow_loaded(robot, joints, load, start, progress)
     first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
@@ -108,6 +114,37 @@ def follow(
         if progress is not None:
             progress(k + 1)
     return Path(tuple(equilibria), tuple(snaps))
+
+
+def _follow_loaded(
+    robot: Robot,
+    joints: Array,
+    load: Load,
+    start: Equilibrium | None,
+    progress: Callable[[int], object] | None,
+) -> Path:
+    equilibria, snaps = [], []
+    for k, (equilibrium, leg) in enumerate(loaded_legs(robot, joints, load, start)):
+        equilibria.append(equilibrium)
+        snaps += [snap_of(found, k - 1) for found in leg.snaps] if leg is not None else []
+        if progress is not None and k:
+            progress(k)
+    return Path(tuple(equilibria), tuple(snaps))
+
+
+def snap_of(found: LoadedSnap, index: int) -> Snap:
+    """A snap under load as any other snap."""
+    before, after = found.before, found.after
+    return Snap(
+        index=index,
+        fraction=found.fraction,
+        rotations=before.rotations,
+        translations=before.translations,
+        before=before,
+        after=after,
+        energy_released=found.energy_released,
+        tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
+    )
 
 
 def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..errors import InputError, vector
 from ..robots.robot import Robot
-from ..transcription.reduced import ReducedProblem, evaluate, on_centreline
+from ..transcription.reduced import ReducedProblem, ahead, evaluate, on_centreline, reach
 from ..typing import Array
 from .equilibria import find_equilibria
 from .following import Event, walk
@@ -72,15 +72,17 @@ def energy_map(
     tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
     first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
     holds = [_hold(problem, tube) for tube in tubes]
+    # Held is the elastic rotation; what natural twist adds to it is known.
+    ends = np.maximum(problem.assembly.end, 0.0)[list(tubes)]
+    wound = problem.assembly.wound(ends)[[0, 1], list(tubes)]
+    base = alpha[list(tubes)] + wound
     energy = np.empty((samples, samples))
     row = np.zeros(problem.size)
     for i in range(samples):
         z = row
         order = range(samples)
         for j in order:
-            z, energy[i, j] = _held_minimum(
-                problem, alpha, z, holds, (first[i] - alpha[tubes[0]], second[j] - alpha[tubes[1]])
-            )
+            z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
             if j == 0:
                 row = z
     return EnergyMap(tubes, first, second, energy, tuple(found))
@@ -108,10 +110,16 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
     end = float(assembly.end[tube])
     # theta(end) responds to the moment at a point by |beta| + s, which the collocated integral has exactly.
     across = problem.arc_length[problem.point[mine]]
-    beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
+    if problem.here is None:
+        beta, kt = assembly.transmission[tube], assembly.torsional_stiffness[tube]
+        soft, whole = (beta + across) / kt, (beta + end) / kt
+    else:
+        places = np.append(problem.mesh.start, assembly.total_length)
+        whole = reach(problem.mesh, problem.here)[int(np.abs(places - end).argmin()), tube]
+        soft = ahead(problem.mesh, problem.here)[:, tube][problem.point[mine]]
     a = np.zeros(problem.size)
-    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], (beta + across) / kt)
-    return a, float(np.sqrt(max((beta + end) / kt - a @ a, 1e-30)))
+    a[mine] = np.linalg.solve(problem.factor[np.ix_(mine, mine)], soft)
+    return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
 
 
 def _held_minimum(

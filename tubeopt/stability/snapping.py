@@ -14,6 +14,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish
 from ..errors import InputError, vector
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.ipopt import start_values
 from ..solvers.newton import NewtonResult
@@ -21,7 +22,8 @@ from ..transcription.block import BlockInput, Structure, add_equilibrium, struct
 from ..transcription.nlp import Builder, Nlp
 from ..transcription.reduced import evaluate, margin, to_unknowns
 from ..typing import Array
-from .following import Event, Snap, lose, to_snap
+from .following import Event, Snap, lose, snap_of, to_snap
+from .loaded_following import loaded_legs
 
 Configuration = tuple[ArrayLike, ArrayLike | None]
 
@@ -32,6 +34,7 @@ def find_snap(
     end: Configuration,
     *,
     equilibrium: Equilibrium | None = None,
+    load: Load | None = None,
 ) -> Snap | None:
     """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
 
@@ -41,12 +44,17 @@ def find_snap(
     Args:
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
         equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
+        load: forces that keep their direction and stay on the robot. The fold is then that of a bordered system.
 
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
         SolveError: no stable equilibrium at `start`, or none where the robot lands.
     """
     path = JointPath(robot, _joint(robot, "start", start), _joint(robot, "end", end))
+    if load is not None:
+        legs = loaded_legs(robot, np.array([path.start, path.end]), load, equilibrium, first_only=True)
+        found = [snap_of(snap, 0) for _, leg in legs if leg is not None for snap in leg.snaps]
+        return found[0] if found else None
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, *path.at(0.0))
     if not first.stable:
         raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
-from ..typing import Array
+from ..typing import Array, Sentence
 from .certificate import Certificate, certify
 from .following import Snap
 from .search import search_snap
@@ -21,7 +20,7 @@ ASSUMING = "assuming no external load, weight or friction"
 """What every statement about snapping leaves out, in a clause."""
 
 
-class Finding(Enum):
+class Finding(Sentence):
     """What is known about snapping; every value reads as a sentence, and holds under what `ASSUMING` says.
 
     CAN_SNAP says that there is a snap; whether it is inside the joint limits says `Verdict.within_limits`.
@@ -30,9 +29,6 @@ class Finding(Enum):
     SNAP_FREE = "cannot snap at any rotation"
     CAN_SNAP = "can snap"
     OPEN = "it is not proved that the robot cannot snap, and search found no snap"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True, eq=False)

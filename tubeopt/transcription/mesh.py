@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,48 @@ def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
     pieces[need <= 0] = 1
     return pieces
+
+
+LOADED_WAVES = 0.5
+"""The same of what bends under load: the margin, close to 1 where loads are small, then is right to 1e-8."""
+
+
+def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: int = 0) -> NDArray[np.intp]:
+    """(m,) pieces per section of an arm on whose cross-sections at most `force`, N, and at its tip `moment`, N m, act.
+
+    Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
+    rate, or of a lever as long as the arm.
+    """
+    if assembly.general:
+        rate, natural, finest = _needs(assembly)
+        stiffness, pull = _softest(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+        stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
+        moments = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
+        pull = (moments / assembly.torsional_stiffness).max(1, initial=0.0)
+    fast = np.sqrt(force / stiffness)
+    bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
+    waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
+    need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
+    pieces = np.ceil(need - 1e-9)
+    return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
+
+
+def _softest(assembly: Assembly) -> tuple[Array, Array]:
+    """(m,) least sum of kb, and (m,) largest |m_i| / kt_i of sections of tubes made of pieces."""
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    stiffness = here.stiffness.sum(1).reshape(-1, len(SAMPLES)).min(1)
+    pull = (here.moment / here.torsional_stiffness).max(1).reshape(-1, len(SAMPLES)).max(1)
+    return stiffness, pull
+
+
+def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
+    """Mesh whose pieces all have collocation points: what is loaded bends, be it curved or straight."""
+    mesh = make_mesh(assembly, pieces, family=family, degree=degree)
+    return replace(mesh, collocated=np.ones(len(mesh.length), dtype=bool))
 
 
 def make_mesh(

@@ -206,13 +206,21 @@ def reach(mesh: Mesh, here: Compliant) -> Array:
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
 
 
+def ahead(mesh: Mesh, here: Compliant) -> Array:
+    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    chosen = mesh.collocated
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
+    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    return np.asarray(out.reshape(-1, out.shape[-1]))
+
+
 def _general_green(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
     """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
     t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
     rate, length = here.rate[elements, :, tube], mesh.length[elements]
-    ahead = (begin[:, None] + length[:, None] * (rate @ t.matrix.T)).ravel()
-    first = np.arange(len(ahead)) // t.degree
-    green: Array = np.where(first[:, None] < first, ahead[:, None], ahead)
+    near = ahead(mesh, here)[:, tube]
+    first = np.arange(len(near)) // t.degree
+    green: Array = np.where(first[:, None] < first, near[:, None], near)
     for e in range(len(elements)):
         block = slice(e * t.degree, (e + 1) * t.degree)
         green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
@@ -268,11 +276,12 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta.ravel()[problem.flat] += problem.factor @ z
     place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    direction = theta if problem.phase is None else theta + problem.phase
-    moment, stiffness, bending, *stretch = balance(direction, problem.stiffness, problem.moment, *place)
+    moment, stiffness, bending, *stretch = balance(
+        directions(problem, theta), problem.stiffness, problem.moment, *place
+    )
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
-    hessian = _hessian(problem, stiffness)
+    hessian = torsional_hessian(problem, stiffness)
     energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
     extra = None
     if problem.stretch is not None:
@@ -282,11 +291,16 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
 
 
-def _hessian(problem: ReducedProblem, stiffness: Array) -> Array:
+def directions(problem: ReducedProblem, theta: Array) -> Array:
+    """(N, n) direction in which each tube pulls: theta, or phi and the phase of tubes made of pieces."""
+    return theta if problem.phase is None else theta + problem.phase
+
+
+def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
-    hessian = problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor
+    hessian = problem.factor.T @ second.reshape(problem.size, problem.size) @ problem.factor
     hessian.ravel()[:: problem.size + 1] += 1.0
     return np.asarray(hessian)
 

@@ -3,6 +3,7 @@
 from .comparison import Validation, predict, validate
 from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
 from .fitting import Estimate, Fit, fit
+from .force import ForceEstimate, estimate_force
 from .measurements import Measurements
 from .parameters import Parameter, choose_parameters
 from .registration import SENSOR_FRAME, BasePose, Registration, register
@@ -15,11 +16,13 @@ __all__ = [
     "ErrorTable",
     "Estimate",
     "Fit",
+    "ForceEstimate",
     "Measurements",
     "Parameter",
     "Registration",
     "Validation",
     "choose_parameters",
+    "estimate_force",
     "fit",
     "group_errors",
     "predict",

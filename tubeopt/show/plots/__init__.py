@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .branch import plot_branch
 from .hysteresis import plot_hysteresis
+from .loads import plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
 from .shape import plot_shape, plot_shapes
@@ -14,8 +15,11 @@ from .torsion import plot_torsion, plot_torsions
 __all__ = [
     "plot_branch",
     "plot_energy_maps",
+    "plot_force_estimates",
     "plot_hysteresis",
+    "plot_load_limits",
     "plot_path",
+    "plot_payload",
     "plot_shape",
     "plot_shapes",
     "plot_snap",

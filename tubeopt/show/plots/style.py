@@ -169,6 +169,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
         joints.append(f"translations ({_millimetres(equilibrium.translations[first])}) mm")
     margin = f"margin {equilibrium.margin:.3f}".replace("-", "\N{MINUS SIGN}")
     verdict = margin if equilibrium.stable else f"{margin}, unstable"
+    verdict = "no margin" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({_millimetres(equilibrium.tip_position)}) mm", verdict]
     if narrow:
         return "\n".join([name, *joints, *state])

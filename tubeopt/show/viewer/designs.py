@@ -58,7 +58,10 @@ def knobs(robot: Robot) -> tuple[Knob, ...]:
         for label, field, unit, factor, step in FIELDS:
             value = getattr(tube, field) * factor
             most = max(2 * abs(value), 10 * step)
-            low = min(0.0, 2 * value)
+            if tube.general and field == "curved_length":
+                continue  # it is the sum of the pieces
+            # Pieces that were bent straight would not know which way to bend.
+            low = step if tube.general and field == "curvature" else min(0.0, 2 * value)
             which = name if name == "all tubes" else f"{name} {k + 1}"
             out.append(Knob(f"{which}: {label} ({unit})", k, field, unit, factor, low, most, step))
     return tuple(out)

@@ -1,0 +1,109 @@
+"""Loads on the command line and in files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
+from tubeopt import InputError, Load, forward_kinematics, load_robot
+from tubeopt.robots.load import PointForce, Stretch
+from tubeopt.runs.load_file import load_load
+from tubeopt.runs.study_file import load_study
+
+FILE = """
+tip_force_mN: [100, 0, 0]
+gravity_m_per_s2: [0, 0, -9.81]
+points:
+  - {at_mm: 50, force_mN: [10, 0, 0]}
+distributed_mN_per_m:
+  - {from_mm: 10, to_mm: 60, force_mN_per_m: [1000, 0, 0]}
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "load.yaml"
+    path.write_text(FILE)
+    return path
+
+
+def test_a_file_says_what_pushes(file: Path, tmp_path: Path) -> None:
+    assert load_load(file) == Load(
+        (0.1, 0, 0),
+        gravity=(0, 0, -9.81),
+        points=(PointForce(0.05, (0.01, 0, 0)),),
+        distributed=(Stretch(0.01, 0.06, (1.0, 0, 0)),),
+    )
+    file.write_text("tip_force_mN: [1, 2]\ngravity: [0, 0, -9.81]")
+    with pytest.raises(InputError, match=r"tip_force_mN has 2 items.*\n.*gravity is not a known key; did you mean"):
+        load_load(file)
+    file.write_text("points: [{at_mm: -1, force_mN: [0, 0, 1]}]")
+    with pytest.raises(InputError, match="must be at least 0"):
+        load_load(file)
+
+
+def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:
+    turned = ["fk", THESIS, "--rotations-deg", "0,57.3,114.6", "--json"]
+    data = answer(run(*turned, "--tip-force-mN", "100,0,0"))
+    same = forward_kinematics(load_robot(THESIS), np.radians([0, 57.3, 114.6]), load=Load((0.1, 0, 0)))
+    assert np.allclose(data["tip_position_mm"], same.tip_position * 1e3, rtol=0, atol=1e-9)
+    assert data["load"] == "100, 0, 0 mN at the tip"
+    assert np.allclose([*data["base_force_mN"], *data["base_moment_mN_m"]], same.base_wrench * 1e3)
+    assert np.allclose(data["compliance"], same.compliance)
+    both = answer(run(*turned, "--load", str(file), "--tip-force-mN", "0,0,0"))
+    assert "10, 0, 0 mN at 50 mm" in both["load"]
+    assert "at the tip" not in both["load"]
+    text = " ".join(run(*turned[:-1], "--load", str(file)).out.split())
+    assert "on the plate" in text
+    assert "a load along the arm" in text
+
+
+def test_moments_have_no_margin(run: Run) -> None:
+    data = answer(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--json"))
+    assert data["margin"] is None
+    assert not data["stable"]
+    assert "not told" in run("fk", THESIS, "--tip-moment-mN-m", "1,2,3").out
+
+
+def test_snaps_and_equilibria_under_load(run: Run) -> None:
+    snapped = answer(run("snap", THESIS, "--to-deg", "360,0,0", "--tip-force-mN=-20,0,0", "--json"))
+    assert snapped["snap"]["rotations_deg"][0] == pytest.approx(201.0758694, abs=1e-6)
+    path = str(ROOT / "configs" / "paths" / "turn_and_back.csv")
+    followed = answer(run("follow", THESIS, path, "--gravity-m-per-s2", "0,0,-9.81", "--json"))
+    assert len(followed["snaps"]) == 2
+    loaded = run("equilibria", THESIS, "--rotations-deg", "20,0,0", "--tip-force-mN=-2,0,0", "--json")
+    assert len(answer(loaded)["equilibria"]) == 1
+
+
+def test_studies_take_a_load(tmp_path: Path) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(f"kind: forward_kinematics\nrobot: {THESIS}\nload: {{tip_force_mN: [100, 0, 0]}}\n")
+    assert load_study(study).run().load == Load((0.1, 0, 0))
+
+
+def test_what_makes_no_sense(run: Run) -> None:
+    assert refused(run("fk", THESIS, "--tip-force-mN", "1,2")) == [
+        "--tip-force-mN has 2 items; it must have at least 3"
+    ]
+    assert (
+        "under load it must be 'newton'"
+        in refused(run("fk", THESIS, "--tip-force-mN", "1,2,3", "--method", "ipopt"))[0]
+    )
+    lost = run("fk", THESIS, "--tip-force-mN", "0,1500,-1500")
+    assert lost.code == 3
+    assert "bifurcates at 7.135 % of the load" in lost.err
+
+
+def test_certified_whatever_pushes(run: Run) -> None:
+    asked = ["certify", CRL, "--translations-mm=-20,0,0", "--json", "--max-tip-force-mN"]
+    strong, weak = answer(run(*asked, "1000"), 4), answer(run(*asked, "1"))
+    assert weak["exit_code"] == 0
+    assert 0 < weak["certificate_under_force"] < weak["certificate"]
+    assert weak["max_tip_force_mN"] == 1
+    assert strong["certificate_under_force"] < 0
+    assert strong["finding"] == "OPEN"
+    plain = answer(run(*asked[:-1]))
+    assert "certificate_under_force" not in plain

@@ -1,0 +1,398 @@
+"""Forward kinematics under load, against shooting, closed forms, differences and balances."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+
+from tests.load_reference import RefLoad, Shooting, of_robot
+from tubeopt import (
+    ConcentricRobot,
+    Equilibrium,
+    InputError,
+    Load,
+    Material,
+    SolveError,
+    Tube,
+    follow,
+    forward_kinematics,
+    load_equilibrium,
+    load_robot,
+)
+from tubeopt.equilibrium.load_problem import loaded_problem, mass_per_length
+from tubeopt.equilibrium.loaded import loaded_point
+from tubeopt.equilibrium.verification import verify_equilibrium
+from tubeopt.robots.load import between
+from tubeopt.solvers.loaded import loaded_margin
+from tubeopt.transcription.loaded import evaluate, unknowns
+from tubeopt.transcription.loaded_arm import loaded_arm
+from tubeopt.typing import Array
+
+MM = 1e-3
+ROTATIONS = (0.0, 1.0, 2.0)
+
+
+@pytest.fixture(scope="module")
+def thesis() -> ConcentricRobot:
+    robot = load_robot("configs/robots/thesis_ctr.yaml")
+    assert isinstance(robot, ConcentricRobot)
+    return robot
+
+
+def rod(length: float, stiffness: float, shear: float | None = None, curvature: float = 0.0) -> ConcentricRobot:
+    """One tube, all of it in front of the plate, of given EI and GJ (by default of a Poisson's ratio of 0)."""
+    inertia = np.pi / 64 * 1e-12
+    young = stiffness / inertia
+    material = Material("m", young, young / 2 if shear is None else shear / (2 * inertia))
+    return ConcentricRobot((Tube(1e-3, 0.0, 0.0, length, curvature, material),))
+
+
+def base_values(e: Equilibrium) -> Array:
+    """(n + 2,) torques and bending moment at the plate, where shooting may start."""
+    point = loaded_point(e)
+    return np.concatenate([loaded_arm(point.member.problem, e.rotations, point.state).base_torque, e.base_wrench[3:5]])
+
+
+def test_thesis_robot_under_a_tip_force(thesis: ConcentricRobot) -> None:
+    e = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, 0, 0)))
+    assert np.allclose(e.tip_position / MM, (102.947988424, -23.162540628, 151.322371031), rtol=0, atol=1e-9 / MM)
+    assert e.margin == pytest.approx(0.997097260, abs=1e-8)
+    assert e.base_wrench[4] == pytest.approx(15.132237103e-3, abs=1e-12)
+    assert e.stable
+    assert e.mesh_error < 1e-8
+
+
+def test_thesis_robot_under_a_dead_moment(thesis: ConcentricRobot) -> None:
+    e = forward_kinematics(thesis, ROTATIONS, load=Load(moment=(0.01, 0.02, 0.005)))
+    assert np.allclose(e.tip_position / MM, (117.806430837, 9.175066896, 113.932715259), rtol=0, atol=1e-9 / MM)
+    assert np.isnan(e.margin)
+    assert "no margin" in str(e.status)
+
+
+def test_thesis_robot_under_its_weight(thesis: ConcentricRobot, monkeypatch: pytest.MonkeyPatch) -> None:
+    masses = dict(zip(thesis.tubes, (0.02, 0.05, 0.05), strict=True))
+    monkeypatch.setattr("tubeopt.equilibrium.load_problem.mass_per_length", masses.get)
+    e = forward_kinematics(thesis, ROTATIONS, load=Load((0, 0, -0.1), gravity=(0, -9.81, 0)))
+    assert np.allclose(e.tip_position / MM, (84.834622201, -69.410646557, 143.478730193), rtol=0, atol=1e-9 / MM)
+    assert e.margin == pytest.approx(0.640786858, abs=1e-8)
+
+
+def test_crl_robot_under_a_tip_force() -> None:
+    robot = load_robot("configs/robots/crl_ctr.yaml")
+    shift = np.array([-0.06, -0.04, -0.01]) + [tube.straight_length for tube in robot.tubes]
+    e = forward_kinematics(robot, np.radians([0, 60, 120]), shift, load=Load((0.02, 0.03, -0.01)))
+    assert np.allclose(e.tip_position / MM, (58.342762250, 14.566019835, 125.987301931), rtol=0, atol=1e-9 / MM)
+    assert e.margin == pytest.approx(0.981607991, abs=1e-8)
+
+
+def test_straight_cantilever_is_an_elastica() -> None:
+    length, stiffness, force = 0.2, 1e-3, 0.5
+    e = forward_kinematics(rod(length, stiffness), [0.0], load=Load((force, 0, 0)))
+    assert np.allclose(e.tip_position / MM, (173.739179657, 0, 63.222886487), rtol=0, atol=1e-9 / MM)
+    # Bisshopp and Drucker, Quart. Appl. Math. 3 (1945), by elliptic integrals of modulus k.
+    ratio = np.sqrt(force * length**2 / stiffness)
+
+    def excess(k: float) -> float:
+        return float(ellipk(k**2) - ellipkinc(np.arcsin(1 / (k * np.sqrt(2))), k**2) - ratio)
+
+    k = brentq(excess, np.sqrt(0.5) + 1e-12, 1 - 1e-12, xtol=1e-15)
+    across = 1 - 2 / ratio * (ellipe(k**2) - ellipeinc(np.arcsin(1 / (k * np.sqrt(2))), k**2))
+    along = np.sqrt(2 * (2 * k**2 - 1)) / ratio
+    assert np.allclose(e.tip_position, length * np.array([across, 0, along]), rtol=0, atol=1e-11)
+
+
+def test_margin_is_zero_at_eulers_load() -> None:
+    robot, unit = rod(0.2, 1e-3), 1e-3 / 0.2**2
+    for ratio in (0.5, np.pi**2 / 4 - 1e-4):
+        e = forward_kinematics(robot, [0.0], load=Load((0, 0, -ratio * unit)))
+        # The second variation of a compressed column is that of its stiffness less 4 / pi^2 of the load.
+        assert e.margin == pytest.approx(1 - ratio * 4 / np.pi**2, abs=1e-8)
+    with pytest.raises(SolveError, match=r"bifurcates at 98\."):
+        forward_kinematics(robot, [0.0], load=Load((0, 0, -2.5 * unit)))
+
+
+def test_forty_five_degree_bend() -> None:
+    stiffness = 1e7 / 12
+    robot = rod(100 * np.pi / 4, stiffness, stiffness, 0.01)
+    e = forward_kinematics(robot, [0.0], load=Load((600.0, 0, 0)))
+    assert e.tip_position[0] == pytest.approx(53.46860, abs=5e-6)
+
+
+def test_without_load_all_is_as_without_loads(thesis: ConcentricRobot) -> None:
+    for rotations, shift in ((ROTATIONS, None), ((0.3, -1.0, 0.5), (-0.05, 0.01, 0.02))):
+        plain = forward_kinematics(thesis, rotations, shift)
+        e = forward_kinematics(thesis, rotations, shift, load=Load())
+        # The shape without load is integrated by steps whose own error shows.
+        assert np.allclose(e.tip_position, plain.tip_position, rtol=0, atol=1e-12 + 2 * plain.tip_error)
+        assert np.allclose(e.tip_rotations, plain.tip_rotations, rtol=0, atol=1e-9)
+        assert e.margin == pytest.approx(plain.margin, abs=1e-9)
+        assert e.energy == pytest.approx(plain.energy, abs=1e-12)
+        assert np.abs(e.base_wrench).max() < 1e-17
+        assert np.allclose(e.compliance, plain.compliance, rtol=0, atol=1e-6)
+
+
+def test_hessian_without_load_is_that_of_torsion_beside_the_identity(thesis: ConcentricRobot) -> None:
+    problem = loaded_problem(thesis, (0.0, 0.0, 0.0), Load((1.0, 2.0, 3.0)))
+    random = np.random.default_rng(1)
+    state = evaluate(problem, np.array(ROTATIONS), random.normal(size=problem.size) * 0.1, 0.0)
+    split = problem.torsion.size
+    assert not state.hessian[:split, split:].any()
+    assert np.array_equal(state.hessian[split:, split:], np.eye(problem.size - split))
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        Load((0.2, -0.1, 0.05), gravity=(0, -9.81, 0), points=((0.06, (0.1, 0.2, -0.1)),)),
+        Load((0.05, 0, -0.05), distributed=((0.03, 0.12, (0.3, 0.1, 0.0)),)),
+        Load((0.05, 0.02, -0.05), (0.003, 0.004, 0.005)),
+        Load((0.05, 0.02, -0.05), (0.003, 0.004, 0.005), frame="tip", gravity=(1, 2, 3)),
+    ],
+)
+def test_jacobian_is_that_of_differences(thesis: ConcentricRobot, load: Load) -> None:
+    problem = loaded_problem(thesis, (0.0, 0.0, 0.0), load)
+    random = np.random.default_rng(2)
+    x, factor, alpha = random.normal(size=problem.size) * 0.03, 0.8, np.array(ROTATIONS)
+    state = evaluate(problem, alpha, x, factor)
+    for direction in random.normal(size=(3, problem.size)):
+        sides = [evaluate(problem, alpha, x + step * direction, factor) for step in (1e-5, -1e-5)]
+        change = (sides[0].gradient - sides[1].gradient) / 2e-5
+        scale = np.linalg.norm(state.hessian @ direction)
+        assert np.linalg.norm(state.hessian @ direction - change) < 1e-7 * scale
+        if load.has_energy:
+            rate = (sides[0].potential - sides[1].potential) / 2e-5
+            assert state.gradient @ direction == pytest.approx(rate, abs=1e-8)
+    pull = (evaluate(problem, alpha, x, 0.9).gradient - evaluate(problem, alpha, x, 0.7).gradient) / 0.2
+    assert np.allclose(state.pull, pull, rtol=0, atol=1e-12)
+
+
+def tube_frame(e: Equilibrium) -> Array:
+    """(3, 3) frame of the tube that ends last, at its end."""
+    angle = e.tip_rotations[int(np.argmax(e.tube_end))]
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(e.tip_rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+
+
+@pytest.mark.parametrize(
+    ("force", "moment"),
+    [((0, 0, 0), (0, 0, 0)), ((0.1, -0.05, 0.02), (0, 0, 0)), ((0.05, 0.0, 0.0), (0.002, 0.003, 0.004))],
+)
+def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot, force: Any, moment: Any) -> None:
+    shift = (0.0, 0.01, -0.02)
+    here = forward_kinematics(thesis, ROTATIONS, shift, load=Load(force, moment))
+    compliance = here.compliance
+    if not any(moment):
+        assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-4 if k < 3 else 1e-6
+        sides = [
+            forward_kinematics(thesis, ROTATIONS, shift, load=Load(force + s * step[:3], moment + s * step[3:]))
+            for s in (1, -1)
+        ]
+        moved = (sides[0].tip_position - sides[1].tip_position) / (2 * step[k])
+        turn = (tube_frame(sides[0]) - tube_frame(sides[1])) @ tube_frame(here).T / (2 * step[k])
+        turned = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        assert np.abs(compliance[:3, k] - moved).max() < 1e-6 * np.abs(compliance[:3]).max()
+        assert np.abs(compliance[3:, k] - turned).max() < 1e-6 * np.abs(compliance[3:]).max()
+
+
+def test_work_done_is_energy_stored(thesis: ConcentricRobot) -> None:
+    force = np.array([0.08, 0.05, -0.03])
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    work = 0.0
+    for x, w in zip((nodes + 1) / 2, weights / 2, strict=True):
+        e = forward_kinematics(thesis, ROTATIONS, load=Load(x * force))
+        work += w * x * force @ e.compliance[:3, :3] @ force
+    plain = forward_kinematics(thesis, ROTATIONS, load=Load())
+    full = forward_kinematics(thesis, ROTATIONS, load=Load(force))
+    assert full.energy - plain.energy == pytest.approx(work, rel=1e-9)
+    assert full.work == pytest.approx(force @ full.tip_position, abs=1e-15)
+
+
+def test_base_wrench_balances_the_loads(thesis: ConcentricRobot) -> None:
+    at, force, push = 0.07, np.array([0.05, -0.02, 0.01]), np.array([0.1, 0.1, -0.1])
+    for load in (
+        Load(force, points=((at, push),)),
+        Load(force, (0.002, -0.001, 0.003), points=((at, push),)),
+        Load(force, (0.002, -0.001, 0.003), frame="tip", points=((at, push),)),
+    ):
+        e = forward_kinematics(thesis, ROTATIONS, load=load)
+        there = e.position[np.argmin(np.abs(e.arc_length - at))]
+        turn = e.tip_rotation if load.frame == "tip" else np.eye(3)
+        moment = turn @ load.moment + np.cross(e.tip_position, turn @ force) + np.cross(there, push)
+        assert np.allclose(e.base_wrench, np.concatenate([turn @ force + push, moment]), rtol=0, atol=1e-12)
+
+
+def test_weight_is_that_of_the_tubes_in_front_of_the_plate(thesis: ConcentricRobot) -> None:
+    e = forward_kinematics(thesis, ROTATIONS, load=Load(gravity=(0, 0, -9.81)))
+    density = 6450.0
+    weight = sum(
+        density * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.curved_length * 9.81 for t in thesis.tubes
+    )
+    assert np.allclose(e.base_wrench[:3], (0, 0, -weight), rtol=1e-13)
+
+
+def random_case(seed: int) -> tuple[ConcentricRobot, Array, Array, Load, RefLoad]:
+    """A robot of 2 to 4 tubes, joint values, and a load of up to 30 % of linear deflection."""
+    random = np.random.default_rng(seed)
+    tubes, bore, length = [], 0.4e-3, random.uniform(0.12, 0.3)
+    for i in range(int(random.integers(2, 5))):
+        outer, straight = bore + random.uniform(0.15e-3, 0.35e-3), random.uniform(0.2, 0.7) * length
+        young, nu = random.uniform(40e9, 75e9), random.uniform(0.2, 0.45)
+        material = Material("m", young, young / 2 / (1 + nu))
+        curvature = random.uniform(2, 14) * random.choice([-1, 1])
+        tubes.append(Tube(outer, bore if i else 0.3e-3, straight, length - straight, curvature, material))
+        bore, length = outer + 0.05e-3, length * random.uniform(0.6, 0.95)
+    robot = ConcentricRobot(tuple(tubes))
+    straight_lengths = np.array([tube.straight_length for tube in tubes])
+    beta = np.maximum(np.sort(-straight_lengths * random.uniform(0.05, 1, len(tubes))), -straight_lengths)
+    alpha = random.uniform(-np.pi, np.pi, len(tubes))
+    plain = forward_kinematics(robot, alpha, beta + straight_lengths)
+    force = random.normal(size=3)
+    reach = float(np.linalg.norm(plain.compliance[:3, :3] @ force))
+    force *= random.uniform(0.03, 0.3) * plain.arc_length[-1] / reach
+    points = ((random.uniform(0.1, 0.9) * plain.arc_length[-1], tuple(0.5 * force[::-1])),)
+    return robot, alpha, beta + straight_lengths, Load(force, points=points), RefLoad(tuple(force), points=points)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_robots_against_shooting(seed: int) -> None:
+    robot, alpha, shift, load, same = random_case(seed)
+    e = forward_kinematics(robot, alpha, shift, load=load)
+    beta = shift - [tube.straight_length for tube in robot.tubes]
+    shooting = Shooting(of_robot(robot), beta, alpha, same)
+    shot = shooting.solve(base_values(e))
+    assert shot.residual < 1e-12
+    assert np.linalg.norm(shot.tip - e.tip_position) < 1e-11
+    assert np.abs(shot.frame - e.tip_rotation).max() < 1e-9
+    assert e.stable == bool((shooting.determinants(shot) > 0).all())
+
+
+def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -> None:
+    from tubeopt import Discretisation
+    from tubeopt.equilibrium.loaded import ramp, to_loaded
+
+    load = Load((0.3, 0.1, -0.1))
+    plain = forward_kinematics(thesis, ROTATIONS)
+    exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-11)
+    for degree in (2, 3, 4):
+        d = Discretisation(degree=degree)
+        e = to_loaded(thesis, ramp(thesis, plain, load, d), load, d)
+        error = float(np.linalg.norm(e.tip_position - exact.tip_position))
+        assert error / 2 < e.tip_error < 2 * error
+
+
+def test_a_guess_is_followed_to_other_joints_and_loads(thesis: ConcentricRobot) -> None:
+    here = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, 0, 0)))
+    for rotations, load in (
+        ((0.02, 1.0, 2.0), Load((0.1, 0, 0))),
+        ((0.9, 1.5, 1.6), Load((0.1, 0.05, -0.02))),
+        (ROTATIONS, Load((0.0, 0.3, 0.0), gravity=(0, 0, -9.81))),
+    ):
+        cold = forward_kinematics(thesis, rotations, load=load)
+        warm = forward_kinematics(thesis, rotations, load=load, guess=here)
+        assert warm.statistics.start == "guess"
+        assert np.allclose(warm.tip_position, cold.tip_position, rtol=0, atol=1e-12)
+    moved = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)), guess=here)
+    cold = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)))
+    assert np.allclose(moved.tip_position, cold.tip_position, rtol=0, atol=1e-12)
+
+
+def test_the_branch_that_snaps_is_not_left(thesis: ConcentricRobot) -> None:
+    turned = follow(thesis, np.radians([[0, 0, 0], [200, 0, 0]])).equilibria[-1]
+    assert turned.margin == pytest.approx(0.875, abs=1e-3)
+    held = forward_kinematics(thesis, turned.rotations, load=Load((-0.0218, 0, 0)), guess=turned)
+    assert 0 < held.margin < 0.05
+    with pytest.raises(SolveError, match=r"fold at 99\.") as lost:
+        forward_kinematics(thesis, turned.rotations, load=Load((-0.0219, 0, 0)), guess=turned)
+    assert lost.value.solution.load.force[0] == pytest.approx(-0.021846, abs=1e-6)
+
+
+def test_saved_loaded_copied(thesis: ConcentricRobot, tmp_path: Path) -> None:
+    load = Load(
+        (0.1, 0, 0), points=((0.05, (0.1, 0, 0)),), gravity=(0, 0, -9.81), distributed=((0.01, 0.05, (1, 2, 3)),)
+    )
+    e = forward_kinematics(thesis, ROTATIONS, load=load)
+    e.save(tmp_path)
+    for copy in (load_equilibrium(tmp_path), pickle.loads(pickle.dumps(e))):
+        assert copy.load == load
+        assert np.array_equal(copy.point_curvature, e.point_curvature)
+        assert np.allclose(copy.compliance, e.compliance, rtol=1e-9)
+    moved = forward_kinematics(thesis, ROTATIONS, load=Load(distributed=lambda s: (s, 0, 0)))
+    with pytest.raises(InputError, match="a function"):
+        moved.save(tmp_path)
+
+
+def test_a_load_along_the_arm_may_be_a_function(thesis: ConcentricRobot) -> None:
+    as_function = forward_kinematics(thesis, ROTATIONS, load=Load(distributed=lambda s: (0.1, 0.2, 0.0)))
+    constant = forward_kinematics(thesis, ROTATIONS, load=Load(distributed=(0.1, 0.2, 0.0)))
+    assert np.allclose(as_function.tip_position, constant.tip_position, rtol=0, atol=1e-14)
+    half = Load(distributed=lambda s: (0.1, 0.2, 0.0)).scaled(0.5)
+    assert np.array_equal(half.scaled(0.5).per_length(np.array([0.1])), [[0.025, 0.05, 0.0]])
+
+
+def test_loads_between_two_loads() -> None:
+    one = Load((1, 0, 0), distributed=(1, 0, 0), points=((0.1, (1, 0, 0)),))
+    other = Load((0, 1, 0), gravity=(0, 0, 4), distributed=((0.0, 0.1, (0, 2, 0)),))
+    mixed = between(one, other, 0.25)
+    assert mixed.force == (0.75, 0.25, 0.0)
+    assert mixed.gravity == (0, 0, 1)
+    assert np.allclose(mixed.per_length(np.array([0.05, 0.15])), [(0.75, 0.5, 0), (0.75, 0, 0)])
+    assert mixed.points[0].force == (0.75, 0, 0)
+    with pytest.raises(InputError, match="frame"):
+        between(one, dataclasses.replace(other, frame="tip"), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"force": (1, 2)}, "force has 2 numbers; it must be 3 numbers"),
+        ({"moment": (1, 2, float("nan"))}, "every number must be finite"),
+        ({"frame": "base"}, "frame is 'base'; it must be one of world, tip"),
+        ({"points": (0.1,)}, r"points\[0\] is 0.1; it must be \(arc length"),
+        ({"points": ((-0.1, (0, 0, 1)),)}, r"arc length of points\[0\] is -0.1; it must be at least 0"),
+        ({"distributed": ((0.2, 0.1, (0, 0, 1)),)}, r"end of distributed\[0\] is 0.1 m; it must be greater"),
+    ],
+)
+def test_loads_that_make_no_sense(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Load(**arguments)
+
+
+def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
+    load = Load((0.01, 0, 0))
+    e = forward_kinematics(thesis, ROTATIONS, load=load)
+    eccentric = load_robot("configs/robots/thesis_etr.yaml")
+    steel = rod(0.1, 1e-3)
+    calls: list[tuple[Any, str]] = [
+        (lambda: forward_kinematics(thesis, ROTATIONS, load=load, method="ipopt"), "under load it must be 'newton'"),
+        (lambda: forward_kinematics(thesis, ROTATIONS, load=load, verify=True), "verify is set"),
+        (lambda: forward_kinematics(thesis, ROTATIONS, guess=e), "guess bears a load"),
+        (lambda: forward_kinematics(eccentric, (0, 1, 2), load=load), "only concentric robots"),
+        (lambda: forward_kinematics(thesis, ROTATIONS, load=Load(points=((0.3, (0, 0, 1)),))), "at most the length"),
+        (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "tube 1 has no density"),
+        (lambda: forward_kinematics(thesis, ROTATIONS, load=(1, 2, 3)), "it must be a Load"),  # type: ignore[arg-type]
+        (lambda: e.jacobian(), "bears a load"),
+        (lambda: verify_equilibrium(e), "bears a load"),
+        (lambda: follow(thesis, [ROTATIONS, ROTATIONS], start=e), "bears a load"),
+    ]
+    for call, message in calls:
+        with pytest.raises(InputError, match=message):
+            call()
+    assert mass_per_length(steel.tubes[0]) is None
+    with pytest.raises(InputError, match="no tube is in front of the plate"):
+        forward_kinematics(thesis, ROTATIONS, (-0.2, -0.15, -0.1), load=load)
+
+
+def test_margin_is_one_without_coupling_or_compression() -> None:
+    problem = loaded_problem(rod(0.1, 1e-3), (0.0,), Load((0, 0, 1.0)))
+    x = unknowns(problem, np.zeros(1), np.zeros((len(problem.softness), 1)))
+    assert loaded_margin(problem, evaluate(problem, np.zeros(1), x)) == 1.0

@@ -1,0 +1,266 @@
+"""Limits of loads, snaps and equilibria under load, and the certificate against them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.optimize import minimize_scalar
+
+from tests.equilibrium.test_loads import ROTATIONS, rod
+from tests.examples import CRL, THESIS
+from tubeopt import (
+    ConcentricRobot,
+    InputError,
+    Load,
+    SolveError,
+    Tube,
+    find_equilibria,
+    find_load_limit,
+    find_snap,
+    follow,
+    forward_kinematics,
+    forward_kinematics_batch,
+    load_robot,
+    snap_free_certificate,
+)
+from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
+from tubeopt.equilibrium.load_problem import loaded_problem
+from tubeopt.equilibrium.loaded import unloaded_point
+from tubeopt.solvers.loaded import loaded_margin
+from tubeopt.stability.loaded_certificate import cells_of, largest_eigenvalue
+from tubeopt.stability.loaded_events import slide
+from tubeopt.transcription.loaded import LoadedProblem, evaluate
+from tubeopt.typing import Array
+
+UNIT = 1e-3 / 0.2**2
+"""EI / L^2 of the column of these tests, N."""
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1.0])
+def test_eulers_load(tilt: float) -> None:
+    limit = find_load_limit(rod(0.2, 1e-3), [tilt], None, Load((0, 0, -UNIT)))
+    assert limit is not None
+    assert limit.kind == "bifurcation"
+    assert limit.factor == pytest.approx(np.pi**2 / 4, rel=1e-8)
+    assert limit.before.margin == pytest.approx(0, abs=1e-9)
+    assert limit.after is not None
+    # Just beyond, an elastica has the amplitude 2 sqrt(2) sqrt(excess) times 2 L / pi.
+    excess = limit.after.load.force[2] / (-UNIT * np.pi**2 / 4) - 1  # type: ignore[union-attr]
+    assert limit.tip_jump == pytest.approx(2 * np.sqrt(2 * excess) * 0.4 / np.pi, rel=1e-2)
+    assert limit.energy_released > 0
+
+
+def test_a_symmetric_pose_bifurcates() -> None:
+    limit = find_load_limit(THESIS, (0, 0, 0), None, Load((0, 1.5, -1.5)))
+    assert limit is not None
+    assert limit.kind == "bifurcation"
+    assert limit.factor == pytest.approx(0.0713476, abs=1e-7)
+    assert limit.before.tip_position[0] == pytest.approx(0, abs=1e-12)
+    assert abs(limit.after.tip_position[0]) > 1e-4  # type: ignore[union-attr]
+    assert find_load_limit(THESIS, (0.2, 0, -0.1), None, Load((0, 1.5, -1.5)), up_to=1.0) is None
+
+
+def largest_factor(problem: LoadedProblem, alpha: Array, x: Array, factor: float) -> float:
+    """The largest factor on the branch through a point close to it: the branch is followed along its softest direction
+    there, in which it goes through the fold without a turn."""
+    softest = np.linalg.eigh(evaluate(problem, alpha, x, factor).hessian)[1][:, 0]
+
+    def at(along: float) -> float:
+        y = np.append(x, factor)
+        for _ in range(12):
+            state = evaluate(problem, alpha, y[:-1], y[-1])
+            matrix = np.block([[state.hessian, state.pull[:, None]], [softest, np.zeros(1)]])
+            step = np.linalg.solve(matrix, -np.append(state.gradient, softest @ (y[:-1] - x) - along))
+            y += step
+            if np.abs(step).max() < 1e-12:
+                break
+        return float(y[-1])
+
+    found = minimize_scalar(lambda along: -at(along), bracket=(-1e-3, 1e-3), tol=1e-6)
+    return -float(found.fun)
+
+
+def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
+    turned = follow(THESIS, np.radians([[0, 0, 0], [200, 0, 0]])).equilibria[-1]
+    limit = find_load_limit(THESIS, turned.rotations, None, Load((-0.02, 0, 0)), equilibrium=turned)
+    assert limit is not None
+    assert limit.kind == "fold"
+    assert 0.02 * limit.factor == pytest.approx(21.85e-3, abs=1e-5)
+    assert limit.before.margin == pytest.approx(0, abs=1e-9)
+    assert limit.after is not None
+    assert limit.after.stable
+    assert limit.energy_released > 1e-3
+    problem = loaded_problem(THESIS, (0.0, 0.0, 0.0), Load((-0.02, 0, 0)))
+    near = reach(LoadFamily(problem, turned.rotations, (0.0, 0.0, 0.0)), unloaded_point(problem, turned), 1.09)
+    other = largest_factor(problem, turned.rotations, near.state.x, 1.09)
+    assert limit.factor == pytest.approx(other, abs=1e-8)
+    # The same event, met by turning under that load.
+    snap = find_snap(THESIS, ((0, 0, 0), None), (np.radians([230, 0, 0]), None), load=limit.before.load)
+    assert snap is not None
+    assert np.degrees(snap.rotations[0]) == pytest.approx(200, abs=1e-6)
+    assert snap.energy_released == pytest.approx(limit.energy_released, rel=1e-8)
+
+
+def test_snaps_without_force_are_those_without_loads() -> None:
+    ways = ((0, 0, 0), None), (np.radians([360, 0, 0]), None)
+    plain, loaded = find_snap(THESIS, *ways), find_snap(THESIS, *ways, load=Load())
+    assert plain is not None
+    assert loaded is not None
+    assert loaded.fraction == pytest.approx(plain.fraction, abs=1e-11)
+    assert loaded.energy_released == pytest.approx(plain.energy_released, abs=1e-11)
+    assert find_snap(THESIS, ((0, 0, 0), None), (np.radians([200, 0, 0]), None), load=Load((0.02, 0, 0))) is None
+
+
+def test_motion_under_its_weight_is_followed_and_remembered() -> None:
+    load, ways = Load((0.01, 0, 0), gravity=(0, 0, -9.81)), np.radians([[0, 0, 0], [250, 0, 0], [0, 0, 0]])
+    path = follow(THESIS, ways, load=load)
+    assert [snap.index for snap in path.snaps] == [0, 1]
+    back = forward_kinematics(THESIS, ways[2], load=load)
+    assert np.allclose(path.equilibria[2].tip_position, back.tip_position, rtol=0, atol=1e-11)
+    assert all(e.stable and e.load == load for e in path.equilibria)
+    slid = follow(THESIS, [ROTATIONS, ROTATIONS], [(0, 0, 0), (-0.06, -0.02, 0.01)], load=load).equilibria[-1]
+    cold = forward_kinematics(THESIS, ROTATIONS, (-0.06, -0.02, 0.01), load=load)
+    assert np.allclose(slid.tip_position, cold.tip_position, rtol=0, atol=1e-11)
+
+
+def test_all_equilibria_are_counted() -> None:
+    rotations = np.radians([200, 0, 0])
+    below = find_equilibria(THESIS, rotations, load=Load((-0.0218, 0, 0)))
+    above = find_equilibria(THESIS, rotations, load=Load((-0.0219, 0, 0)))
+    assert [e.index for e in below] == [0, 0, 1]
+    assert [e.index for e in above] == [0]
+    assert below[0].potential < below[1].potential < below[2].potential
+    one = find_equilibria(CRL, (0.5, 0, 0), (0, 0, -0.05), load=Load((1e-4, 0, 0)))
+    assert len(one) == 1
+
+
+def test_many_configurations_are_those_one_by_one() -> None:
+    rotations, load = np.random.default_rng(0).uniform(-2, 2, (4, 3)), Load((0.05, 0, 0), gravity=(0, 0, -9.81))
+    batch = forward_kinematics_batch(THESIS, rotations, load=load)
+    assert batch.converged.all()
+    for k in range(4):
+        e = forward_kinematics(THESIS, rotations[k], load=load)
+        assert np.allclose(batch.tip_position[k], e.tip_position, rtol=0, atol=1e-14)
+        assert np.allclose(batch.compliance[k], e.compliance, rtol=1e-9)
+        assert batch.margin[k] == pytest.approx(e.margin, abs=1e-12)
+    lost = forward_kinematics_batch(THESIS, [[0, 0, 0]], load=Load((0, 1.5, -1.5)))
+    assert not lost.converged.any()
+    assert "bifurcates" in lost.failures[0][1]
+
+
+def slender(scale: float) -> ConcentricRobot:
+    """The tubes of the CRL robot, less curved."""
+    tubes = [
+        Tube(t.outer_diameter, t.inner_diameter, t.straight_length, t.curved_length, scale * t.curvature, t.material)
+        for t in CRL.tubes
+    ]
+    return ConcentricRobot(tuple(tubes))
+
+
+def test_certificate_without_force_is_the_one_without_loads() -> None:
+    for robot in (THESIS, CRL, slender(0.4)):
+        plain = snap_free_certificate(robot)
+        assert snap_free_certificate(robot, max_force=0.0) == plain
+        slightly = snap_free_certificate(robot, max_force=1e-9)
+        assert plain - 1e-6 < slightly <= plain
+
+
+def test_certificate_of_a_column_counts_three_halves_of_eulers_load() -> None:
+    for ratio in (0.3, 0.8, 2.0):
+        bound = snap_free_certificate(rod(0.2, 1e-3), max_force=ratio * UNIT)
+        exact = 1 - 1.5 * ratio * 4 / np.pi**2
+        assert exact - 1e-8 < bound <= exact + 1e-12
+
+
+def test_certificate_is_finer_on_finer_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, bounds = slender(0.4), []
+    for cells in (24, 48, 96):
+        monkeypatch.setattr("tubeopt.stability.loaded_certificate.CELLS", cells)
+        bounds.append(snap_free_certificate(robot, max_force=0.01))
+    assert np.all(np.diff(bounds) > 0)
+    assert np.diff(bounds)[-1] < 0.6 * np.diff(bounds)[-2]
+
+
+def test_certificate_is_below_every_loaded_margin() -> None:
+    random = np.random.default_rng(3)
+    robot = slender(0.4)
+    for force in (0.003, 0.01):
+        bound = snap_free_certificate(robot, max_force=force)
+        assert 0 < bound < snap_free_certificate(robot)
+        for _ in range(12):
+            push = random.normal(size=3)
+            push *= force / np.linalg.norm(push)
+            alpha = random.uniform(-np.pi, np.pi, 3)
+            assert forward_kinematics(robot, alpha, load=Load(push)).margin >= bound
+            # Not only at equilibria: at any shape.
+            problem = loaded_problem(robot, (0.0, 0.0, 0.0), Load(push))
+            x = random.normal(size=problem.size) * 0.1
+            assert loaded_margin(problem, evaluate(problem, alpha, x)) >= bound
+
+
+def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
+    robot, force = slender(0.5), 0.01
+    cells = cells_of(robot.assembly(np.zeros(3)), force, pairs=True)
+    # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
+    n, count = 3, len(cells.length)
+    h = cells.length
+    fields = np.zeros((n + 1, count, (n + 1) * count))
+    for i in range(n + 1):
+        fields[i, np.arange(count), i * count + np.arange(count)] = 1.0
+    stiff = np.concatenate([np.repeat(cells.torsional[:, None], count, 1), cells.stiffness[None]])
+    below = np.tril(np.ones((count, count)), -1) * h
+
+    def at_middle(slopes: Array) -> Array:
+        return below @ slopes + h[:, None] / 2 * slopes
+
+    energy = np.einsum("ik,ika,ikb->ab", stiff * h, fields, fields)
+    y = np.array([at_middle(fields[i]) for i in range(n)])
+    # The twist of the transmissions is one more unknown each.
+    extra = np.zeros((n, count, n))
+    for i in range(n):
+        extra[i, :, i] = 1.0
+    y = np.concatenate([y, extra], axis=2)
+    size = y.shape[2]
+    full = np.zeros((size, size))
+    full[: (n + 1) * count, : (n + 1) * count] = energy
+    full[np.arange(size - n, size), np.arange(size - n, size)] = cells.torsional / cells.transmission
+    r = np.concatenate([fields[n], np.zeros((count, n))], axis=1)
+    phi = at_middle(np.einsum("ki,ika->ka", cells.slope, y) + r)
+    loss = np.einsum("k,kij,ika,jkb->ab", h, cells.coupling, y, y)
+    loss += 1.5 * force * np.einsum("k,ka,kb->ab", h, phi, phi)
+    ritz = float(eigh(loss, full, eigvals_only=True)[-1])
+    assert ritz == pytest.approx(largest_eigenvalue(cells), rel=2e-3)
+
+
+def test_what_makes_no_sense_says_so() -> None:
+    moment, eccentric = Load(moment=(0.001, 0, 0)), load_robot("configs/robots/thesis_etr.yaml")
+    loaded = forward_kinematics(THESIS, ROTATIONS, load=Load((0.01, 0, 0)))
+    for call in (
+        lambda: find_load_limit(THESIS, ROTATIONS, None, moment),
+        lambda: find_equilibria(THESIS, ROTATIONS, load=moment),
+        lambda: find_snap(THESIS, (ROTATIONS, None), ((1, 1, 1), None), load=moment),
+    ):
+        with pytest.raises(InputError, match="no energy"):
+            call()
+    with pytest.raises(InputError, match="must be unloaded and stable"):
+        find_load_limit(THESIS, ROTATIONS, None, Load((1, 0, 0)), equilibrium=loaded)
+    with pytest.raises(InputError, match="at other joint values"):
+        find_load_limit(THESIS, ROTATIONS, None, Load((1, 0, 0)), equilibrium=forward_kinematics(THESIS, (0, 0, 0)))
+    with pytest.raises(InputError, match="off the centreline"):
+        snap_free_certificate(eccentric, max_force=0.1)
+    with pytest.raises(InputError, match="max_force is -1"):
+        snap_free_certificate(THESIS, max_force=-1)
+    with pytest.raises(SolveError, match="bifurcates"):
+        forward_kinematics(THESIS, (0, 0, 0), load=Load((0, 1.5, -1.5)))
+
+
+def test_a_fall_ends_in_a_minimum_below() -> None:
+    column = rod(0.2, 1e-3)
+    problem = loaded_problem(column, (0.0,), Load((1e-6, 0, -3 * UNIT)))
+    start = unloaded_point(problem, forward_kinematics(column, [0.0]))
+    member = Member(problem, np.zeros(1), (0.0,))
+    result = slide(member, start.state.x)
+    assert result.converged
+    assert loaded_margin(problem, result.state) > -1e-9
+    assert result.state.potential < evaluate(problem, np.zeros(1), start.state.x).potential

@@ -1,0 +1,95 @@
+"""The force at the tip, told from where the arm is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import InputError, Load, estimate_force, forward_kinematics
+from tubeopt.typing import Array
+
+ROTATIONS = (0.0, 1.0, 2.0)
+FORCES = ((0.1, 0.0, 0.0), (0.05, 0.1, -0.05), (0.0, 0.3, 0.2))
+
+
+def shape(force: Array | tuple[float, ...], places: int) -> tuple[Array, list[tuple[float, Array]]]:
+    """The tip, and some points of the arm under a force."""
+    e = forward_kinematics(THESIS, ROTATIONS, load=Load(tuple(force)))  # type: ignore[arg-type]
+    some = np.linspace(0, len(e.arc_length) - 1, places + 2).astype(int)[1:-1]
+    return e.tip_position, [(float(e.arc_length[k]), e.position[k]) for k in some]
+
+
+@pytest.mark.parametrize("force", FORCES)
+def test_without_noise_the_force_comes_back(force: tuple[float, ...]) -> None:
+    tip, points = shape(force, 4)
+    for found in (
+        estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-4),
+        estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=1e-4),
+        estimate_force(THESIS, ROTATIONS, points=points, noise=1e-4),
+    ):
+        assert np.allclose(found.force, force, rtol=0, atol=1e-6)
+        assert found.residual < 1e-8
+        assert found.equilibrium.load == Load(tuple(found.force.tolist()))
+
+
+def test_derivatives_are_those_of_differences_and_the_covariance_follows() -> None:
+    force = np.array(FORCES[1])
+    tip, points = shape(force, 3)
+    noise, step = 2e-4, 1e-4
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=noise)
+    columns = []
+    for k in range(3):
+        sides = []
+        for sign in (1, -1):
+            there, others = shape(force + sign * step * np.eye(3)[k], 3)
+            sides.append(np.concatenate([*(p for _, p in others), there]))
+        columns.append((sides[0] - sides[1]) / (2 * step))
+    jacobian = np.array(columns).T / noise
+    assert np.allclose(found.covariance, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4)
+    assert np.allclose(np.sort(found.errors**2), np.sort(np.linalg.eigvalsh(found.covariance)), rtol=1e-6)
+
+
+def test_errors_are_as_large_as_the_covariance_says() -> None:
+    random, noise, force = np.random.default_rng(4), 1e-4, np.array(FORCES[0])
+    tip, points = shape(force, 5)
+    distances, fits, guess = [], [], None
+    for _ in range(30):
+        noisy = [(s, p + noise * random.normal(size=3)) for s, p in points]
+        at = tip + noise * random.normal(size=3)
+        found = estimate_force(THESIS, ROTATIONS, tip_position=at, points=noisy, noise=noise, guess=guess)
+        guess = found.equilibrium
+        error = found.force - force
+        distances.append(float(error @ np.linalg.solve(found.covariance, error)))
+        fits.append(found.fit[0] / found.fit[1])
+    # A chi-squared of 3 degrees of freedom has the mean 3 and the variance 6.
+    assert np.mean(distances) == pytest.approx(3, abs=3 * np.sqrt(6 / 30))
+    assert np.mean(fits) == pytest.approx(1, abs=0.3)
+
+
+def test_what_cannot_be_told_is_said() -> None:
+    tip, _ = shape((0.01, 0.0, 0.0), 1)
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-3)
+    # Along the arm a force hardly moves the tip.
+    assert found.errors[-1] > 10 * found.errors[0]
+    assert "not told from none: along (" in found.untold
+    sure = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-7)
+    assert sure.errors[0] < 1e-6
+
+
+def test_other_loads_may_be_known() -> None:
+    weight = Load(gravity=(0, 0, -9.81))
+    tip = forward_kinematics(THESIS, ROTATIONS, load=Load((0.02, 0.03, 0), gravity=(0, 0, -9.81))).tip_position
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-5, known=weight)
+    assert np.allclose(found.force, (0.02, 0.03, 0), atol=1e-6)
+
+
+def test_what_makes_no_sense_says_so() -> None:
+    with pytest.raises(InputError, match="neither tip_position nor points"):
+        estimate_force(THESIS, ROTATIONS)
+    with pytest.raises(InputError, match=r"points\[0\] is at the arc length 1 m"):
+        estimate_force(THESIS, ROTATIONS, points=[(1.0, (0, 0, 0))])
+    with pytest.raises(InputError, match="noise is 0"):
+        estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), noise=0)
+    with pytest.raises(InputError, match="known has a moment"):
+        estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), known=Load(moment=(1, 0, 0)))

@@ -1,0 +1,185 @@
+"""Following an equilibrium under load along a family of problems: the load grows, or the joints move under it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy
+
+from ..robots.load import Load, between
+from ..solvers.loaded import loaded_margin, loaded_newton
+from ..transcription.loaded import LoadedProblem, LoadedState, unknowns
+from ..typing import Array
+from .continuation import LARGEST_RATIO, JointPath, largest_twist
+from .load_problem import loaded_problem
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One problem of a family: joint values (n,) and `factor` times the load of the problem."""
+
+    problem: LoadedProblem
+    rotations: Array
+    translations: tuple[float, ...]
+    factor: float = 1.0
+
+
+class Family(Protocol):
+    """Problems that depend on one number t."""
+
+    def member(self, t: float) -> Member:
+        """The problem at t."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadFamily:
+    """The load grows from nothing: t is the factor on it."""
+
+    problem: LoadedProblem
+    rotations: Array
+    translations: tuple[float, ...]
+
+    def member(self, t: float) -> Member:
+        """The problem at factor t."""
+        return Member(self.problem, self.rotations, self.translations, t)
+
+
+@dataclass(frozen=True, eq=False)
+class JointFamily:
+    """The joints move along a path under a load, from t = 0 to 1, while the load becomes another one.
+
+    Attributes:
+        path: of the joints.
+        load: at the end.
+        before: at the start; None is no load.
+    """
+
+    path: JointPath
+    load: Load
+    before: Load | None
+
+    def member(self, t: float) -> Member:
+        """The problem at t."""
+        rotations, translations = self.path.at(t)
+        shift, load, factor = tuple(translations.tolist()), self.load, 1.0
+        if self.before is None:
+            factor = t
+        elif t < 1 and self.before != load:
+            load = between(self.before, load, t)
+        problem = loaded_problem(self.path.robot, shift, load, self.path.discretisation)
+        return Member(problem, rotations, shift, factor)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedPoint:
+    """A solved equilibrium of a family at t."""
+
+    t: float
+    member: Member
+    state: LoadedState
+    margin: float
+    iterations: int = 0
+
+
+def solve_member(
+    family: Family, t: float, near: LoadedPoint, before: LoadedPoint | None = None, *, stable: bool = True
+) -> LoadedPoint | None:
+    """The equilibrium at t on the branch of `near`, or None where Newton is not at ease or, if `stable`, it is not
+    stable. Loads without an energy have no stability: there it is only followed."""
+    there = family.member(t)
+    guess = _guess(there, near, before, t)
+    result = loaded_newton(there.problem, there.rotations, guess, there.factor, iterations=8)
+    if not result.converged or result.contraction > LARGEST_RATIO:
+        return None
+    if _moved(there, near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
+        return None
+    if there.problem.load.has_energy and stable and scipy.linalg.lapack.dpotrf(result.state.hessian)[1]:
+        return None
+    return LoadedPoint(t, there, result.state, loaded_margin(there.problem, result.state), result.iterations)
+
+
+def _guess(there: Member, near: LoadedPoint, before: LoadedPoint | None, t: float) -> Array:
+    """Unknowns at t from those at one or two points of the branch."""
+    x = carry(near, there)
+    if near.member.problem is there.problem and near.member.rotations is there.rotations:
+        # Only the factor changes: along the tangent of the branch.
+        step = scipy.linalg.lapack.dgesv(near.state.hessian, -near.state.pull)[2] * (there.factor - near.state.factor)
+    elif before is not None and near.t > before.t:
+        step = (x - carry(before, there)) * ((t - near.t) / (near.t - before.t))
+    else:
+        return x
+    return np.asarray(x + step)
+
+
+def carry(point: LoadedPoint, there: Member) -> Array:
+    """Unknowns of another problem with the twist and the bending of a point."""
+    problem, state = point.member.problem, point.state
+    if problem.torsion is there.problem.torsion:
+        return state.x
+    split = problem.torsion.size
+    twist = state.theta - point.member.rotations
+    bent = problem.softness[:, None] * state.x[split:].reshape(-1, 2)
+    table = np.concatenate([twist, bent], axis=1)
+    if len(table) != len(there.problem.softness):
+        table = _interpolate(problem, table, there.problem)
+    n = twist.shape[1]
+    x = unknowns(there.problem, there.rotations, there.rotations + table[:, :n])
+    x[there.problem.torsion.size :] = (table[:, n:] / there.problem.softness[:, None]).ravel()
+    return x
+
+
+def _interpolate(problem: LoadedProblem, table: Array, there: LoadedProblem) -> Array:
+    """Values (N, k) at the points of one problem, at those of another."""
+    mesh, s = problem.mesh, there.torsion.arc_length
+    piece = np.clip(np.searchsorted(mesh.start, s, side="right") - 1, 0, len(mesh.start) - 1)
+    x = np.clip((s - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
+    inner = table.reshape(len(mesh.start), mesh.tableau.degree, -1)
+    return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x), inner[piece]))
+
+
+def _moved(there: Member, near: LoadedPoint, state: LoadedState) -> float:
+    """Largest change of a twist at a point, and turn of the arm's frame there, rad."""
+    if state.theta.shape != near.state.theta.shape:
+        carried = _interpolate(near.member.problem, near.state.theta - near.member.rotations, there.problem)
+        frames = _interpolate(near.member.problem, near.state.orientation.stage, there.problem)
+    else:
+        carried, frames = near.state.theta - near.member.rotations, near.state.orientation.stage
+    unknown = there.problem.torsion.flat
+    twist = np.abs((state.theta - there.rotations - carried).ravel()[unknown]).max(initial=0.0)
+    return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
+
+
+SHORTEST_LOAD_STEP = 1e-8
+"""Fraction of the way below which a step that fails means that the branch has ended."""
+
+
+def follow_family(
+    family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
+) -> Iterator[LoadedPoint]:
+    """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable)."""
+    here, before = start, None
+    step = longest = min(longest, goal - start.t)
+    while here.t < goal:
+        t = goal if here.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else here.t + step
+        there = solve_member(family, t, here, before, stable=stable)
+        if there is None:
+            step /= 3
+            if step < SHORTEST_LOAD_STEP * max(1.0, abs(goal)):
+                return
+            continue
+        yield there
+        here, before = there, here
+        step = min(2 * step, longest)
+
+
+def reach(
+    family: Family, start: LoadedPoint, goal: float, *, longest: float = np.inf, stable: bool = True
+) -> LoadedPoint:
+    """The last point of `follow_family`, which is `start` where the branch ends at once."""
+    last = start
+    for point in follow_family(family, start, goal, longest=longest, stable=stable):
+        last = point
+    return last

@@ -1,0 +1,101 @@
+"""Loaded problems of a robot: mesh, forces and weight from its tubes and a `Load`."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from ..errors import InputError
+from ..robots.assembly import Assembly, cut
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..robots.tubes import Tube
+from ..transcription.loaded import LoadedProblem, load_problem
+from ..transcription.mesh import loaded_counts, loaded_mesh
+from ..transcription.reduced import ReducedProblem, reduce
+from ..typing import Array
+from .solving import Discretisation
+
+LOADED_DISCRETISATION = Discretisation(degree=7)
+"""One point more per piece than without load: then the margin, too, is right to about 1e-8."""
+
+
+def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
+    """Raise InputError where a robot cannot bear a load: tubes beside one another, a force beyond the tip, an arm that
+    does not exist, a tube of unknown weight."""
+    if not isinstance(load, Load):
+        raise InputError(f"load is {load!r}; it must be a Load")
+    assembly = robot.assembly(np.array(translations))
+    if assembly.eccentric:
+        raise InputError(
+            "load is given for tubes beside one another; the model of eccentric robots has no forces on it, "
+            "so only concentric robots can be loaded"
+        )
+    length = assembly.total_length
+    if not length:
+        raise InputError("load is given, but no tube is in front of the plate: there is nothing that it could act on")
+    for k, part in enumerate(load.points):
+        if part.at > length * (1 + 1e-12):
+            raise InputError(
+                f"points[{k}] of load is at {part.at:g} m; it must be at most the length of the arm, {length:g} m"
+            )
+    masses(robot, load)
+
+
+def mass_per_length(tube: Tube) -> float | None:
+    """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
+    if tube.mass_per_length is not None:
+        return tube.mass_per_length
+    thermal = tube.material.thermal
+    if thermal is None:
+        return None
+    return thermal.density * math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+
+
+def masses(robot: Robot, load: Load) -> Array:
+    """(n,) mass per length of the tubes, kg/m; zeros where the load has no gravity."""
+    if load.gravity is None or not any(load.gravity):
+        return np.zeros(robot.n_tubes)
+    known = [mass_per_length(tube) for tube in robot.tubes]
+    for i, mass in enumerate(known, start=1):
+        if mass is None:
+            raise InputError(
+                f"gravity acts, but the material of tube {i} has no density and the tube no mass_per_length; give one"
+            )
+    return np.array(known, dtype=float)
+
+
+@lru_cache(maxsize=64)
+def loaded_problem(
+    robot: Robot, translations: tuple[float, ...], load: Load, discretisation: Discretisation = LOADED_DISCRETISATION
+) -> LoadedProblem:
+    """The problem of a robot at given translations under a load, built once for all rotations."""
+    density = masses(robot, load)
+    assembly = robot.assembly(np.array(translations))
+    cuts = load.cuts()
+    assembly = cut(assembly, cuts) if len(cuts) else assembly
+    force, moment = _bounds(assembly, load, density)
+    counts = loaded_counts(assembly, force, moment, discretisation.refinement)
+    torsion = _torsion(robot, translations, tuple(cuts.tolist()), tuple(counts.tolist()), discretisation)
+    return load_problem(torsion, load, density)
+
+
+@lru_cache(maxsize=64)
+def _torsion(
+    robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...], counts: tuple[int, ...], d: Discretisation
+) -> ReducedProblem:
+    """The problem of the rotations, which the numbers of the load do not change."""
+    assembly = robot.assembly(np.array(translations))
+    assembly = cut(assembly, np.array(cuts)) if cuts else assembly
+    return reduce(assembly, loaded_mesh(assembly, np.array(counts), family=d.family, degree=d.degree))
+
+
+def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
+    """Bounds of the force on any cross-section, N, and of the moment at the tip, N m."""
+    along = np.linalg.norm(load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1]), axis=-1).max(initial=0.0)
+    weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
+    points = sum(float(np.linalg.norm(part.force)) for part in load.points)
+    force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length
+    return float(force), float(np.linalg.norm(load.moment))

@@ -1,0 +1,218 @@
+"""What pushes on a robot: forces and a moment at its tip, along its arm, and its weight (SI)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any, TypeGuard
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, choice, finite, positive, vector
+from ..typing import Array
+
+Vector = tuple[float, float, float]
+
+FRAMES = ("world", "tip")
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A constant load per length, N/m in world axes, from arc length `start` to `end`, m from the plate."""
+
+    start: float
+    end: float
+    force: Vector
+
+
+@dataclass(frozen=True)
+class PointForce:
+    """A force, N in world axes, at arc length `at`, m from the plate."""
+
+    at: float
+    force: Vector
+
+
+@dataclass(frozen=True)
+class Load:
+    """External forces and moments on a robot; world axes are those of the plate.
+
+    Args:
+        force: (3,) at the tip, N.
+        moment: (3,) at the tip, N m; its part along the tip turns the tube that ends last.
+        frame: of `force` and `moment`: "world" keeps their direction when the tip turns (dead loads), "tip" turns them
+            with the Bishop frame of the tip, the `tip_rotation` of an equilibrium (following loads).
+        distributed: N/m in world axes: (3,) all along the arm; a function of arc length (m from the plate) -> (3,); or
+            stretches (start, end, (3,)) with a constant load on each.
+        points: forces along the arm, (arc length, (3,)) each, N in world axes.
+        gravity: (3,) acceleration, m/s^2, that acts on the mass of the tubes in front of the plate.
+
+    Raises:
+        InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
+    """
+
+    force: Vector = (0.0, 0.0, 0.0)
+    moment: Vector = (0.0, 0.0, 0.0)
+    _: KW_ONLY
+    frame: str = "world"
+    distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
+    points: tuple[PointForce, ...] = ()
+    gravity: Vector | None = None
+
+    def __post_init__(self) -> None:
+        set_field = object.__setattr__
+        set_field(self, "force", _vector("force", self.force))
+        set_field(self, "moment", _vector("moment", self.moment))
+        choice("frame", self.frame, FRAMES)
+        if self.gravity is not None:
+            set_field(self, "gravity", _vector("gravity", self.gravity))
+        if self.distributed is not None and not callable(self.distributed):
+            set_field(self, "distributed", _distributed(self.distributed))
+        set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(self.points)))
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the load keeps its direction and makes no moment: then equilibria are minima of an energy."""
+        return not any(self.moment) and (self.frame == "world" or not any(self.force))
+
+    @property
+    def tip_force_only(self) -> bool:
+        """Whether there is nothing but a dead force at the tip."""
+        return self.has_energy and self.distributed is None and not self.points and self.gravity is None
+
+    def scaled(self, factor: float) -> Load:
+        """The load times a factor."""
+
+        def times(value: Vector) -> Vector:
+            return _vector("force", np.multiply(factor, value))
+
+        along = self.distributed
+        if isinstance(along, Scaled):
+            along = Scaled(along.function, factor * along.factor)
+        elif callable(along):
+            along = Scaled(along, factor)
+        elif along is not None and _stretches(along):
+            along = tuple(replace(part, force=times(part.force)) for part in along)
+        elif along is not None:
+            along = _vector("distributed", factor * np.array(along, dtype=float))
+        return replace(
+            self,
+            force=times(self.force),
+            moment=times(self.moment),
+            distributed=along,
+            points=tuple(replace(part, force=times(part.force)) for part in self.points),
+            gravity=None if self.gravity is None else times(self.gravity),
+        )
+
+    def cuts(self) -> Array:
+        """Arc lengths where the force on a cross-section jumps or breaks, m."""
+        places = [part.at for part in self.points]
+        if self.distributed is not None and _stretches(self.distributed):
+            places += [end for part in self.distributed for end in (part.start, part.end)]
+        return np.array(places, dtype=float)
+
+    def per_length(self, arc_length: Array) -> Array:
+        """(..., 3) `distributed` at arc lengths (...), N/m."""
+        out = np.zeros((*arc_length.shape, 3))
+        along = self.distributed
+        if along is None:
+            return out
+        if callable(along):
+            for index in np.ndindex(arc_length.shape):
+                s = float(arc_length[index])
+                out[index] = vector(f"distributed at {s:g} m", along(s), 3, "x, y, z")
+        elif _stretches(along):
+            for part in along:
+                out[(arc_length > part.start) & (arc_length < part.end)] += part.force
+        else:
+            out[:] = along
+        return out
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A function of arc length times a factor."""
+
+    function: Callable[[float], ArrayLike]
+    factor: float
+
+    def __call__(self, arc_length: float) -> Array:
+        return np.asarray(self.factor * np.asarray(self.function(arc_length), dtype=float))
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Of the distributed parts of two loads."""
+
+    one: Load
+    other: Load
+
+    def __call__(self, arc_length: float) -> Array:
+        at = np.array(arc_length)
+        return self.one.per_length(at) + self.other.per_length(at)
+
+
+def between(start: Load, end: Load, t: float) -> Load:
+    """(1 - t) times one load and t times another; raises InputError where their frames differ."""
+    if start.frame != end.frame and not (start.has_energy and not any(start.force)):
+        raise InputError(
+            f"the load of the guess is given in the frame {start.frame!r}, the wanted one in {end.frame!r}; "
+            "they must be the same"
+        )
+    one, other = start.scaled(1 - t), end.scaled(t)
+
+    def added(a: Vector | None, b: Vector | None) -> Vector:
+        return _vector("sum", np.add(a or (0, 0, 0), b or (0, 0, 0)))
+
+    along: Any = None
+    if one.distributed is not None or other.distributed is not None:
+        along = Sum(one, other)
+    gravity = None if one.gravity is None and other.gravity is None else added(one.gravity, other.gravity)
+    return Load(
+        added(one.force, other.force),
+        added(one.moment, other.moment),
+        frame=end.frame,
+        distributed=along,
+        points=(*one.points, *other.points),
+        gravity=gravity,
+    )
+
+
+def _vector(name: str, value: Any) -> Vector:
+    x, y, z = vector(name, value, 3, "x, y, z").tolist()
+    return x, y, z
+
+
+def _stretches(value: Any) -> TypeGuard[tuple[Stretch, ...]]:
+    return isinstance(value, tuple) and bool(value) and isinstance(value[0], Stretch)
+
+
+def _distributed(value: Any) -> Vector | tuple[Stretch, ...]:
+    if isinstance(value, Sequence) and value and not isinstance(value[0], int | float):
+        return tuple(_stretch(k, entry) for k, entry in enumerate(value))
+    return _vector("distributed", value)
+
+
+def _stretch(k: int, entry: Any) -> Stretch:
+    if isinstance(entry, Stretch):
+        entry = (entry.start, entry.end, entry.force)
+    name = f"distributed[{k}]"
+    try:
+        start, end, force = entry
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {entry!r}; it must be (start, end, (x, y, z))") from None
+    begin, stop = positive(f"start of {name}", start, zero=True), finite(f"end of {name}", end)
+    if stop <= begin:
+        raise InputError(f"end of {name} is {stop:g} m; it must be greater than its start, {begin:g} m")
+    return Stretch(begin, stop, _vector(f"force of {name}", force))
+
+
+def _point(k: int, entry: Any) -> PointForce:
+    if isinstance(entry, PointForce):
+        entry = (entry.at, entry.force)
+    try:
+        at, force = entry
+    except (TypeError, ValueError):
+        raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
+    return PointForce(positive(f"arc length of points[{k}]", at, zero=True), _vector(f"force of points[{k}]", force))

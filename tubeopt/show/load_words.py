@@ -1,0 +1,81 @@
+"""A load and what it does to a robot, as a person reads it and as JSON."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..equilibrium.result import Equilibrium
+from ..files.units import TO_MILLI, TO_MM
+from ..robots.load import Load
+from .quantities import Quantity
+from .words import row
+
+
+def load_in_words(load: Load) -> str:
+    """What pushes, in a line."""
+    at_tip = []
+    if any(load.force):
+        at_tip.append(f"{row(np.array(load.force) * TO_MILLI, '.6g')} mN at the tip")
+    if any(load.moment):
+        at_tip.append(f"{row(np.array(load.moment) * TO_MILLI, '.6g')} mN m at the tip")
+    parts = [*at_tip, *(["turning with the tip"] if load.frame == "tip" and at_tip else [])]
+    parts += [f"{row(np.array(p.force) * TO_MILLI, '.6g')} mN at {p.at * TO_MM:.6g} mm" for p in load.points]
+    parts += ["a load along the arm"] if load.distributed is not None else []
+    parts += [f"gravity {row(load.gravity, '.6g')} m/s^2"] if load.gravity is not None else []
+    return "; ".join(parts) or "none"
+
+
+def _softness(e: Equilibrium) -> str | None:
+    if e.load is None:
+        return None
+    # m/N are mm/mN.
+    softness = np.linalg.svd(e.compliance[:3, :3], compute_uv=False)
+    return f"by {softness[-1]:.4g} to {softness[0]:.4g} mm/mN"
+
+
+def _on_the_plate(e: Equilibrium) -> str | None:
+    if e.load is None:
+        return None
+    wrench = e.base_wrench * TO_MILLI
+    return f"{row(wrench[:3], '.4f')} mN, {row(wrench[3:], '.4f')} mN m"
+
+
+LOADED: tuple[Quantity[Equilibrium], ...] = (
+    Quantity(
+        "load",
+        "what pushes, in words; absent without load",
+        lambda e: None if e.load is None else load_in_words(e.load),
+        label="load",
+        words=lambda e: None if e.load is None else load_in_words(e.load),
+        optional=True,
+    ),
+    Quantity(
+        "potential_mJ",
+        "elastic energy less the work of the load",
+        lambda e: None if e.load is None else e.potential,
+        optional=True,
+    ),
+    Quantity(
+        "compliance",
+        "6 x 6: translation (m) and rotation (rad) of the tip by a force (N) and moment (N m) there",
+        lambda e: None if e.load is None else e.compliance,
+        label="a force at the tip moves it",
+        words=_softness,
+        optional=True,
+    ),
+    Quantity(
+        "base_force_mN",
+        "force of the load on the plate",
+        lambda e: None if e.load is None else e.base_wrench[:3],
+        label="on the plate",
+        words=_on_the_plate,
+        optional=True,
+    ),
+    Quantity(
+        "base_moment_mN_m",
+        "moment of the load on the plate",
+        lambda e: None if e.load is None else e.base_wrench[3:],
+        optional=True,
+    ),
+)
+"""What a load does to an equilibrium; nothing without one."""

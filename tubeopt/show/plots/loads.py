@@ -1,0 +1,162 @@
+"""Robots under load: what a payload does, which force snaps them, and how well a force is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...files.units import TO_MILLI, TO_MM
+from ...typing import Array
+from .style import FAINT, INK, TUBE_COLOURS, finish, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ...equilibrium.result import Equilibrium
+    from ...validation.force import ForceEstimate
+
+GRID = "#E6E8EB"
+AXES = "xyz"
+
+
+@styled
+def plot_payload(
+    payloads: Array, equilibria: Sequence[Equilibrium], path: str | PathLike[str] | None = None, *, title: str = ""
+) -> Figure:
+    """Picture of an arm under growing payloads: its shapes from the side, and the way of its tip and its margin.
+
+    Args:
+        payloads: (T,) forces, N.   equilibria: one each.
+        path: where to save the picture (PNG, PDF or SVG by its ending); None saves nothing.
+    """
+    figure = new_figure(7.0, 3.4)
+    side, moved, margin = figure.subplot_mosaic(
+        [["side", "moved"], ["side", "margin"]], width_ratios=[1.0, 1.2]
+    ).values()
+    for k, e in enumerate(equilibria):
+        first, last = k == 0, k == len(equilibria) - 1
+        look: dict[str, Any] = {
+            "color": INK if first else TUBE_COLOURS[0] if last else FAINT,
+            "lw": 2.0 if first or last else 0.7,
+        }
+        name = f"{payloads[k] * TO_MILLI:.0f} mN" if first or last else "_"
+        side.plot(e.position[:, 1] * TO_MM, e.position[:, 2] * TO_MM, label=name, **look)
+    side.set_aspect("equal")
+    side.set_xlabel("y (mm)")
+    side.set_ylabel("z (mm)")
+    side.legend(loc="best")
+    way = [float(np.linalg.norm(e.tip_position - equilibria[0].tip_position)) for e in equilibria]
+    linear = np.linalg.norm(_first_order(equilibria[0], equilibria[-1], payloads), axis=1)
+    moved.plot(payloads * TO_MILLI, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
+    moved.plot(
+        payloads * TO_MILLI, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start"
+    )
+    moved.set_ylabel("way of the tip (mm)")
+    moved.legend(loc="upper left")
+    moved.tick_params(labelbottom=False)
+    margin.plot(payloads * TO_MILLI, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)
+    margin.set_ylim(min(0.0, *(e.margin for e in equilibria)), 1.05)
+    margin.set_ylabel("stability margin")
+    margin.set_xlabel("payload (mN)")
+    for panel in (side, moved, margin):
+        panel.grid(color=GRID, lw=0.5)
+        panel.set_axisbelow(True)
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    return finish(figure, path)
+
+
+def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array:
+    """(T, 3) way of the tip that the compliance of the first equilibrium gives, m."""
+    assert start.load is not None
+    assert end.load is not None
+    force = np.subtract(end.load.force, start.load.force)
+    part = (payloads - payloads[0]) / (payloads[-1] - payloads[0])
+    return np.asarray(part[:, None] * (start.compliance[:3, :3] @ force))
+
+
+@styled
+def plot_load_limits(
+    angles: Array,
+    limits: Mapping[str, Array],
+    kinds: Mapping[str, Sequence[str]],
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str = "",
+) -> Figure:
+    """Picture of the least force on the tip that takes a robot out of its equilibrium, over directions in planes.
+
+    Args:
+        angles: (T,) rad, from the first axis of each plane to its second.
+        limits: for planes such as "xy", (T,) forces in N; NaN where none was found.
+        kinds: "fold", "bifurcation" or "" for each.
+        path: where to save the picture; None saves nothing.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    figure = new_figure(2.6 * len(limits) + 0.3, 3.1)
+    panels = figure.subplots(1, len(limits), subplot_kw={"projection": "polar"}, squeeze=False)[0]
+    most = max(float(np.nanmax(values)) for values in limits.values()) * TO_MILLI
+    for panel, (plane, values) in zip(panels, limits.items(), strict=True):
+        closed = np.append(angles, angles[0] + 2 * np.pi), np.append(values, values[0]) * TO_MILLI
+        panel.plot(*closed, color=TUBE_COLOURS[0], lw=1.6)
+        folds = np.array([kind == "fold" for kind in kinds[plane]])
+        panel.plot(angles[folds], values[folds] * TO_MILLI, "o", ms=3, color=TUBE_COLOURS[0])
+        panel.plot(angles[~folds], values[~folds] * TO_MILLI, "o", ms=4, mfc="white", mec=TUBE_COLOURS[0])
+        panel.set_ylim(0, 1.08 * most)
+        panel.set_xticks(np.radians([0, 90, 180, 270]))
+        panel.set_xticklabels([plane[0], plane[1], f"\N{MINUS SIGN}{plane[0]}", f"\N{MINUS SIGN}{plane[1]}"])
+        panel.grid(color=GRID, lw=0.6)
+        panel.set_rlabel_position(-45)
+        panel.yaxis.set_major_locator(MaxNLocator(4))
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    return finish(figure, path)
+
+
+@styled
+def plot_force_estimates(
+    true: Array,
+    estimates: Mapping[str, Sequence[ForceEstimate]],
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str = "",
+) -> Figure:
+    """Picture of forces told from noisy measurements, with the ellipse that holds 95 % of them by the covariance.
+
+    Args:
+        true: (3,) the force that acted, N.
+        estimates: by what was measured.
+        path: where to save the picture; None saves nothing.
+    """
+    figure = new_figure(7.0, 3.3)
+    panels = figure.subplots(1, 2)
+    for panel, (i, j) in zip(panels, ((0, 1), (0, 2)), strict=True):
+        for k, (name, found) in enumerate(estimates.items()):
+            colour = TUBE_COLOURS[2 * k]
+            forces = np.array([estimate.force for estimate in found]) * TO_MILLI
+            panel.plot(forces[:, i], forces[:, j], ".", ms=3, color=colour, label=name)
+            covariance = found[0].covariance[np.ix_([i, j], [i, j])] * TO_MILLI**2
+            _ellipse(panel, true[[i, j]] * TO_MILLI, covariance, colour)
+        panel.plot(*(true[[i, j]] * TO_MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
+        panel.set_xlabel(f"force along {AXES[i]} (mN)")
+        panel.set_ylabel(f"force along {AXES[j]} (mN)")
+        panel.grid(color=GRID, lw=0.5)
+        panel.set_axisbelow(True)
+    panels[0].legend(loc="best")
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    return finish(figure, path)
+
+
+CHI_SQUARED_95 = 5.991
+"""What a chi-squared of two degrees of freedom stays below in 95 of 100 cases."""
+
+
+def _ellipse(axes: Axes, centre: Array, covariance: Array, colour: str) -> None:
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0, 2 * np.pi, 181)
+    circle = np.array([np.cos(angle), np.sin(angle)])
+    around = centre[:, None] + vectors @ (np.sqrt(CHI_SQUARED_95 * values)[:, None] * circle)
+    axes.plot(*around, color=colour, lw=1.2)

@@ -1,0 +1,65 @@
+"""Newton's method and energy descent on a loaded problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
+from ..typing import Array
+from .settings import NEWTON
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedResult:
+    """Last state, whether it converged, iterations done, and the largest ratio of successive steps."""
+
+    state: LoadedState
+    converged: bool
+    iterations: int
+    contraction: float
+
+
+def loaded_newton(
+    problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0, *, iterations: int = 20
+) -> LoadedResult:
+    """Full Newton steps from x (U + 2 N,); stops early where they grow instead of shrinking."""
+    state = evaluate(problem, rotations, x, factor)
+    last, contraction, close = np.inf, 0.0, NEWTON.round_off
+    for iteration in range(1, iterations + 1):
+        _, _, step, singular = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
+        size = turn_of(problem, state, step)
+        if singular or not np.isfinite(size) or (size > 2 * last and size > np.pi) or size > 1e3:
+            return LoadedResult(state, False, iteration, np.inf)
+        state = evaluate(problem, rotations, state.x + step, factor)
+        if size <= NEWTON.last_step and (size <= close or loaded_residual(problem, state) <= close):
+            return LoadedResult(state, True, iteration, contraction)
+        if size > NEWTON.last_step:
+            contraction = max(contraction, size / last)
+        last = size
+    return LoadedResult(state, False, iterations, contraction)
+
+
+def turn_of(problem: LoadedProblem, state: LoadedState, step: Array) -> float:
+    """Largest turn (rad) of a tube at a point by a step, or of the arm if curvature changed alike all along it."""
+    tubes = np.abs(problem.torsion.factor @ step[: problem.torsion.size]).max(initial=0.0)
+    length = problem.torsion.assembly.total_length
+    return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
+
+
+def loaded_residual(problem: LoadedProblem, state: LoadedState) -> float:
+    """Largest violation of the equations, as an error of theta at the points or of the arm's direction, rad."""
+    split = problem.torsion.size
+    tubes = np.abs(problem.torsion.factor @ state.gradient[:split]).max(initial=0.0)
+    bend = np.abs(np.repeat(problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
+    return max(float(tubes), problem.torsion.assembly.total_length * float(bend))
+
+
+def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
+    """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; NaN for loads
+    without an energy."""
+    if not problem.load.has_energy:
+        return float("nan")
+    return min(1.0, float(scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0][0]))

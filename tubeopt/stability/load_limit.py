@@ -1,0 +1,136 @@
+"""How much of a load a robot bears before its equilibrium is lost: folds and bifurcations along a growing load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
+from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
+from ..equilibrium.loaded import solved, to_loaded, unloaded_point
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError, positive, vector
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..solvers.loaded import loaded_newton
+from ..transcription.loaded import tip_position
+from .loaded_events import fall, lose
+
+PAST = 1e-4
+"""Part of the factor by which a bifurcation is left behind: at the limit itself the robot has not yet moved."""
+
+STAGE = 4.0
+"""Every stage of a growing load ends with so many times the load of the one before, on a mesh of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadLimit:
+    """The end of the stable branch that grows from no load.
+
+    Attributes:
+        factor: on the load, at which the branch ends or loses stability.
+        kind: "fold": the equilibrium vanishes, and the robot snaps.  "bifurcation": it goes on, but unstable, and the
+            robot leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses.
+        before: the equilibrium at the limit (margin 0).
+        after: where the robot goes: at a fold at the same load, at a bifurcation at a load larger by PAST, where the
+            side is as likely as the other. None where descent finds no equilibrium.
+        tip_jump: m.   energy_released: of tubes and load together, J; both at the load of `after`, from the equilibrium
+            that the robot leaves, and NaN without an `after`.
+    """
+
+    factor: float
+    kind: str
+    before: Equilibrium
+    after: Equilibrium | None
+    tip_jump: float
+    energy_released: float
+
+
+def find_load_limit(
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None,
+    load: Load,
+    *,
+    equilibrium: Equilibrium | None = None,
+    up_to: float = 10.0,
+) -> LoadLimit | None:
+    """The largest factor on a dead load that the robot bears at given joint values; None if it bears `up_to` times it.
+
+    Folds are roots of a bordered determinant, bifurcations roots of the least eigenvalue on the branch, which goes on.
+
+    Args:
+        rotations, translations: (n,) rad and m; translations None for home.
+        load: forces that keep their direction.
+        equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
+        up_to: largest factor to look at.
+
+    Raises:
+        InputError: joint values as in `forward_kinematics`; a load with a moment or one that turns with the tip, which
+            has no energy, so that stability is not told; an equilibrium that is loaded, unstable, or elsewhere.
+        SolveError: no stable equilibrium without load; or the branch is lost without a fold or bifurcation close by.
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    home = robot.home_translations if translations is None else translations
+    shift = tuple(vector("translations", home, robot.n_tubes).tolist())
+    check_load(robot, load, shift)
+    positive("up_to", up_to)
+    if not load.has_energy:
+        raise InputError(
+            "load has a moment or turns with the tip; it has no energy, so a limit of stability is not told"
+        )
+    first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
+    if first.load is not None or not first.stable:
+        raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
+    if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
+        raise InputError("equilibrium is at other joint values; they must be the same")
+    point, reached = None, 0.0
+    while reached < up_to:
+        goal = min(up_to, STAGE * reached if reached else 1.0)
+        grown = load.scaled(goal)
+        problem = loaded_problem(robot, shift, grown)
+        point = (
+            unloaded_point(problem, first)
+            if point is None
+            else _restart(point, Member(problem, alpha, shift, reached / goal))
+        )
+        family = LoadFamily(problem, alpha, shift)
+        point = reach(family, point, 1.0)
+        if point.t < 1.0:
+            return _limit(robot, family, point, grown, goal)
+        reached = goal
+    return None
+
+
+def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
+    """The equilibrium of another problem close to a point."""
+    result = loaded_newton(there.problem, there.rotations, carry(point, there), there.factor)
+    if not result.converged:
+        raise SolveError("the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost")
+    return solved(there, result)
+
+
+def _limit(robot: Robot, family: LoadFamily, last: LoadedPoint, load: Load, scale: float) -> LoadLimit:
+    loss = lose(family, last, 1.0)
+    if loss is None:
+        raise SolveError(
+            f"the branch is lost at {last.t * scale:.6g} times the load, but no fold or bifurcation is found there",
+            to_loaded(robot, last, load.scaled(last.t), LOADED_DISCRETISATION),
+        )
+    before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)
+    left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + PAST)))
+    landed = fall(left.member, left.state.x, loss.direction)
+    if landed is None:
+        return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
+    after = to_loaded(robot, landed, load.scaled(landed.member.factor), LOADED_DISCRETISATION)
+    return LoadLimit(
+        factor=loss.t * scale,
+        kind=loss.kind,
+        before=before,
+        after=after,
+        tip_jump=float(np.linalg.norm(after.tip_position - tip_position(left.member.problem, left.state))),
+        energy_released=left.state.potential - landed.state.potential,
+    )

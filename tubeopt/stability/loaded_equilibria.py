@@ -1,0 +1,136 @@
+"""All equilibria of a robot under a load: a search whose result is counted.
+
+Rotations and bending are points of a vector space on which the potential energy of dead loads is coercive: elastic
+energy grows with the square of the distance, the work int n.t of a load is at most int |n|. So the gradient has degree
+1, and the sum of (-1)^index over all equilibria is 1, as it is without load.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_continuation import LoadedPoint, Member
+from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
+from ..equilibrium.loaded import solved, to_loaded
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation
+from ..errors import InputError, SolveError
+from ..robots.load import Load
+from ..robots.robot import Robot, is_general
+from ..solvers.loaded import loaded_newton, turn_of
+from ..transcription.loaded import unknowns
+from ..typing import Array
+from .certificate import worst_case
+from .loaded_certificate import loaded_worst_case
+from .loaded_events import NUDGE, slide
+
+SAME = 1e-5
+"""Equilibria that differ by less (rad) everywhere are one."""
+
+CONVEX = 1e-6
+"""Certificate above which there is one equilibrium."""
+
+FIRST_ROUND, LAST_ROUND = 128, 512
+"""Starting points of the search in its first and in its last round; every round has twice those of the one before."""
+
+LARGEST_TWIST = 2 * np.pi
+"""Twist of a tube at the tip (rad) up to which starting points reach."""
+
+
+def loaded_equilibria(
+    robot: Robot, rotations: Array, translations: tuple[float, ...], load: Load, plain: list[Equilibrium]
+) -> list[Equilibrium]:
+    """All equilibria under a dead load, lowest potential energy first; `plain` are those without it.
+
+    Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice
+    as many in every round, and energy falls from every unstable equilibrium that was found, until a round finds nothing
+    new, the degree is 1 and one of them is stable.
+
+    Raises:
+        InputError: a load with a moment or one that turns with the tip.
+        SolveError: the degree of what was found is not 1.
+    """
+    check_load(robot, load, translations)
+    if not load.has_energy:
+        raise InputError("load has a moment or turns with the tip; it has no energy, so equilibria cannot be counted")
+    member = Member(loaded_problem(robot, translations, load), rotations, translations)
+    if load.tip_force_only and _convex(robot, translations, load):
+        return [forward_kinematics(robot, rotations, translations, load=load)]
+    found: list[LoadedPoint] = []
+    explored: set[int] = set()
+    for equilibrium in plain:
+        theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
+        _add(found, member, unknowns(member.problem, rotations, theta))
+    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), FIRST_ROUND
+    while count <= LAST_ROUND:
+        new = sum(_add(found, member, x) for x in _starts(member, sequence.random(count)))
+        new += _descend(found, member, explored)
+        # There is a least energy, so a set without a stable equilibrium is not all.
+        if not new and _degree(found) == 1 and any(point.margin > 0 for point in found):
+            points = sorted(found, key=lambda point: point.state.potential)
+            how = ("search from many starts", 0.0)
+            return [to_loaded(robot, point, load, LOADED_DISCRETISATION, how) for point in points]
+        count *= 2
+    raise SolveError(
+        f"{len(found)} equilibria were found, of degree {_degree(found)} instead of 1 or more of them in every round: "
+        "one is missing, or the joint values and load are at a fold, where two are one"
+    )
+
+
+def _convex(robot: Robot, translations: tuple[float, ...], load: Load) -> bool:
+    if is_general(robot):
+        return False
+    unloaded = worst_case(reduced_problem(robot, translations, DEFAULT_DISCRETISATION))[0]
+    assembly = robot.assembly(np.array(translations))
+    return loaded_worst_case(assembly, unloaded, float(np.linalg.norm(load.force))) > CONVEX
+
+
+def _starts(member: Member, samples: Array) -> list[Array]:
+    """Unknowns of arms whose tubes are twisted and which are bent linearly in arc length."""
+    problem, n = member.problem, len(member.rotations)
+    torsion = problem.torsion
+    length = torsion.assembly.total_length
+    s = torsion.arc_length[:, None] / length
+    stiffness = torsion.stiffness.sum(1)
+    push = np.linalg.norm(problem.force, axis=1)
+    most = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
+    starts = []
+    for sample in 2 * samples - 1:
+        x = unknowns(problem, member.rotations, member.rotations + LARGEST_TWIST * sample[:n] * s)
+        bent = 2 * most * (sample[n : n + 2] * (1 - s) + sample[n + 2 :] * s)
+        x[torsion.size :] = (bent / problem.softness[:, None]).ravel()
+        starts.append(x)
+    return starts
+
+
+def _add(found: list[LoadedPoint], member: Member, x: Array) -> bool:
+    """Solve from x; whether that is an equilibrium which was not known."""
+    result = loaded_newton(member.problem, member.rotations, x, iterations=30)
+    if not result.converged:
+        return False
+    if any(turn_of(member.problem, result.state, result.state.x - known.state.x) < SAME for known in found):
+        return False
+    found.append(solved(member, result))
+    return True
+
+
+def _descend(found: list[LoadedPoint], member: Member, explored: set[int]) -> int:
+    """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds."""
+    new = 0
+    for k, point in enumerate(list(found)):
+        if k in explored or point.margin >= 0:
+            continue
+        explored.add(k)
+        values, vectors = np.linalg.eigh(point.state.hessian)
+        for direction in vectors.T[values < 0]:
+            push = NUDGE / turn_of(member.problem, point.state, direction) * direction
+            for side in (push, -push):
+                landed = slide(member, point.state.x + side)
+                new += landed.converged and _add(found, member, landed.state.x)
+    return new
+
+
+def _degree(found: list[LoadedPoint]) -> int:
+    return int(sum(np.linalg.slogdet(point.state.hessian)[0] for point in found))

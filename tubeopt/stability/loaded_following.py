@@ -1,0 +1,149 @@
+"""Quasi-static motion of a robot under a load that stays: snaps along paths of joint values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..equilibrium.continuation import JointPath
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
+from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.loaded import loaded_point, solved, to_loaded
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..solvers.loaded import loaded_newton
+from ..typing import Array
+from .loaded_events import Loss, fall, lose
+
+SMOOTH_TURN = 0.05
+"""A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
+not a snap."""
+
+PAST = 1e-4
+"""Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedEvent:
+    """A snap on a segment: where the branch is lost, and the point where the robot has landed."""
+
+    loss: Loss
+    landed: LoadedPoint
+
+
+def walk_loaded(family: JointFamily, start: LoadedPoint) -> Iterator[LoadedPoint | LoadedEvent]:
+    """Points of the motion from a stable one at t = 0; an event wherever the robot snaps. The last point is at t = 1.
+
+    Raises:
+        SolveError: descent from where the branch is lost finds no stable equilibrium.
+    """
+    here, longest = start, family.path.largest_step()
+    while here.t < 1.0:
+        for point in follow_family(family, here, 1.0, longest=longest):
+            yield point
+            here = point
+        if here.t >= 1.0:
+            return
+        step = _lost(family, here)
+        yield step
+        here = step.landed if isinstance(step, LoadedEvent) else step
+        if isinstance(step, LoadedEvent):
+            yield here
+
+
+def _lost(family: JointFamily, last: LoadedPoint) -> LoadedPoint | LoadedEvent:
+    """What happens where the stable branch is lost: a snap, or a smooth change to a neighbouring branch."""
+    loss = lose(family, last, 1.0)
+    if loss is None:
+        # Close to where breakpoints meet the exact fold may not be told; the last stable point is next to it.
+        loss = Loss(last.t, last, "fold", np.linalg.eigh(last.state.hessian)[1][:, 0])
+    left, t = loss.point, loss.t
+    if loss.kind == "bifurcation":
+        t = min(1.0, loss.t + PAST)
+        there = family.member(t)
+        result = loaded_newton(there.problem, there.rotations, carry(loss.point, there), there.factor)
+        left = solved(there, result, t) if result.converged else loss.point
+    landed = fall(left.member, left.state.x, loss.direction)
+    if landed is None:
+        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
+    landed = replace(landed, t=left.t)
+    turn = float(np.abs(landed.state.theta - left.state.theta).max(initial=0.0))
+    bend = 2 * float(np.linalg.norm(landed.state.orientation.stage - left.state.orientation.stage, axis=1).max())
+    if loss.kind == "bifurcation" and max(turn, bend) <= SMOOTH_TURN:
+        return landed
+    return LoadedEvent(replace(loss, point=left), landed)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedSnap:
+    """A snap under load: at a fraction of a segment, the equilibrium before and after, and the energy released, J."""
+
+    fraction: float
+    before: Equilibrium
+    after: Equilibrium
+    energy_released: float
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedLeg:
+    """What happens on one segment: snaps, in order, and the equilibrium at its end."""
+
+    snaps: tuple[LoadedSnap, ...]
+    arrived: LoadedPoint
+
+
+def loaded_legs(
+    robot: Robot, joints: Array, load: Load, start: Equilibrium | None, *, first_only: bool = False
+) -> Iterator[tuple[Equilibrium, LoadedLeg | None]]:
+    """Equilibria at the waypoints `joints` (T, 2 n), each with what happened on the way to it (None for the first).
+
+    With `first_only` the motion ends with the first snap.
+    """
+    first = _first(robot, joints[0], load, start)
+    point = loaded_point(first)
+    yield first, None
+    for k in range(len(joints) - 1):
+        family = JointFamily(JointPath(robot, joints[k], joints[k + 1], LOADED_DISCRETISATION), load, load)
+        point = LoadedPoint(0.0, point.member, point.state, point.margin)
+        snaps = []
+        for step in walk_loaded(family, point):
+            if isinstance(step, LoadedPoint):
+                point = step
+                continue
+            snaps.append(_snap(robot, load, step))
+            if first_only:
+                break
+        leg = LoadedLeg(tuple(snaps), point)
+        yield to_loaded(robot, point, load, LOADED_DISCRETISATION, ("the waypoint before", 0.0)), leg
+        if first_only and snaps:
+            return
+
+
+def _snap(robot: Robot, load: Load, event: LoadedEvent) -> LoadedSnap:
+    before = to_loaded(robot, event.loss.point, load, LOADED_DISCRETISATION, ("fold", 0.0))
+    after = to_loaded(robot, event.landed, load, LOADED_DISCRETISATION, ("energy descent", 0.0))
+    return LoadedSnap(event.loss.t, before, after, before.potential - after.potential)
+
+
+def _first(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
+    """The stable equilibrium under load at a waypoint: that of forward kinematics, or on the branch of `start`."""
+    if not load.has_energy:
+        raise InputError("load has a moment or turns with the tip; it has no energy, so snaps are not told")
+    rotations, translations = np.split(joint, 2)
+    first = start
+    if start is None or start.load != load or not _at(start, joint):
+        first = forward_kinematics(robot, rotations, translations, load=load, guess=start)
+    assert first is not None
+    if not first.stable:
+        raise InputError(f"the start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    return first
+
+
+def _at(equilibrium: Equilibrium, joint: Array) -> bool:
+    own = np.concatenate([equilibrium.rotations, equilibrium.translations])
+    return bool(np.allclose(own, joint, rtol=0, atol=1e-12))

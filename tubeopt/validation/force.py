@@ -1,0 +1,232 @@
+"""The force at the tip of a robot from where its arm is measured: a least-squares fit, and what it cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.loaded import loaded_point
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError, positive, vector
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..transcription.loaded import position_slopes, tip_slopes
+from ..typing import Array
+
+MOST_STEPS = 60
+
+LONGEST_MOVE = 0.1
+"""Largest move of a measured point in one step, as a fraction of the arm: beyond, the linear fit tells nothing."""
+
+FIRST_DAMPING = 1e-8
+"""Of the square of the best told direction: others may be seen a thousand times less."""
+
+SETTLED = 1e-4
+"""Step, in standard errors of the force, below which the fit has settled."""
+
+UNSEEN = 1e-8
+"""Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceEstimate:
+    """A force at the tip, world axes, and how far it is told.
+
+    Attributes:
+        force: (3,) N.
+        covariance: (3, 3) N^2, by the noise of the measurement; inf along directions that are not seen at all.
+        directions: (3, 3) unit vectors by row, from the best to the worst told.   errors: (3,) standard error along
+            each, N.
+        equilibrium: of the robot under that force.
+        residual: root mean square distance of the measured points from the fitted ones, m.
+        fit: sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3.
+        iterations: steps of the fit.
+    """
+
+    force: Array
+    covariance: Array
+    directions: Array
+    errors: Array
+    equilibrium: Equilibrium
+    residual: float
+    fit: tuple[float, int]
+    iterations: int
+
+    @property
+    def untold(self) -> str:
+        """What the measurement cannot tell, in a sentence: directions in which the force is not told from none."""
+        parts = []
+        for direction, error in zip(self.directions, self.errors, strict=True):
+            along = abs(float(direction @ self.force))
+            if along < 2 * error:
+                axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
+                parts.append(f"along ({axis}) it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN")
+        return "the force is told in all directions" if not parts else "not told from none: " + "; ".join(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Arc lengths (P,) and positions (P, 3) of measured points, m, and the noise of a coordinate (P,), m."""
+
+    arc_length: Array
+    position: Array
+    noise: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A force with its equilibrium, residuals (3 P,) over noise and their derivative (3 P, 3) by the force."""
+
+    force: Array
+    equilibrium: Equilibrium
+    residual: Array
+    jacobian: Array
+
+
+def estimate_force(
+    robot: Robot,
+    rotations: ArrayLike,
+    translations: ArrayLike | None = None,
+    *,
+    tip_position: ArrayLike | None = None,
+    points: Sequence[tuple[float, ArrayLike]] | None = None,
+    noise: float = 1e-3,
+    known: Load | None = None,
+    guess: Equilibrium | None = None,
+) -> ForceEstimate:
+    """The dead force at the tip that fits measured positions best (Levenberg and Marquardt, with exact derivatives).
+
+    Equilibria are those on the branch that grows from no force.
+
+    Args:
+        rotations, translations: (n,) rad and m; translations default to home.
+        tip_position: (3,) measured, m, plate frame.
+        points: (arc length from the plate, (3,) measured position), m, along the arm.
+        noise: standard deviation of every measured coordinate, m.
+        known: other loads, as the robot's weight; its own tip force is added to.
+        guess: where to start, such as the equilibrium of the estimate before; by default without the force.
+
+    Raises:
+        InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
+            load with a moment or one that turns with the tip.
+        SolveError: no equilibrium without the force, or the fit does not settle.
+    """
+    alpha = vector("rotations", rotations, robot.n_tubes)
+    home = robot.home_translations if translations is None else translations
+    shift = vector("translations", home, robot.n_tubes)
+    base = known if known is not None else Load()
+    if not base.has_energy:
+        raise InputError("known has a moment or turns with the tip; it must be forces that keep their direction")
+    first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
+    start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
+    measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
+    trial = _trial(start, base, np.subtract(first.force, base.force), measured)
+    damping, length = FIRST_DAMPING, float(start.arc_length[-1])
+    for iteration in range(1, MOST_STEPS + 1):
+        step = _step(trial.jacobian, trial.residual, damping)
+        moved = np.abs(trial.jacobian @ step).max() * noise
+        if moved > LONGEST_MOVE * length:
+            damping *= 4
+            continue
+        there = _try(trial, base, trial.force + step, measured)
+        settled = float(np.linalg.norm(trial.jacobian @ step)) <= SETTLED
+        if there is not None and (there.residual @ there.residual <= trial.residual @ trial.residual or settled):
+            trial, damping = there, damping / 10
+        elif settled:
+            break
+        else:
+            damping *= 8
+            continue
+        if settled:
+            return _estimate(trial, measured, iteration)
+    if float(np.linalg.norm(trial.jacobian @ _step(trial.jacobian, trial.residual, 0.0))) <= 1e-3:
+        return _estimate(trial, measured, iteration)
+    raise SolveError(
+        f"the force did not settle in {MOST_STEPS} steps: {_distance(trial, measured) * 1e3:.3g} mm are left",
+        trial.equilibrium,
+    )
+
+
+def _measured(
+    length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float
+) -> _Measured:
+    places, positions = [], []
+    for k, entry in enumerate(points or ()):
+        try:
+            at, position = entry
+        except (TypeError, ValueError):
+            raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
+        if not 0 < at <= length * (1 + 1e-12):
+            raise InputError(f"points[{k}] is at the arc length {at:g} m; it must be above 0 and at most {length:g} m")
+        places.append(float(at))
+        positions.append(vector(f"position of points[{k}]", position, 3, "x, y, z"))
+    if tip is not None:
+        places.append(length)
+        positions.append(vector("tip_position", tip, 3, "x, y, z"))
+    if not places:
+        raise InputError("neither tip_position nor points are given; the force is estimated from where the arm is")
+    return _Measured(np.array(places), np.array(positions), np.full(len(places), noise))
+
+
+def _try(trial: _Trial, base: Load, force: Array, measured: _Measured) -> _Trial | None:
+    try:
+        return _trial(trial.equilibrium, base, force, measured)
+    except SolveError:
+        return None
+
+
+def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> _Trial:
+    load = replace(base, force=tuple(np.add(base.force, force).tolist()))
+    e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
+    point = loaded_point(e)
+    problem, state = point.member.problem, point.state
+    moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
+    residuals, rows = [], []
+    for s, position, noise in zip(measured.arc_length, measured.position, measured.noise, strict=True):
+        here, slopes = position_slopes(problem, state, float(s))
+        residuals.append((position - here) / noise)
+        rows.append(slopes @ moved / noise)
+    return _Trial(force, e, np.concatenate(residuals), np.concatenate(rows))
+
+
+def _step(jacobian: Array, residual: Array, damping: float) -> Array:
+    """Levenberg's step, damped alike in all directions: those that are hardly seen then move last."""
+    u, size, vt = np.linalg.svd(jacobian, full_matrices=False)
+    seen = size > UNSEEN * size[0]
+    factor = np.where(seen, size / np.maximum(size**2 + damping * size[0] ** 2, 1e-300), 0.0)
+    return np.asarray(vt.T @ (factor * (u.T @ residual)))
+
+
+def _distance(trial: _Trial, measured: _Measured) -> float:
+    apart = trial.residual.reshape(-1, 3) * measured.noise[:, None]
+    return float(np.sqrt((apart**2).sum(1).mean()))
+
+
+def _estimate(trial: _Trial, measured: _Measured, iterations: int) -> ForceEstimate:
+    _, size, directions = np.linalg.svd(trial.jacobian, full_matrices=True)
+    with np.errstate(divide="ignore"):
+        errors = np.where(size > UNSEEN * size[0], 1 / size, np.inf)
+    return ForceEstimate(
+        force=trial.force,
+        covariance=_covariance(directions, errors),
+        directions=directions,
+        errors=errors,
+        equilibrium=trial.equilibrium,
+        residual=_distance(trial, measured),
+        fit=(float(trial.residual @ trial.residual), len(trial.residual) - 3),
+        iterations=iterations,
+    )
+
+
+def _covariance(directions: Array, errors: Array) -> Array:
+    """(3, 3), inf in every entry that a direction without bound reaches."""
+    told = np.isfinite(errors)
+    out = (directions[told].T * errors[told] ** 2) @ directions[told]
+    for direction in directions[~told]:
+        reached = np.abs(np.outer(direction, direction)) > UNSEEN
+        out[reached] = np.inf * np.sign(np.outer(direction, direction))[reached]
+    return np.asarray(out)
