@@ -28,7 +28,7 @@ def drawn_again(made: TubeFabrication, rig: Rig) -> tuple[Tube, Rig]:
     curve = groove.centreline
     bed = replace(rig.mold, lead=curve.lead_in.length, gap=(groove.width - groove.tube.outer_diameter) / 2)
     clamps = replace(rig.clamps, clearance=float(np.hypot(*np.subtract(groove.clamps[0].face, curve.lead_in.start))))
-    return replace(groove.tube, curved_length=curve.bend.length), replace(rig, mold=bed, clamps=clamps)
+    return replace(groove.tube, curved_length=curve.bend_length), replace(rig, mold=bed, clamps=clamps)
 
 
 def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
