@@ -1,0 +1,138 @@
+"""A two-tube robot whose body follows its tip along a curve in space, as nearly as helical tubes can.
+
+Both tubes come out together, then the inner one alone, and each may be turned in proportion as it comes. Free are
+curvature and natural twist of either tube and how far each turns per length. The least squares of the distance between
+the robot, at many lengths, and the beginning of the curve decide.
+
+One learns: a helix, and two helices of one torsion after one another, are followed without any error, as theory says;
+it takes an inner tube with the second helix' curvature and an outer one that makes up for it. Of a curve whose
+curvature grows all along, the pair of helical tubes that the fit ends at is 0.7 mm off.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.integrate
+import scipy.optimize
+
+from tubeopt import ConcentricRobot, Equilibrium, Piece, Tube, forward_kinematics
+
+ROOT = Path(__file__).resolve().parents[1]
+
+INNER, OUTER = (1.0e-3, 0.7e-3), (1.6e-3, 1.2e-3)
+TOGETHER, ALONE = 50e-3, 30e-3
+"""Lengths that both tubes, and then the inner one alone, come out, m."""
+
+Curve = Callable[[np.ndarray], np.ndarray]
+
+
+def curve_of(curvature: Callable[[float], float], torsion: float) -> Curve:
+    """The curve of this curvature and torsion (1/m) by its arc length (m): from the origin, along z, towards -y."""
+
+    def rate(s: float, y: np.ndarray) -> np.ndarray:
+        t, normal, binormal = y[3:].reshape(3, 3)
+        k = curvature(s)
+        return np.concatenate([t, k * normal, torsion * binormal - k * t, -torsion * normal])
+
+    start = np.array([0, 0, 0, 0, 0, 1, 0, -1, 0, 1, 0, 0], dtype=float)
+    whole = scipy.integrate.solve_ivp(
+        rate, (0.0, TOGETHER + ALONE), start, "DOP853", dense_output=True, rtol=1e-11, atol=1e-13, max_step=1e-3
+    ).sol
+    return lambda s: np.asarray(whole(s)[:3].T)
+
+
+CURVES = {
+    "helix": curve_of(lambda s: 15.0, 20.0),
+    "two helices": curve_of(lambda s: 18.0 if s < TOGETHER else 9.0, 20.0),
+    "growing curvature": curve_of(lambda s: 6.0 + 200.0 * s, 20.0),
+}
+
+
+def deployed(x: np.ndarray, count: int) -> list[Equilibrium]:
+    """The robot at `count` lengths in either phase.
+
+    Args:
+        x: curvature and twist of the inner and the outer tube, 1/m; how far both turn per length drawn back, and the
+            inner one alone, rad/m; where both are turned to in the end, rad.
+    """
+    inner = Tube.of_pieces(*INNER, [Piece(TOGETHER + ALONE, (x[0], 0.0, x[1]))], straight_length=40e-3)
+    outer = Tube.of_pieces(*OUTER, [Piece(TOGETHER, (x[2], 0.0, x[3]))], straight_length=20e-3)
+    robot = ConcentricRobot((inner, outer))
+    ways = [(back, 0.0) for back in np.linspace(0.0, ALONE, count)]
+    ways += [(ALONE, back) for back in np.linspace(0.0, TOGETHER - 10e-3, count)[1:]]
+    found: list[Equilibrium] = []
+    for alone, both in ways:
+        turns = np.array([x[6] - x[5] * alone - x[4] * both, x[7] - x[4] * both])
+        shift = robot.home_translations - np.array([alone + both, both])
+        found.append(forward_kinematics(robot, turns, shift))
+    return found
+
+
+def offsets(curve: Curve, equilibrium: Equilibrium) -> np.ndarray:
+    """(m, 3) from the curve to the robot's points at the same arc lengths, m."""
+    return np.asarray(equilibrium.position - curve(equilibrium.arc_length))
+
+
+def deviation(curve: Curve, at: list[Equilibrium]) -> float:
+    """Greatest distance (m) of the robot from the curve at any of the lengths."""
+    return max(float(np.linalg.norm(offsets(curve, each), axis=1).max()) for each in at)
+
+
+def fitted(curve: Curve) -> np.ndarray:
+    """(8,) the best tubes and turns."""
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        places = np.linspace(0.0, 1.0, 12)
+        rows = []
+        for each in deployed(x, 4):
+            s, first = np.unique(each.arc_length, return_index=True)
+            off = offsets(curve, each)[first]
+            rows.append(np.column_stack([np.interp(places * s[-1], s, column) for column in off.T]).ravel())
+        return np.concatenate(rows) * 1e3
+
+    start = np.array([10.0, 10.0, 15.0, 10.0, 10.0, 10.0, 0.0, 0.0])
+    scale = np.array([10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 0.3, 0.3])
+    return np.asarray(scipy.optimize.least_squares(residual, start, x_scale=scale, xtol=1e-10, ftol=1e-10).x)
+
+
+def main(out: Path, samples: int = 12) -> list[Path]:
+    """Fit tubes to every curve, look at other lengths than were fitted, and save the picture into `out`."""
+    figure, axes = plt.subplots(1, len(CURVES), figsize=(9.6, 3.6), layout="constrained", sharey=True)
+    for panel, (name, curve) in zip(axes, CURVES.items(), strict=True):
+        x = fitted(curve)
+        at = deployed(x, samples)
+        worst, margin = deviation(curve, at), min(each.margin for each in at)
+        print(
+            f"{name}: inner {x[0]:.3f}, twist {x[1]:.3f}; outer {x[2]:.3f}, twist {x[3]:.3f} per m; off by at most "
+            f"{worst * 1e3:.2g} mm at {len(at)} lengths; least margin {margin:.3f}"
+        )
+        line = curve(np.linspace(0.0, TOGETHER + ALONE, 300)) * 1e3
+        for axis, label, shift in ((0, "x", 0.0), (1, "y", 0.0)):
+            panel.plot(line[:, 2], line[:, axis] + shift, color="0.78", lw=6, solid_capstyle="round")
+            for k, colour in ((-1, "#D55E00"), (samples - 1, "#E69F00"), (0, "#0072B2")):
+                points = at[k].position * 1e3
+                panel.plot(points[:, 2], points[:, axis], color=colour, lw=1.4)
+                panel.plot(points[-1, 2], points[-1, axis], "o", ms=4, color=colour)
+            panel.text(line[-1, 2] + 1.5, line[-1, axis], label, va="center")
+        panel.set_title(f"{name}: off by {worst * 1e3:.1g} mm" if worst > 1e-6 else f"{name}: no error", fontsize=9)
+        panel.set_xlabel("z (mm)")
+        panel.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("x and y (mm)")
+    picture = out / "own_follow_the_leader.png"
+    figure.savefig(picture, dpi=150)
+    plt.close(figure)
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    parser.add_argument("--samples", type=int, default=12, help="lengths in either phase at which it is looked at")
+    args = parser.parse_args()
+    for path in main(args.out, args.samples):
+        print(f"saved {path}")
