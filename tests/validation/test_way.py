@@ -82,6 +82,8 @@ def test_effects_that_are_there_are_found_and_no_others() -> None:
     assert all(step.kept for step in c.steps)
     assert not any(step.kept for step in c.refused)
     rms = [c.start.rms, *(step.held_out.rms for step in c.steps)]
+    for before, step in zip(rms, c.steps, strict=False):
+        assert step.gain == pytest.approx(1 - step.held_out.rms / before, abs=0.02)
     assert rms == sorted(rms, reverse=True)
     assert c.fit is not None
     assert c.fit.robot.calibration is not None

@@ -169,6 +169,8 @@ class _Search:
             self._backward()
             if len(self.dropped) == before:
                 break
+        if self.dropped:
+            self._retell()
 
     def _fitted(self, effects: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
         """A fit in full."""
@@ -295,12 +297,32 @@ class _Search:
             self.dropped.append(kind)
             self.steps = [step for step in self.steps if step.effect != kind]
 
+    def _retell(self) -> None:
+        """Put what was kept in the order in which it pays without what was left out again."""
+        left, told = list(self.steps), list[Step]()
+        before = self.begun
+        while left:
+            trials = [(self._some((*before.effects, step.effect)), step) for step in left]
+            trial, step = min(trials, key=lambda pair: float(pair[0].losses.sum()))
+            gain, certainty = self._gain(before.losses, trial.losses)
+            along, axis = distances(self.model, trial.residuals)
+            summary = ErrorSummary.of(along[:, 0])
+            told.append(replace(step, gain=gain, certainty=certainty, held_out=summary, held_out_axis=_rms(axis)))
+            left.remove(step)
+            before = trial
+        self.steps, self.now = told, before
+
+    def _some(self, kinds: tuple[str, ...]) -> _Trial:
+        """A fit in full of some of the effects of now, from their values now."""
+        now = self.now.fit.state
+        known = dict(zip((p.name for p in self.now.model.parameters), now.x, strict=True))
+        names = [p for kind in kinds for p in self.parameters[kind]]
+        x = np.array([known.get(p.name, p.start) for p in names])
+        return self._fitted(kinds, State(x, now.registration), self.now.sigma)
+
     def _without(self, kind: str) -> _Trial:
         """The fit with one effect less."""
-        now = self.now.fit.state
-        keep = [k for k, p in enumerate(self.now.model.parameters) if p.kind != kind]
-        rest = tuple(k for k in self.now.effects if k != kind)
-        return self._fitted(rest, State(now.x[keep], now.registration), self.now.sigma)
+        return self._some(tuple(k for k in self.now.effects if k != kind))
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""

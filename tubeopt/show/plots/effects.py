@@ -53,7 +53,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     for k, step in enumerate(c.refused, start=len(rows)):
         value = step.held_out.rms * TO_MM
         axes.barh(k, value, height=0.62, color="none", edgecolor=REFUSED, lw=0.9)
-        gain = f"{100 * step.gain:+.1f} %".replace("-", "−")
+        gain = f"{100 * step.gain + 0.0:+.1f} %".replace("-0.0", "±0.0").replace("+0.0", "±0.0").replace("-", "−")
         axes.annotate(gain, (max(value, last), k), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,
                       color=FAINT)  # fmt: skip
     names = [name for name, _ in rows] + [f"({s.effect.replace('_', ' ')})" for s in c.refused]

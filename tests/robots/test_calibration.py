@@ -1,0 +1,84 @@
+"""The calibration of a robot's drives: readings and joint values of the model, in the file and on the command line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.command_line import ROOT, Run, answer
+from tubeopt import InputError, JointLimits, forward_kinematics, load_robot
+from tubeopt.robots.calibration import Calibration
+
+ROBOTS = ROOT / "configs" / "robots"
+
+
+def drives(n: int) -> Calibration:
+    """Drives that do not read true."""
+    return replace(
+        Calibration.none(n),
+        rotation_offsets=tuple(0.1 * (i + 1) for i in range(n)),
+        translation_offsets=(-1e-3,) * n,
+        rotation_gains=(1.01,) * n,
+        latency=0.083,
+        found_by="a test",
+    )
+
+
+@pytest.mark.parametrize("name", ["thesis_ctr", "thesis_etr", "example_three_segment_etr"])
+def test_a_calibration_is_part_of_the_robot_s_file(name: str, tmp_path: Path) -> None:
+    robot = load_robot(ROBOTS / f"{name}.yaml")
+    robot = replace(robot, calibration=drives(robot.n_tubes))
+    robot.save(tmp_path / "robot.yaml")
+    assert load_robot(tmp_path / "robot.yaml") == robot
+
+
+def test_there_and_back_between_readings_and_the_model() -> None:
+    own = drives(3)
+    read = np.array([[0.3, -2.0, 5.0], [0.0, 0.1, 0.2]]), np.array([[0.01, 0.0, -0.02]] * 2)
+    model = own.to_model(*read)
+    np.testing.assert_allclose(model[0][0], 1.01 * read[0][0] + [0.1, 0.2, 0.3])
+    for there, back in zip(read, own.to_readings(*model), strict=True):
+        np.testing.assert_allclose(back, there, atol=1e-15)
+
+
+def test_limits_are_given_of_readings() -> None:
+    robot = load_robot(ROBOTS / "thesis_ctr.yaml")
+    given = JointLimits(((-1.0, 1.0),) * 3, ((-0.05, 0.01),) * 3)
+    limits = replace(robot, joint_limits=given, calibration=drives(3)).limits
+    assert limits.rotations[1] == pytest.approx((-1.01 + 0.2, 1.01 + 0.2))
+    assert limits.translations[0] == pytest.approx((-0.051, 0.009))
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"rotation_gains": (1.0, 0.0, 1.0)}, "rotation_gains of tube 2 is 0; it must be greater than 0"),
+        ({"rotation_play": (0.0, 0.0, -1.0)}, "rotation_play of tube 3 is -1; it must be at least 0"),
+        ({"translation_offsets": (0.0,)}, "translation_offsets are 1 numbers; rotation_offsets are 3, one per tube"),
+    ],
+)
+def test_calibrations_that_make_no_sense(change: dict[str, tuple[float, ...]], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        replace(drives(3), **change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="calibration is for 2 tubes; the robot has 3"):
+        replace(load_robot(ROBOTS / "thesis_ctr.yaml"), calibration=drives(2))
+
+
+def test_fk_and_ik_speak_of_readings(run: Run, tmp_path: Path) -> None:
+    robot = replace(load_robot(ROBOTS / "crl_ctr.yaml"), calibration=drives(3))
+    path = tmp_path / "robot.yaml"
+    robot.save(path)
+    outcome = run("fk", str(path), "--rotations-deg", "10,20,30", "--translations-mm", "-20,-10,-5", "--json")
+    data = answer(outcome, 0)
+    model = drives(3).to_model(np.radians([10.0, 20.0, 30.0]), np.array([-20.0, -10.0, -5.0]) * 1e-3)
+    np.testing.assert_allclose(data["readings_deg"], [10, 20, 30])
+    np.testing.assert_allclose(data["rotations_deg"], np.degrees(model[0]))
+    np.testing.assert_allclose(data["tip_position_mm"], forward_kinematics(robot, *model).tip_position * 1e3)
+    target = ",".join(str(x) for x in data["tip_position_mm"])
+    solution = answer(run("ik", str(path), "--target-mm", target, "--no-reachable", "--json"), 0)["solutions"][0]
+    turned = np.radians(solution["readings_deg"]), np.array(solution["readings_mm"]) * 1e-3
+    tip = forward_kinematics(robot, *drives(3).to_model(*turned)).tip_position
+    np.testing.assert_allclose(tip * 1e3, data["tip_position_mm"], atol=1e-4)

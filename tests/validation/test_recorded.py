@@ -1,0 +1,212 @@
+"""Data as labs record them: columns mapped by YAML, joints apart, orientations, exports of trackers, doubtful units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tubeopt import InputError
+from tubeopt.files.csv_file import to_csv
+from tubeopt.runs.measurement_file import load_measurements, save_measurements
+from tubeopt.validation import Measurements, validate
+
+from .laboratory import MM
+from .way import driven, joints, robot, trivial
+
+
+def mapped(tmp_path: Path, text: str) -> Measurements:
+    path = tmp_path / "map.yaml"
+    path.write_text("kind: measurements\n" + text, encoding="utf-8")
+    return load_measurements(path, robot())
+
+
+def table(path: Path, columns: str, rows: np.ndarray) -> None:
+    path.write_text(to_csv(columns.split(), [["" if np.isnan(x) else repr(x) for x in row] for row in rows.tolist()]))
+
+
+JOINTS = "{tin: 'time, ms', a: '-rotation_1, rad', b: 'rotation_2, deg', p: 'translation_1, mm', q: 'translation_2, m'}"
+
+
+def joint_log(tmp_path: Path, time: np.ndarray, last: float) -> None:
+    read = joints(time, last)
+    units = np.array([-1.0, 180 / np.pi, 1e3, 1.0])
+    table(tmp_path / "joints.csv", "tin a b p q", np.column_stack([time * 1e3, read * units]))
+
+
+def test_joints_and_tips_at_rates_of_their_own(tmp_path: Path) -> None:
+    m = driven(trivial(), count=120, noise=0.0)
+    assert m.time is not None
+    joint_log(tmp_path, np.arange(-20, 660) / 53.0, float(m.time[-1]))
+    tips = np.column_stack([m.time * 1e6, m.tip_position, m.tip_position])
+    tips[3, 1:4], tips[4, 1:] = np.nan, np.nan
+    table(tmp_path / "tips.csv", "stamp x y z u v w", tips)
+    text = "tips: tips.csv\njoints: joints.csv\nbehind_mm: [0, 0]\ncolumns: {stamp: 'time, us', "
+    text += f"x: 'x_1, m', y: 'y_1, m', z: 'z_1, m', u: 'x_2, m', v: 'y_2, m', w: 'z_2, m'}}\njoint_columns: {JOINTS}\n"
+    found = mapped(tmp_path, text)
+    assert found.log is not None
+    assert len(found) == 119
+    assert "1 of 120 rows have no measured position and were left out" in found.remarks
+    assert "1 of 119 rows have no position of sensor 1" in found.remarks
+    kept = np.delete(np.arange(120), 4)[:55]
+    np.testing.assert_allclose(found.rotations[:55], m.rotations[kept], atol=2e-5)
+    assert validate(robot(), found).summary.p95 < 0.01 * MM
+
+
+def test_rows_beyond_the_log_of_the_joints_are_left_out(tmp_path: Path) -> None:
+    m = driven(trivial(), count=100, noise=0.0)
+    assert m.time is not None
+    table(tmp_path / "tips.csv", "t x y z", np.column_stack([m.time, m.tip_position * 1e3]))
+    text = f"tips: tips.csv\njoints: joints.csv\ncolumns: {{t: time, x: x, y: y, z: z}}\njoint_columns: {JOINTS}\n"
+    joint_log(tmp_path, np.arange(25, 76) / 10.0, float(m.time[-1]))
+    found = mapped(tmp_path, text)
+    assert len(found) == 51
+    assert found.remarks[0] == "49 of 100 rows lie before or after all joint readings and were left out"
+    joint_log(tmp_path, np.arange(1000, 1010) / 10.0, float(m.time[-1]))
+    with pytest.raises(InputError, match="have no time in common"):
+        mapped(tmp_path, text)
+
+
+def test_a_pose_in_every_notation_is_the_same(tmp_path: Path) -> None:
+    m = driven(trivial(), count=12, noise=0.0)
+    frames = Rotation.random(12, random_state=3)
+    matrix = frames.as_matrix()
+    base = np.column_stack([np.degrees(m.rotations), m.tip_position * 1e3])
+    notations = {
+        "w x y z": (frames.as_quat(scalar_first=True), "qw qx qy qz", ""),
+        "x y z w": (frames.as_quat(), "qx qy qz qw", ""),
+        "r1 r2 r3": (np.degrees(frames.as_rotvec()), "rx ry rz", ", deg"),
+        "m1 m2 m3 m4 m5 m6 m7 m8 m9": (
+            matrix.reshape(12, 9),
+            " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+            "",
+        ),
+        "z1 z2 z3 x1 x2 x3": (
+            np.hstack([matrix[:, :, 2] * 5, matrix[:, :, 0] + 0.3 * matrix[:, :, 2]]),
+            "zaxis_x zaxis_y zaxis_z xaxis_x xaxis_y xaxis_z",
+            "",
+        ),
+    }
+    for columns, (values, meanings, unit) in notations.items():
+        names = [f"o{name}" for name in columns.split()]
+        rows = np.column_stack([base, values])
+        rows[2, 5:] = np.nan
+        table(tmp_path / "tips.csv", "a b px py pz " + " ".join(names), rows)
+        pairs = ", ".join(f"{n}: '{k}{unit}'" for n, k in zip(names, meanings.split(), strict=True))
+        text = "tips: tips.csv\naxis: -y\ncolumns: {a: rotation_1, b: rotation_2, px: x, py: y, pz: z, " + pairs + "}\n"
+        found = mapped(tmp_path, text)
+        assert found.orientation is not None
+        assert np.isnan(found.orientation[2]).all()
+        np.testing.assert_allclose(np.delete(found.orientation, 2, 0), np.delete(matrix, 2, 0), atol=1e-12)
+        assert found.sensor_axis is not None
+        np.testing.assert_array_equal(found.sensor_axis, [0, -1, 0])
+
+
+def test_an_export_of_ndi(tmp_path: Path) -> None:
+    m = driven(trivial(), count=30, noise=0.0)
+    assert m.time is not None
+    lines = [
+        "Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Port 2,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
+    ]
+    for k, tip in enumerate(m.tip_position * 1e3):
+        pose = f"1,0,0,0,{tip[0]:.6f},{tip[1]:.6f},{tip[2]:.6f},0.1"
+        lines.append(f"2,A,{4 * k},0,{'OK' if k != 7 else 'MISSING'},{pose},B,{4 * k},0,OK,{pose}")
+    (tmp_path / "ndi.csv").write_text("\n".join(lines))
+    joint_log(tmp_path, np.arange(0, 160) / 53.0, float(m.time[-1]))
+    text = f"tips: ndi.csv\njoints: joints.csv\nframe_rate_Hz: 40\njoint_columns: {JOINTS}\n"
+    found = mapped(tmp_path, text)
+    assert found.sensors.shape == (30, 2, 3)
+    np.testing.assert_allclose(found.time, m.time)
+    assert np.argwhere(np.isnan(found.sensors[:, :, 0])).tolist() == [[7, 0]]
+    np.testing.assert_allclose(found.tip_position, m.tip_position, atol=1e-8)
+    assert found.orientation is not None
+
+
+def test_an_export_of_optitrack(tmp_path: Path) -> None:
+    m = driven(trivial(), count=30, noise=0.0)
+    assert m.time is not None
+    bodies = ["tip"] * 8 + ["base:Marker1"] * 3
+    lines = [
+        "Format Version,1.23,Take Name,x,Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global",
+        "",
+        ",," + ",".join(["Rigid Body"] * 8 + ["Rigid Body Marker"] * 3),
+        ",Name," + ",".join(bodies),
+        ",ID," + ",".join(["1"] * 11),
+        ",," + ",".join(["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 3),
+        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z",
+    ]
+    for k, (t, tip) in enumerate(zip(m.time, m.tip_position, strict=True)):
+        pose = ",,,,,,," if k == 4 else f"0,0,0,1,{tip[0]!r},{tip[1]!r},{tip[2]!r},0.001"
+        lines.append(f"{k},{t!r},{pose},0,0,0".replace("np.float64(", "").replace(")", ""))
+    (tmp_path / "take.csv").write_text("\n".join(lines))
+    joint_log(tmp_path, np.arange(0, 160) / 53.0, float(m.time[-1]))
+    found = mapped(tmp_path, f"tips: take.csv\njoints: joints.csv\njoint_columns: {JOINTS}\n")
+    assert len(found) == 29
+    np.testing.assert_allclose(found.tip_position, np.delete(m.tip_position, 4, 0))
+    assert found.orientation is not None
+    np.testing.assert_allclose(found.orientation[0], np.eye(3))
+
+
+# --- what cannot be right ---------------------------------------------------------------------------------------------
+
+
+def test_wrapped_angles_are_unwrapped_and_said(tmp_path: Path) -> None:
+    m = driven(trivial(), count=60)
+    turning = m.rotations + np.linspace(0, 12, 60)[:, None] * [1.0, 0.0]
+    wrapped = np.column_stack([np.mod(turning[:, 0] + np.pi, 2 * np.pi) - np.pi, turning[:, 1]])
+    table(
+        tmp_path / "m.csv",
+        "time_s rotation_1_deg rotation_2_deg x_mm y_mm z_mm",
+        np.column_stack([m.time, np.degrees(wrapped), m.tip_position * 1e3]),
+    )
+    found = load_measurements(tmp_path / "m.csv", robot())
+    apart = found.rotations[:, 0] - turning[:, 0]
+    np.testing.assert_allclose(apart, apart[0], atol=1e-9)
+    assert found.remarks[0].startswith("rotation_1 jumps by a full turn 2 times")
+
+
+@pytest.mark.parametrize(
+    ("joint_unit", "tip_unit", "word"),
+    [
+        (1.0, 1e3, "are they in rad, in a column that says deg"),
+        (180 / np.pi, 1.0, "are positions in m, in columns that say mm"),
+        (180 / np.pi, 1e6, "are positions in mm, in columns that say m"),
+    ],
+)
+def test_units_that_cannot_be_right_are_said(tmp_path: Path, joint_unit: float, tip_unit: float, word: str) -> None:
+    m = driven(trivial(), count=30)
+    rows = np.column_stack([m.rotations * joint_unit, m.tip_position * tip_unit])
+    table(tmp_path / "m.csv", "rotation_1_deg rotation_2_deg x_mm y_mm z_mm", rows)
+    assert any(word in remark for remark in load_measurements(tmp_path / "m.csv", robot()).remarks)
+
+
+def test_a_way_is_saved_with_its_times_and_directions(tmp_path: Path) -> None:
+    m = driven(count=20)
+    frames = Rotation.random(20, random_state=1).as_matrix()
+    frames[3] = np.nan
+    saved = Measurements(m.rotations, m.translations, m.sensors, time=m.time, orientation=frames)
+    save_measurements(saved, tmp_path / "m.csv")
+    again = load_measurements(tmp_path / "m.csv", robot())
+    np.testing.assert_array_equal(again.time, m.time)
+    assert again.orientation is not None
+    np.testing.assert_allclose(again.orientation, frames, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("tips: t.csv\ncolumns: {a: rotation_9}", "columns.a is 'rotation_9'; the robot has 2 tubes"),
+        ("tips: t.csv\ncolumns: {a: 'rotation_1, mm'}", "the unit of rotation_1 is 'mm'; it must be deg, rad, turn"),
+        ("tips: t.csv\ncolumns: {a: turning}", "columns.a is 'turning'; it must be one of time, rotation_I"),
+        ("tips: t.csv\ncolumns: {c: rotation_1}", "has no column c"),
+        ("tips: t.csv\ncolumns: {a: rotation_1}", "no column is said to hold rotation_2"),
+        ("tips: none.csv", "none.csv: there is no such file"),
+    ],
+)
+def test_maps_that_make_no_sense(tmp_path: Path, text: str, problem: str) -> None:
+    table(tmp_path / "t.csv", "a b", np.zeros((2, 2)))
+    with pytest.raises(InputError) as caught:
+        mapped(tmp_path, text + "\n")
+    assert problem in str(caught.value)
