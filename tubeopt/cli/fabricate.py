@@ -13,7 +13,7 @@ from ..runs.fabrication import fabricate as plan_all
 from ..runs.heating_study import Ensemble
 from ..runs.mold_file import load_mold_spec
 from ..runs.rig_file import load_rig
-from ..shaping.heating.robust import Uncertainty
+from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import heating_for
 from ..show.progress import working

@@ -16,7 +16,8 @@ from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import Band, Uncertainty, assess, charge_tables, most_likely
+from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
+from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.mold.materials import mold_material
 from .base import Progress, RobotPath, Study, Whole

@@ -166,7 +166,7 @@ def _schedule(
     guess = None if before is None else before.ideal
     ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
     model = thermal_model(tube, ideal.rig, FINE)
-    levels = slots(ideal, spec)
+    levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
     exact = simulate(model, spec.slot, levels)
     checked = integrate(model, spec.slot, counts / COUNTS)
@@ -214,6 +214,11 @@ def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
     levels = ideal.duty(spec.slot, slots_on(ideal, spec))
     return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+
+
+def commanded(duty: Array, rig: Rig) -> Array:
+    """Duties to be switched for these of effect: what every pulse loses on top."""
+    return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
 
 
 def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
