@@ -23,7 +23,18 @@ TICK = 0.1
 def built(folder: Path) -> Path:
     """The heater of a sketch with host.cpp for a board."""
     out = folder / "host"
-    command = [str(COMPILER), "-std=c++11", "-Wall", "-Wextra", "-Werror", "-O1", "heater.cpp", "host.cpp", "-o", str(out)]
+    command = [
+        str(COMPILER),
+        "-std=c++11",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-O1",
+        "heater.cpp",
+        "host.cpp",
+        "-o",
+        str(out),
+    ]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     return out
 

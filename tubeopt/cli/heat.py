@@ -11,15 +11,17 @@ from ..errors import InputError
 from ..files.units import TO_MM
 from ..robots.file import load_robot
 from ..robots.tubes import Tube
-from ..runs.heating_study import HeatingStudy
+from ..runs.heating_study import HeatingStudy, LedHeatingStudy
 from ..runs.rig_file import load_heating_log, load_heating_trials, load_rig
 from ..shaping.heating.calibration import FACTORS, RigFit, calibrate
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import CHARGES
 from ..shaping.heating.trials import TrialFit, calibrate_from_trials
+from ..runs.heating_run import open_line
 from ..show.progress import working
 from ..show.report import can_be_saved, present
 from ..show.reports import report
+from ..show.rig_page import with_live_page
 from .flags import ask, asks
 from .options import JsonOption, OutOption, PlanByDefault, PlotOption, numbers
 
@@ -74,6 +76,46 @@ def plan(study: HeatingStudy, plot: PlotOption = False, out: OutOption = None, a
     are shown and saved all the same.
     """
     present(report(ask(study, "planning the heating", out)), out=out, as_json=as_json, plot=plot)
+
+
+@app.command(
+    epilog="Example: tubeopt heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno --out results"
+)
+@asks(LedHeatingStudy, arguments={"rig": ("RIG.yaml", "Rig file.")}, defaults={"objective": "margin"})
+def firmware(
+    study: LedHeatingStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False
+) -> None:
+    """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch for a board.
+
+    The schedule is that of `tubeopt heat plan`; the law corrects it by what the sensor reads, with gains from the model.
+    Ends with 3 where not even the rig itself keeps the window.
+    """
+    present(report(ask(study, "planning the heating and its law", out)), out=out, as_json=as_json, plot=plot)
+
+
+@app.command(
+    "run", epilog="Example: tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results"
+)
+def run_command(
+    port: Annotated[
+        str | None,
+        typer.Option(metavar="PORT", help="Serial port of the board that runs the sketch, as /dev/ttyACM0 or COM3."),
+    ] = None,
+    simulate: Annotated[
+        str | None, typer.Option(metavar="RIG.yaml", help="A simulated rig with its law in place of a board.")
+    ] = None,
+    dry: Annotated[bool, typer.Option("--dry", help="Everything but the current.")] = False,
+    speed: Annotated[float, typer.Option(help="Of the simulated clock, times the real one.", min=0.1)] = 20.0,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Heat a tube: start the rig, show what it does, and log it for `tubeopt heat calibrate`.
+
+    Ctrl-C stops the rig and ends with 130. Ends with 3 where the rig stopped for any other reason than being done.
+    """
+    can_be_saved(out)
+    answer = with_live_page(open_line(port, simulate, speed), dry=dry, log=None if out is None else out / "log.csv")
+    present(report(answer), out=out, as_json=as_json)
 
 
 @app.command("calibrate", epilog="Example: tubeopt heat calibrate configs/experiments/heating_log.csv "

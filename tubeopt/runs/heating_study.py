@@ -8,10 +8,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from ..errors import choice
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.fields import asking, values
 from ..files.units import PERCENT, to_si
 from ..robots.tubes import Tube
+from ..shaping.feedback.feedback import Feedback, lead_by
+from ..shaping.feedback.sensors import SENSORS, Sensor
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, Wiring, pwm_frequency
 from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
@@ -89,11 +93,9 @@ def _of_the_robot(tube: int, info: ValidationInfo) -> int:
     return tube
 
 
-@asking(HeatingSpec)
-class HeatingStudy(Study):
-    """The schedule that holds the curved part of a tube within a window of temperature."""
+class HeatedTube(Study):
+    """A tube on a rig, and what its heating is asked for: the keys of a `HeatingSpec` come with `asking`."""
 
-    kind: Literal["heating"]
     rig: RigPath
     robot: RobotPath | None = Field(
         None, description="robot whose tube is heated; by default the rig's own tube", examples=["ROBOT.yaml"]
@@ -103,14 +105,6 @@ class HeatingStudy(Study):
     )
     material: str | None = Field(None, description="mold material in place of the rig's")
     battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
-    charges_percent: list[Positive] = Field(
-        [], description="also tables for these states of charge; none for no tables"
-    )
-    loss_percent: NotNegative = Field(
-        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
-    )
-    robust: bool = Field(False, description="scale the duties to the most likely success")
-    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -139,8 +133,27 @@ class HeatingStudy(Study):
     def _spec(self) -> HeatingSpec:
         return HeatingSpec(**values(HeatingSpec, self))
 
-    def run(self, progress: Progress | None = None) -> Heating:
+    def planned(self) -> HeatingPlan:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
+        return plan_heating(self._tube(), self._rig(), self._spec())
+
+
+@asking(HeatingSpec)
+class HeatingStudy(HeatedTube):
+    """The schedule that holds the curved part of a tube within a window of temperature."""
+
+    kind: Literal["heating"]
+    charges_percent: list[Positive] = Field(
+        [], description="also tables for these states of charge; none for no tables"
+    )
+    loss_percent: NotNegative = Field(
+        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
+    )
+    robust: bool = Field(False, description="scale the duties to the most likely success")
+    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
+
+    def run(self, progress: Progress | None = None) -> Heating:
+        """The plan, its tables and its band."""
         charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
         ensemble = None
         if self.samples and self.loss_percent:
@@ -148,4 +161,60 @@ class HeatingStudy(Study):
             ensemble = Ensemble(uncertainty, self.samples, scaled=self.robust)
         if progress is not None:
             progress(0, 1 + len(charges) + (ensemble is not None))
-        return heating_of(plan_heating(self._tube(), self._rig(), self._spec()), charges, ensemble, progress)
+        return heating_of(self.planned(), charges, ensemble, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class LedHeating:
+    """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
+
+    plan: HeatingPlan
+    feedback: Feedback
+    wiring: Wiring
+    frequency: float
+
+
+@asking(HeatingSpec)
+class LedHeatingStudy(HeatedTube):
+    """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch of a board."""
+
+    kind: Literal["led_heating"]
+    sensor: str = Field("thermocouple", description=f"what is felt of the tube: {', '.join(SENSORS)}")
+    bias_K: NotNegative | None = Field(
+        None, description="half-width of the sensor's error that stays; by default what is usual for its kind"
+    )
+    board: str = Field("uno", description=f"what runs the sketch: {', '.join(BOARDS)}")
+    converter: str = Field("max31855", description=f"what reads the thermometer: {', '.join(CONVERTERS)}")
+    pwm_Hz: Positive | None = Field(
+        None, description="of the pulses, the nearest that the board has; by default its lowest, which loses least"
+    )
+    samples: Annotated[Whole, Field(ge=20)] = Field(200, description="uncertain rigs on which the law is tried")
+
+    @model_validator(mode="after")
+    def _buildable(self) -> Self:
+        self._sensor()
+        pwm_frequency(self._wiring(), self._rig(), self._wanted())
+        return self
+
+    def _sensor(self) -> Sensor:
+        kind = SENSORS[choice("sensor", self.sensor, tuple(SENSORS))]
+        return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
+
+    def _wiring(self) -> Wiring:
+        return Wiring(board=self.board, converter=self.converter)
+
+    def _wanted(self) -> float | None:
+        return None if self.pwm_Hz is None else float(self.pwm_Hz)
+
+    def run(self, progress: Progress | None = None) -> LedHeating:
+        """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
+        tell = progress or (lambda done, total: None)
+        tell(0, 2)
+        rig, wiring = self._rig(), self._wiring()
+        frequency = pwm_frequency(wiring, rig, self._wanted())
+        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+        plan = plan_heating(self._tube(), rig, self._spec())
+        tell(1, 2)
+        feedback = lead_by(plan, self._sensor(), samples=self.samples)
+        tell(2, 2)
+        return LedHeating(plan, feedback, wiring, frequency)

@@ -20,7 +20,7 @@ from ..files.yaml_file import load_yaml
 from ..robots.calibration import to_model
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .design_study import DesignStudy
-from .heating_study import HeatingStudy
+from .heating_study import HeatingStudy, LedHeatingStudy
 from .inverse_study import InverseStudy
 from .load_file import LoadedStudy
 from .measure_study import MeasureStudy
@@ -74,6 +74,7 @@ STUDY_KINDS: dict[str, type[Study]] = {
     "plan": PlanStudy,
     "workspace": WorkspaceStudy,
     "heating": HeatingStudy,
+    "led_heating": LedHeatingStudy,
     "mold_plan": MoldStudy,
 }
 """What the key `kind` of a study file may say."""

@@ -225,4 +225,3 @@ def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: A
     slope = np.linalg.lstsq(columns, middle[good], rcond=None)[0][1:]
     found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
     return tuple(sorted(found, key=lambda item: -item.deviation))
-

@@ -78,7 +78,9 @@ def run_loop(
     dead = np.zeros(model.members, dtype=bool)
     slots = math.ceil(law.longest / law.slot)
     for k in range(slots + 1):
-        reading = sensor.told(lagged + fleet.bias * _part(law, lagged) + sensor.noise * rng.standard_normal(len(lagged)))
+        reading = sensor.told(
+            lagged + fleet.bias * _part(law, lagged) + sensor.noise * rng.standard_normal(len(lagged))
+        )
         dead |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > sensor.highest)
         place = memory.place
         count, memory = decide(law, memory, reading)

@@ -138,6 +138,7 @@ class TubeResistance(Sensor):
 
     def target(self, model: ThermalModel, state: State) -> Array:
         """(B,) temperature that the ratio of resistances stands for."""
+
         def measured(cells: Array) -> Array:
             now = current(model, cells, state.lumped)
             contact = model.properties[:, PROPERTIES.index("contact")]

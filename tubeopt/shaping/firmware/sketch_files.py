@@ -20,7 +20,7 @@ from ..heating.counts import full_current
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
 from ..heating.robust import at_charge
-from .boards import CONVERSION_MS, Wiring, pwm_frequency
+from .boards import CONVERSION_MS, Wiring
 
 NAME = "tube_heater"
 SOURCES = ("heater.h", "heater.cpp", "hardware.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino")
@@ -64,7 +64,7 @@ def _rows(name: str, values: Array) -> str:
     return f"static const uint16_t {name}[{len(numbers)}] PROGMEM = {{\n{body}}};\n"
 
 
-def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]], frequency: float) -> str:
+def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
     """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of every schedule, the fullest battery first.
 
     Raises:
@@ -92,7 +92,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "HOLDBACK": _float(law.holdback),
         "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
-        "LOST": _float(COUNTS * rig.circuit.lost_on_time * frequency),
+        "LOST": _float(law.lost),
         "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
         "LOWEST_READING": _float(sensor.lowest),
         "HIGHEST_READING": _float(sensor.highest),
@@ -186,8 +186,12 @@ def schedules(plan: HeatingPlan, feedback: Feedback, charges: Sequence[float] = 
     return found
 
 
-def write_sketch(plan: HeatingPlan, feedback: Feedback, wiring: Wiring, directory: Path, *, host: bool = False) -> list[Path]:
+def write_sketch(
+    plan: HeatingPlan, feedback: Feedback, wiring: Wiring, directory: Path, *, host: bool = False
+) -> list[Path]:
     """Write the sketch into `directory`/tube_heater; return the paths.
+
+    The pulses have the frequency of the plan's rig: it must be one that the board has.
 
     Args:
         host: also host.cpp, with which it runs on a computer.
@@ -195,11 +199,10 @@ def write_sketch(plan: HeatingPlan, feedback: Feedback, wiring: Wiring, director
     Raises:
         InputError: the slot is no whole number of milliseconds, or pulses lose too much.
     """
-    frequency = pwm_frequency(wiring, plan.rig)
     folder = directory / NAME
     texts = {
-        "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback), frequency),
-        "board.h": board_header(wiring, frequency),
+        "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback)),
+        "board.h": board_header(wiring, plan.rig.circuit.pwm_frequency),
     }
     sketch = resources.files(__package__) / "sketch"
     for name in (*SOURCES, *((HOST,) if host else ())):

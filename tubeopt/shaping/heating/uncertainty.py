@@ -20,6 +20,7 @@ from .thermal import ThermalModel, stack, thermal_data, thermal_model
 PART = Range(least=0.0, most=0.99)
 """Of half-widths that are fractions."""
 
+
 @dataclass(frozen=True)
 class Uncertainty:
     """Half-widths of what is not known of a rig and its tube, uniformly distributed and independent; 0 is known.

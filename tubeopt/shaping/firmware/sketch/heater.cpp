@@ -92,7 +92,11 @@ void tell_error(const char *text) {
 }
 
 void tell_hello() {
-  hardware_write("{\"event\":\"hello\",\"firmware\":\"tubeopt heater\",\"schedule\":\"" SCHEDULE_ID "\"}\n");
+  char line[112];
+  snprintf(line, sizeof line,
+           "{\"event\":\"hello\",\"firmware\":\"tubeopt heater\",\"schedule\":\"%s\",\"slots\":%u,\"slot_ms\":%u}\n",
+           SCHEDULE_ID, SLOTS, SLOT_MS);
+  hardware_write(line);
 }
 
 // --- start and stop -----------------------------------------------------------------------------------------------------
