@@ -65,15 +65,16 @@ def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
     pieces but the first begin, and y (n n K P,) at the points, by columns."""
     n, degree = model.theta.shape[0], model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
+    softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
     out, points = [], []
     for k in reversed(range(model.n_pieces)):
-        piece = model.piece(k)
-        forced = np.array(step(fields, np.zeros((n, degree * n)), margin, *piece)[1])
+        given = [model.lengths[k], *(part[k] for part in softness)]
+        forced = np.array(step(fields, np.zeros((n, degree * n)), *given)[1])
         columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
-        own = -np.linalg.solve(np.array(matrix(margin, *piece)), columns)
+        own = -np.linalg.solve(np.array(matrix(*given)), columns)
         inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
-        y, v = np.split(np.array(step(fields, inner, margin, *piece)[0]), 2)
+        y, v = np.split(np.array(step(fields, inner, *given)[0]), 2)
         ratio = v @ np.linalg.pinv(y)
         fields = np.concatenate([np.eye(n), ratio])
         out.append(ratio.ravel(order="F"))

@@ -41,7 +41,7 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
     ratio = ca.reshape(flat, n, n * (pieces - 1))
     after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
     points = ca.reshape(inside, n, n * degree * pieces)
-    before, defect = model.mapped("fields")(after, points, ca.repmat(floor, 1, pieces), *model.arguments)
+    before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(floor))
     start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
     for column, value in zip((flat, inside), fields_of(block._begin, start), strict=True):
         block.program.set_guess(column, value)
