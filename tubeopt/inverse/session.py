@@ -14,6 +14,7 @@ from ..control.joints import Configuration
 from ..control.least_squares import constrained_least_squares
 from ..control.posture import Posture, same_place
 from ..errors import InputError, SolveError, vector
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -117,6 +118,7 @@ class IkSession:
         """The last answer, None before the first."""
         return self._solution
 
+    @small
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
         """The answer for the next target, near the last one.
 
@@ -145,6 +147,7 @@ class IkSession:
         )
         return self._solution
 
+    @small
     def lead(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
         """The answer for the next target, and before it answers for targets on the straight line from the last one,
         as many as it takes that no straight way of joint values between two of them leaps.
