@@ -22,6 +22,10 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 
 
+EXTRA_POINTS = 2
+"""Collocation points by which the check of the mesh is finer than the solution."""
+
+
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     """Raise InputError where a robot cannot bear a load: tubes beside one another, a force beyond the tip, an arm that
     does not exist, a tube of unknown weight."""
@@ -80,6 +84,14 @@ def loaded_problem(
     counts = loaded_counts(assembly, force, moment, discretisation.refinement)
     torsion = _torsion(robot, translations, tuple(cuts.tolist()), tuple(counts.tolist()), discretisation)
     return load_problem(torsion, load, density)
+
+
+@lru_cache(maxsize=64)
+def loaded_pair(robot: Robot, translations: tuple[float, ...], load: Load) -> tuple[LoadedProblem, LoadedProblem]:
+    """The problem of a robot under a load, and that with more points which tells its error."""
+    d = LOADED_DISCRETISATION
+    finer = Discretisation(d.family, d.degree + EXTRA_POINTS, d.refinement)
+    return loaded_problem(robot, translations, load, d), loaded_problem(robot, translations, load, finer)
 
 
 @lru_cache(maxsize=64)

@@ -20,6 +20,7 @@ a small motion in place of the derivatives of W, and a Jacobian that is not symm
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -67,6 +68,20 @@ class LoadedProblem:
     def mesh(self) -> Mesh:
         """Pieces of the arm."""
         return self.torsion.mesh
+
+    @cached_property
+    def wound(self) -> Array:
+        """(N, n) natural turn of the tubes up to the points, rad."""
+        return self.torsion.assembly.wound(self.torsion.arc_length)
+
+    @property
+    def compliant(self) -> tuple[Array, Array]:
+        """1 / kt at the points (N, n), and int ds / kt from where the tubes are held to the plate (n,)."""
+        assembly, here = self.torsion.assembly, self.torsion.here
+        if here is not None:
+            return here.rate.reshape(-1, assembly.n_tubes), here.transmission
+        even = 1 / assembly.torsional_stiffness
+        return np.tile(even, (len(self.softness), 1)), assembly.transmission * even
 
     @property
     def size(self) -> int:
