@@ -175,17 +175,19 @@ def compiled(
         return None
     problem, finer = loaded_pair(robot, shift, load)
     turn = rotations - start.rotations
+    if not start.margin > 0:
+        return None
     if start.load is None:
         if turn.any() or not np.array_equal(start.translations, shift):
             return None
         given = (sample_rotation(start, problem.torsion.arc_length), None)
-        margin, word = float("nan"), "the load before, from none"
+        word = "the load before, from none"
     else:
-        if not _near(start, problem, turn, shift) or not start.margin > 0:
+        if not _near(start, problem, turn, shift):
             return None
         given = start.point_rotation - problem.wound, start.point_curvature
-        margin, word = start.margin, "guess"
-    found = solve_loaded_compiled(problem, finer, (rotations, turn), given, margin)
+        word = "guess"
+    found = solve_loaded_compiled(problem, finer, (rotations, turn), given, start.margin)
     if found is None or found.errors[2] > MARGIN_TOLERANCE:
         return None
     if max(found.errors[0], found.errors[1] / problem.torsion.assembly.total_length) > tolerance:

@@ -190,20 +190,27 @@ static void anywhere(double *z, int n) {
     for (int k = 0; k < n; k++) z[k] = 1 + (7 * k) % 5;
 }
 
-typedef void (*Operator)(const void *of, double *x); /* x <- A^-1 x */
+/* Lanczos' method for the least eigenvalue of A of n rows: the operator x <- A^-1 x, most steps up to LANCZOS, `small` as
+   below, and (most + 1) rows of length `stride` to work in; afterwards whether it settled. */
+typedef struct {
+    void (*inverse)(const void *of, double *x);
+    const void *of;
+    int n, most, stride, settled;
+    double small, *basis;
+} Lanczos;
 
-/* Least eigenvalue of A: the largest of its inverse by Lanczos with reorthogonalisation from `vector`, where the
-   eigenvector is left; `basis` (LANCZOS + 1) rows of length `stride` is room for it. Without coupling all eigenvalues are 1, and with it they gather there: the square of the
-   residual over the distance from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
-static double least_of(Operator inverse, const void *of, int n, double small, double *vector, double *basis, int stride) {
-    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value;
-    int steps = n < LANCZOS ? n : LANCZOS, m = 0;
+/* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
+   Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
+   from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
+static double least_of(Lanczos *l, double *vector) {
+    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
+    int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
     for (;; m++) {
         double *last = basis + (size_t)m * stride, *next = last + stride, whole;
         memcpy(next, last, n * sizeof(double));
-        inverse(of, next);
+        l->inverse(l->of, next);
         diagonal[m] = dot(next, last, n);
         do { /* Twice is enough: again only where most of the vector went away. */
             whole = dot(next, next, n);
@@ -217,7 +224,8 @@ static double least_of(Operator inverse, const void *of, int n, double small, do
         value = largest_of_tridiagonal(diagonal, beside, m + 1);
         vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
         double residual = beside[m] * y[m];
-        if (m + 1 == steps || beside[m] < 1e-13 || residual * residual < small * value * (value - 1)) break;
+        l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * (value - 1);
+        if (l->settled || m + 1 == steps) break;
         for (int k = 0; k < n; k++) next[k] /= beside[m];
     }
     memset(vector, 0, n * sizeof(double));
@@ -240,7 +248,8 @@ static void by_factor(const void *of, double *x) {
 static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS];
     Factored of = {r, n, stride};
-    return least_of(by_factor, &of, n, small, vector, basis[0], MOST_UNKNOWNS);
+    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, basis[0]};
+    return least_of(&lanczos, vector);
 }
 
 /* det(x - H) of an upper Hessenberg matrix and its first two derivatives, each over the product of what stands below the

@@ -49,11 +49,51 @@ typedef struct {
     Stage stage, check;
     State state, trial, fine;
     Step step, fine_step;
-    double vectors[(LANCZOS + 2) * MOST_UNKNOWNS];
+    Room room;
 } Workspace;
 
 size_t workspace_size(void) { return sizeof(Workspace); }
 size_t answer_size(void) { return sizeof(Answer); }
+
+/* The margin on a finer rule, by the direction that is softest on the other: off by the square of what that is. */
+static double margin_beside(const Stage *stage, const Stage *check, const double *to_fine, Workspace *w) {
+    const Problem *p = stage->problem, *finer = check->problem;
+    int k = stage->degree, m = check->degree, n = unknowns_of(check);
+    const double *from = w->room.vector;
+    double *to = w->room.basis[0], *image = w->room.basis[1];
+    memcpy(to, from, N * sizeof(double));
+    from += N;
+    to += N;
+    for (int e = 0; e < stage->pieces; e++)
+        for (int i = 0; i < N; i++) {
+            int bent = stage->piece[e].count[i] == k;
+            for (int a = 0; a < m && bent; a++) {
+                to[a] = 0;
+                for (int b = 0; b < k; b++)
+                    to[a] += to_fine[a * k + b] * from[b] * sqrt(p->rate[(e * k + b) * N + i] / p->weights[b]);
+                to[a] *= sqrt(finer->weights[a] / finer->rate[(e * m + a) * N + i]);
+            }
+            if (!bent && stage->piece[e].count[i]) *to = *from;
+            from += stage->piece[e].count[i];
+            to += check->piece[e].count[i];
+        }
+    for (int x = 0; x < check->points; x++, to += 2)
+        for (int j = 0; j < 2; j++) {
+            to[j] = 0;
+            for (int b = 0; b < k; b++) {
+                int y = x / m * k + b;
+                to[j] += to_fine[x % m * k + b] * stage->soft[y] * from[2 * y + j] / check->soft[x];
+            }
+        }
+    to = w->room.basis[0];
+    memcpy(image, to, n * sizeof(double));
+    Softness of = {check, &w->fine_step};
+    memset(w->fine_step.by.end, 0, sizeof w->fine_step.by.end);
+    w->fine_step.by.has_orientation = 0;
+    w->fine_step.by.has_twist = 1;
+    soften(&of, image);
+    return fmin(1, dot(to, to, n) / dot(to, image, n));
+}
 
 /* What a Newton step on a finer rule changes: of theta, of the tip and, where loads hardly soften, of the margin. */
 static int compare_finer(const Problem *fine, const double *to_fine, const double *alpha, Workspace *w, Answer *out) {
@@ -75,7 +115,7 @@ static int compare_finer(const Problem *fine, const double *to_fine, const doubl
         }
     }
     evaluate(check, &w->fine, 1);
-    if (!factorise(check, &w->fine, 1)) return DECLINED;
+    if (!factorise(check, &w->fine, 1, 1)) return DECLINED;
     newton_step(check, &w->fine, alpha, 1, &w->fine_step);
     out->theta_error = theta_change(check, &w->fine, &w->fine_step);
     double tip[3], here[3], gap[3];
@@ -85,8 +125,7 @@ static int compare_finer(const Problem *fine, const double *to_fine, const doubl
     for (int i = 0; i < 3; i++) gap[i] += tip[i] - here[i];
     out->tip_error = sqrt(dot(gap, gap, 3));
     out->margin_error = 0;
-    if (out->margin > HARDLY_SOFTENED)
-        out->margin_error = fabs(least_margin(check, EIGENVALUE_ERROR, &w->step, w->vectors) - out->margin);
+    if (out->margin > HARDLY_SOFTENED) out->margin_error = fabs(margin_beside(stage, check, to_fine, w) - out->margin);
     return SOLVED;
 }
 
@@ -117,10 +156,12 @@ int solve_loaded(const Problem *problem, const Problem *fine, const double *to_f
     prepare(stage, problem);
     take_up(stage, theta, turn, curvature, &w->state);
     out->iterations = 0;
-    int failed = isnan(margin) ? grow(stage, alpha, w->vectors, &w->state, &w->trial, &w->step, out)
-                               : settle(stage, alpha, margin, w->vectors, &w->state, &w->trial, &w->step, out);
-    if (failed || !(out->margin > LEAST_STIFFNESS)) return DECLINED;
-    tip_compliance(stage, &w->state, &w->step, w->vectors, out->compliance);
+    int failed = curvature ? settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)
+                           : grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out);
+    if (failed) return DECLINED;
+    tip_compliance(stage, &w->state, &w->step, w->room.basis[0], out->compliance);
     lay_arm(stage, &w->state, alpha, out);
+    out->margin = margin_of(stage, &w->state, curvature ? margin : NAN, &w->step, &w->room);
+    if (!(out->margin > LEAST_STIFFNESS)) return DECLINED;
     return compare_finer(fine, to_fine, alpha, w, out);
 }

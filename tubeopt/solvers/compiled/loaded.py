@@ -25,10 +25,13 @@ from ...transcription.tableau import tableau
 from ...typing import Array
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
-from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, ROUGH_ERROR, c_text, kernel_path, load_library
+from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
 
 MOST_DEGREE, MOST_PIECES, MOST_TUBES = 9, 24, 6
 """What the kernel has room for; others go to the general solver."""
+
+FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
+"""Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin that it expects."""
 
 SOLVED = 0
 
@@ -46,7 +49,9 @@ def loaded_source(n: int) -> str:
         "STEPS": STEPS,
         "LANCZOS": LANCZOS,
         "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
-        "ROUGH_ERROR": ROUGH_ERROR,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
+        "FIRST_LANCZOS": FIRST_LANCZOS,
+        "LEAST_SOFTENING": LEAST_SOFTENING,
         "CHORD_STEP": CHORD_STEP,
         "ROUND_OFF": NEWTON.round_off,
         "LAST_STEP": NEWTON.last_step,
@@ -173,8 +178,8 @@ def solve_loaded_compiled(
     """The stable equilibrium under a dead load; `finer` is the same problem with more points on the same pieces.
 
     `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2) at
-    the points of an equilibrium close by, of the `margin`; a margin of NaN without curvature says that it bears no load,
-    and that the load is to grow from there.
+    the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to grow
+    from there.
 
     None where there is no kernel, or it declines: nothing stable close by, a branch that ends.
     """

@@ -129,7 +129,7 @@ static int newton(Stage *s, State *state, const double *alpha, double factor, in
     evaluate(s, state, factor);
     for (int n = 0; n < most; n++) {
         out->iterations++;
-        if (fresh && !factorise(s, state, factor)) return DECLINED;
+        if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
         newton_step(s, state, alpha, factor, step);
         double size = size_of(s, state, step);
         if (!isfinite(size) || (size > 2 * last && size > 3.2) || size > 1e3) return DECLINED;
@@ -148,6 +148,11 @@ typedef struct {
     const Stage *stage;
     Step *step;
 } Softness;
+
+/* What Lanczos' method works in, and the whitened direction where it ends. */
+typedef struct {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS];
+} Room;
 
 /* x <- H^-1 x in the whitened unknowns: twists where the tubes are held and along them, then bending q. */
 static void soften(const void *of, double *x) {
@@ -179,38 +184,67 @@ static void soften(const void *of, double *x) {
             *at++ = -change_of_q(s, y, j, given->step->theta[y], given->step->bend[y][j]);
 }
 
-/* The margin at a state whose second variation is factorised, at most 1; `small`: relative error of its inverse. */
-static double least_margin(const Stage *s, double small, Step *step, double *room) {
-    Softness of = {s, step};
+/* Number of whitened unknowns. */
+static int unknowns_of(const Stage *s) {
     int n = N + 2 * s->points;
-    double *vector = room + (size_t)(LANCZOS + 1) * MOST_UNKNOWNS;
     for (int e = 0; e < s->pieces; e++) n += s->piece[e].bend;
+    return n;
+}
+
+/* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`. */
+static double least_factorised(const Stage *s, double small, int most, Step *step, Room *room, int *settled) {
+    Softness of = {s, step};
+    Lanczos lanczos = {soften, &of, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, room->basis[0]};
     memset(step->by.end, 0, sizeof step->by.end);
     step->by.has_orientation = 0;
     step->by.has_twist = 1;
-    anywhere(vector, n);
-    return fmin(1, least_of(soften, &of, n, small, vector, room, MOST_UNKNOWNS));
+    double least = least_of(&lanczos, room->vector);
+    *settled = lanczos.settled;
+    return least;
+}
+
+/* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
+static double rough_margin(const Stage *s, Step *step, Room *room) {
+    int settled;
+    anywhere(room->vector, unknowns_of(s));
+    return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
+}
+
+/* The margin of a stable state under the whole load, at most 1, with its vector; `near` is about what to expect, NaN if
+   that is not known. Eigenvalues gather at 1, and the least may be close to them: of the second variation less mu, mu
+   not far below the least, it is far away from all others. Leaves other factors. */
+static double margin_of(Stage *s, const State *state, double near, Step *step, Room *room) {
+    double elastic = isnan(near) ? 1 : fmin(1, fmax(2 * (1 - near), LEAST_SOFTENING)), margin = 1;
+    int settled = 0;
+    anywhere(room->vector, unknowns_of(s));
+    for (int tries = 0; tries < 6 && !settled; tries++) {
+        while (!factorise(s, state, 1, elastic)) {
+            if (elastic == 1) return -1;
+            elastic = fmin(1, 8 * elastic);
+        }
+        margin = 1 - elastic + least_factorised(s, EIGENVALUE_ERROR, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
+        elastic = fmin(1, fmax(4 * (1 - margin), LEAST_SOFTENING));
+    }
+    return fmin(1, margin);
 }
 
 /* Largest change of the twist at a point in one step from an equilibrium of this margin, rad. */
 static double largest_twist(double margin) { return fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST); }
 
-/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium; its margin into the answer. */
-static int at_ease(Stage *s, State *state, const double *alpha, double factor, double small, double *room, Step *step,
-                   Answer *out) {
-    if (newton(s, state, alpha, factor, MOST_CORRECTIONS, step, out) || out->contraction > LARGEST_RATIO) return 0;
-    if (!factorise(s, state, factor)) return 0;
-    out->margin = least_margin(s, small, step, room);
-    return 1;
+/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left. */
+static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
+    return newton(s, state, alpha, factor, MOST_CORRECTIONS, step, out) == SOLVED && out->contraction <= LARGEST_RATIO &&
+           factorise(s, state, factor, 1);
 }
 
-/* From no load to the whole: predicted along the tangent of the branch, corrected, and shortened where that fails. */
-static int grow(Stage *s, const double *alpha, double *room, State *state, State *trial, Step *step, Answer *out) {
-    if (newton(s, state, alpha, 0, MOST_ITERATIONS, step, out) || !factorise(s, state, 0)) return DECLINED;
-    out->margin = least_margin(s, ROUGH_ERROR, step, room);
+/* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
+   shortened where that fails. */
+static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
+                Answer *out) {
     double longest = 1;
+    if (newton(s, state, alpha, 0, MOST_ITERATIONS, step, out) || !factorise(s, state, 0, 1)) return DECLINED;
     for (double t = 0; t < 1;) {
-        double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest, near = out->margin, moved = 0;
+        double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest, moved = 0;
         Functional *by = &step->by;
         memset(by, 0, sizeof *by);
         for (int x = 0; x < s->points; x++)
@@ -220,7 +254,7 @@ static int grow(Stage *s, const double *alpha, double *room, State *state, State
         memcpy(trial->theta, state->theta, s->points * sizeof trial->theta[0]);
         memcpy(trial->q, state->q, s->points * sizeof trial->q[0]);
         take(s, trial, step, goal - t, 0);
-        int done = at_ease(s, trial, alpha, goal, goal < 1 ? ROUGH_ERROR : EIGENVALUE_ERROR, room, step, out);
+        int done = at_ease(s, trial, alpha, goal, step, out);
         for (int x = 0; x < s->points && done; x++) {
             double square = 0;
             for (int r = 0; r < 4; r++) square += pow(trial->stage[x][r] - state->stage[x][r], 2);
@@ -230,24 +264,22 @@ static int grow(Stage *s, const double *alpha, double *room, State *state, State
             *state = *trial;
             t = goal;
             longest = fmin(2 * longest, 1);
+            if (t < 1) near = rough_margin(s, step, room);
             continue;
         }
-        /* The factors are those of another state now. */
-        out->margin = near;
         longest /= 3;
         if (longest < SHORTEST_LOAD_STEP) return DECLINED;
-        evaluate(s, state, t);
-        if (!factorise(s, state, t)) return DECLINED;
+        evaluate(s, state, t); /* the factors are those of another state now */
+        if (!factorise(s, state, t, 1)) return DECLINED;
     }
     return SOLVED;
 }
 
 /* The equilibrium close to that from which `state` comes, of this margin. */
-static int settle(Stage *s, const double *alpha, double margin, double *room, State *state, State *start, Step *step,
-                  Answer *out) {
+static int settle(Stage *s, const double *alpha, double margin, State *state, State *start, Step *step, Answer *out) {
     memcpy(start->theta, state->theta, s->points * sizeof start->theta[0]);
     memcpy(start->q, state->q, s->points * sizeof start->q[0]);
-    if (!at_ease(s, state, alpha, 1, EIGENVALUE_ERROR, room, step, out)) return DECLINED;
+    if (!at_ease(s, state, alpha, 1, step, out)) return DECLINED;
     double moved = largest_turn(s, state, start->theta);
     for (int x = 0; x < s->points; x++)
         for (int j = 0; j < 2; j++) {

@@ -44,7 +44,7 @@ static void spread_bending(const Stage *s, const State *state, int e, Piece *pie
 }
 
 /* The part of the matrix in twists and rotations, and how bending leans on them. */
-static void put_torsion(Stage *s, const State *state, double factor, int e, Piece *piece) {
+static void put_torsion(Stage *s, const State *state, double factor, double elastic, int e, Piece *piece) {
     int k = s->degree, states = piece->rows;
     double *h = piece->matrix, (*stiff)[N][N] = s->stiff + e * k, (*gain)[N][2] = s->gain + e * k;
     for (int a = 0; a < k; a++) {
@@ -53,7 +53,7 @@ static void put_torsion(Stage *s, const State *state, double factor, int e, Piec
             for (int j = 0; j < 2; j++) gain[a][i][j] = state->turned[x][i][j] / s->soft[x];
         for (int i = 0; i < N; i++)
             for (int j = 0; j < N; j++)
-                stiff[a][i][j] = s->weight[x] * state->slope[x][j * N + i] + dot(gain[a][i], gain[a][j], 2) -
+                stiff[a][i][j] = s->weight[x] * state->slope[x][j * N + i] + elastic * dot(gain[a][i], gain[a][j], 2) -
                                  (i == j) * factor * dot(state->felt[x], state->second[x][i], 2);
     }
     for (int i = 0; i < N; i++) {
@@ -77,8 +77,8 @@ static void put_torsion(Stage *s, const State *state, double factor, int e, Piec
         for (int a = 0; a < k; a++)
             for (int v = 0; v < 2; v++) {
                 int column = piece->bend + 2 * a + v;
-                for (int b = 0; b < k; b++) h[(row + b) * WIDTH + column] -= piece->turn[i][a][b] * gain[a][i][v];
-                h[column * WIDTH + states + i] -= gain[a][i][v];
+                for (int b = 0; b < k; b++) h[(row + b) * WIDTH + column] -= elastic * piece->turn[i][a][b] * gain[a][i][v];
+                h[column * WIDTH + states + i] -= elastic * gain[a][i][v];
             }
     }
 }
@@ -143,8 +143,9 @@ static void put_map(const Stage *s, int e, Piece *piece) {
     }
 }
 
-/* Factors of the second variation at `state`; 0 where it is not positive definite. */
-static int factorise(Stage *s, const State *state, double factor) {
+/* Factors of the second variation at `state`, its torsional and bending part taken `elastic` times: 1, or 1 - mu to ask
+   whether the margin is above mu. 0 where it is not positive definite. */
+static int factorise(Stage *s, const State *state, double factor, double elastic) {
     double ahead[STATE][STATE] = {{0}};
     for (int e = s->pieces - 1; e >= 0; e--) {
         Piece *piece = &s->piece[e];
@@ -152,10 +153,10 @@ static int factorise(Stage *s, const State *state, double factor) {
         int whole = piece->whole;
         for (int r = 0; r < whole; r++) {
             memset(h + r * WIDTH, 0, whole * sizeof(double));
-            h[r * WIDTH + r] = r < piece->rows;
+            h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
         spread_bending(s, state, e, piece);
-        put_torsion(s, state, factor, e, piece);
+        put_torsion(s, state, factor, elastic, e, piece);
         put_work(s, state, factor, e, piece);
         put_map(s, e, piece);
         for (int m = 0; m < STATE && e + 1 < s->pieces; m++) {
@@ -175,7 +176,7 @@ static int factorise(Stage *s, const State *state, double factor) {
     }
     for (int i = 0; i < N; i++)
         for (int j = 0; j <= i; j++) {
-            double sum = (i == j) + s->root_spring[i] * ahead[i][j] * s->root_spring[j] - dot(s->root[i], s->root[j], j);
+            double sum = (i == j) * elastic + s->root_spring[i] * ahead[i][j] * s->root_spring[j] - dot(s->root[i], s->root[j], j);
             if (i == j && !(sum > 1e-13)) return 0;
             s->root[i][j] = i == j ? sqrt(sum) : sum / s->root[j][j];
         }
