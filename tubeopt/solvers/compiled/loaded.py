@@ -27,7 +27,7 @@ from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
 
-MOST_DEGREE, MOST_PIECES, MOST_TUBES = 9, 24, 6
+DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 9, 24, 6
 """What the kernel has room for; others go to the general solver."""
 
 FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
@@ -44,7 +44,9 @@ def loaded_source(n: int) -> str:
     generator.add(rotation_matrix_function())
     defines = {
         "N": n,
-        "MOST_DEGREE": MOST_DEGREE,
+        "DEGREE": DEGREE,
+        "CHECK_DEGREE": CHECK_DEGREE,
+        "MOST_DEGREE": CHECK_DEGREE,
         "MOST_PIECES": MOST_PIECES,
         "STEPS": STEPS,
         "LANCZOS": LANCZOS,
@@ -95,7 +97,7 @@ class _Kernel:
 
 
 def _answer(n: int) -> np.dtype[np.void]:
-    points, shape = MOST_PIECES * MOST_DEGREE, MOST_PIECES * STEPS + 1
+    points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work", "contraction")
     fields: list[Any] = [(name, "f8") for name in names] + [("iterations", "i8")]
     fields += [("theta", "f8", (points, n)), ("curvature", "f8", (points, 2))]
@@ -185,8 +187,8 @@ def solve_loaded_compiled(
     """
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
     degrees = mesh.tableau.degree, finer.mesh.tableau.degree
-    too_large = n > MOST_TUBES or len(mesh.length) > MOST_PIECES or max(degrees) > MOST_DEGREE
-    if too_large or not problem.load.has_energy or mesh.tableau.family != "gauss":
+    fits = n <= MOST_TUBES and len(mesh.length) <= MOST_PIECES and degrees == (DEGREE, CHECK_DEGREE)
+    if not fits or not problem.load.has_energy or mesh.tableau.family != "gauss":
         return None
     kernel = _kernel(n)
     if kernel is None:

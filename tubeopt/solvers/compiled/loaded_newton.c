@@ -212,13 +212,13 @@ static double rough_margin(const Stage *s, Step *step, Room *room) {
 
 /* The margin of a stable state under the whole load, at most 1, with its vector; `near` is about what to expect, NaN if
    that is not known. Eigenvalues gather at 1, and the least may be close to them: of the second variation less mu, mu
-   not far below the least, it is far away from all others. Leaves other factors. */
+   not far below the least, it is far away from all others. Takes factors of the second variation, and leaves others. */
 static double margin_of(Stage *s, const State *state, double near, Step *step, Room *room) {
     double elastic = isnan(near) ? 1 : fmin(1, fmax(2 * (1 - near), LEAST_SOFTENING)), margin = 1;
     int settled = 0;
     anywhere(room->vector, unknowns_of(s));
     for (int tries = 0; tries < 6 && !settled; tries++) {
-        while (!factorise(s, state, 1, elastic)) {
+        while ((tries || elastic < 1) && !factorise(s, state, 1, elastic)) {
             if (elastic == 1) return -1;
             elastic = fmin(1, 8 * elastic);
         }
@@ -242,7 +242,8 @@ static int at_ease(Stage *s, State *state, const double *alpha, double factor, S
 static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
                 Answer *out) {
     double longest = 1;
-    if (newton(s, state, alpha, 0, MOST_ITERATIONS, step, out) || !factorise(s, state, 0, 1)) return DECLINED;
+    /* The factors of its last step are close enough to predict by. */
+    if (newton(s, state, alpha, 0, MOST_ITERATIONS, step, out)) return DECLINED;
     for (double t = 0; t < 1;) {
         double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest, moved = 0;
         Functional *by = &step->by;

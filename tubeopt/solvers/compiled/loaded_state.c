@@ -34,6 +34,10 @@ typedef struct {
     double bending, work;                                                  /* sum B V; W of the whole load */
 } State;
 
+/* Loops of a known length are unrolled: one version of a function for each of the two rules. */
+#define OF_DEGREE static inline __attribute__((always_inline))
+#define BY_DEGREE(of, ...) (s->degree == DEGREE ? of(__VA_ARGS__, DEGREE) : of(__VA_ARGS__, CHECK_DEGREE))
+
 static void product(const double *a, const double *b, double *out) {
     const double *in[2] = {a, b};
     double *res[1] = {out};
@@ -91,8 +95,7 @@ static void prepare(Stage *s, const Problem *p) {
 }
 
 /* X of a piece by elimination without pivots: its matrix is close to 1, since pieces bend little. */
-static void invert(const Stage *s, const State *state, int e, Piece *piece) {
-    int k = s->degree;
+OF_DEGREE void invert(const Stage *s, const State *state, int e, Piece *piece, int k) {
     double half = s->problem->length[e] / 2;
     double(*m)[MOST_DEGREE][4] = piece->inverse;
     for (int b = 0; b < k; b++)
@@ -129,7 +132,7 @@ static void orient(Stage *s, State *state) {
     for (int e = 0; e < s->pieces; e++) {
         Piece *piece = &s->piece[e];
         double half = s->problem->length[e] / 2;
-        invert(s, state, e, piece);
+        BY_DEGREE(invert, s, state, e, piece);
         memset(piece->carried, 0, sizeof piece->carried);
         piece->carried[0] = 1;
         for (int c = 0; c < k; c++) {

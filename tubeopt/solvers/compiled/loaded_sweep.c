@@ -22,8 +22,7 @@ typedef struct {
 } Step;
 
 /* dQ_c / du_b and the same of Q at the end. */
-static void spread_bending(const Stage *s, const State *state, int e, Piece *piece) {
-    int k = s->degree;
+OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *piece, int k) {
     double half = s->problem->length[e] / 2;
     memset(piece->leaving, 0, sizeof piece->leaving);
     for (int b = 0; b < k; b++)
@@ -44,8 +43,8 @@ static void spread_bending(const Stage *s, const State *state, int e, Piece *pie
 }
 
 /* The part of the matrix in twists and rotations, and how bending leans on them. */
-static void put_torsion(Stage *s, const State *state, double factor, double elastic, int e, Piece *piece) {
-    int k = s->degree, states = piece->rows;
+OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double elastic, int e, Piece *piece, int k) {
+    int states = piece->rows;
     double *h = piece->matrix, (*stiff)[N][N] = s->stiff + e * k, (*gain)[N][2] = s->gain + e * k;
     for (int a = 0; a < k; a++) {
         int x = e * k + a;
@@ -84,9 +83,9 @@ static void put_torsion(Stage *s, const State *state, double factor, double elas
 }
 
 /* The part of the matrix in bending and in Q where the piece begins: minus the second derivative of the work. */
-static void put_work(const Stage *s, const State *state, double factor, int e, Piece *piece) {
+OF_DEGREE void put_work(const Stage *s, const State *state, double factor, int e, Piece *piece, int k) {
     enum { MOST = 2 * MOST_DEGREE + 4 };
-    int k = s->degree, size = 2 * k + 4, where[MOST];
+    int size = 2 * k + 4, where[MOST];
     double sum[MOST][MOST] = {{0}};
     for (int c = 0; c < k; c++) {
         int x = e * k + c;
@@ -155,9 +154,9 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
             memset(h + r * WIDTH, 0, whole * sizeof(double));
             h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
-        spread_bending(s, state, e, piece);
-        put_torsion(s, state, factor, elastic, e, piece);
-        put_work(s, state, factor, e, piece);
+        BY_DEGREE(spread_bending, s, state, e, piece);
+        BY_DEGREE(put_torsion, s, state, factor, elastic, e, piece);
+        BY_DEGREE(put_work, s, state, factor, e, piece);
         put_map(s, e, piece);
         for (int m = 0; m < STATE && e + 1 < s->pieces; m++) {
             double pulled[WIDTH] = {0};
