@@ -11,12 +11,12 @@ from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import solve_loaded_compiled
-from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
 from ..typing import Array
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, reach
+from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
 from .load_problem import LOADED_DISCRETISATION, check_load, loaded_pair, loaded_problem
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_rotation
@@ -169,7 +169,7 @@ def compiled(
     began: float,
 ) -> Equilibrium | None:
     """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
-    change of it, which bears one; None where the kernel declines, or its mesh is too coarse."""
+    change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
     rotations, shift = joints
     if not load.has_energy:
         return None
@@ -183,22 +183,45 @@ def compiled(
         given = (sample_rotation(start, problem.torsion.arc_length), None)
         word = "the load before, from none"
     else:
-        if not _near(start, problem, turn, shift):
+        if not _small(start, turn, shift):
             return None
-        given = start.point_rotation - problem.wound, start.point_curvature
-        word = "guess"
+        given, word = _at_points(start, problem), "guess"
     found = solve_loaded_compiled(problem, finer, (rotations, turn), given, start.margin)
-    if found is None or found.errors[2] > MARGIN_TOLERANCE:
+    refinement = 0
+    while found is not None and _too_coarse(found, problem, tolerance):
+        refinement += 1
+        if refinement > FINEST:
+            return None
+        coarse, (problem, finer) = problem, loaded_pair(robot, shift, load, refinement)
+        table = interpolate(coarse, np.concatenate([found.theta, found.curvature], axis=1), problem)
+        given = table[:, : len(turn)], table[:, len(turn) :]
+        found = solve_loaded_compiled(problem, finer, (rotations, 0 * turn), given, found.margin)
+    if found is None:
         return None
-    if max(found.errors[0], found.errors[1] / problem.torsion.assembly.total_length) > tolerance:
-        return None
-    return from_answer(robot, Member(problem, rotations, shift), load, found, (word, began, 0, 0))
+    return from_answer(robot, Member(problem, rotations, shift), load, found, (word, began, refinement, 0))
 
 
-def _near(start: Equilibrium, problem: LoadedProblem, turn: Array, shift: tuple[float, ...]) -> bool:
-    """Whether a loaded equilibrium has the same points as a problem, and joints that are little apart."""
-    far = np.abs(np.array(shift) - start.translations).max() > LARGEST_SHIFT * problem.torsion.assembly.total_length
-    return len(start.point) == len(problem.softness) and not far and bool(np.abs(turn).max() <= LARGEST_TURN)
+def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float) -> bool:
+    theta, tip, margin = found.errors
+    return margin > MARGIN_TOLERANCE or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
+
+
+def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
+    """Whether joints are little apart."""
+    moved = np.abs(np.array(shift) - start.translations).max()
+    return bool(np.abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT * start.arc_length[-1])
+
+
+def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
+    """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
+    problem."""
+    theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
+    if len(start.point) == len(problem.softness):
+        return theta, start.point_curvature
+    assert start.load is not None
+    own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
+    table = interpolate(own, np.concatenate([theta, start.point_curvature], axis=1), problem)
+    return table[:, :n], table[:, n:]
 
 
 def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
@@ -220,7 +243,8 @@ def _close(
     """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
     assert guess.load is not None
     turn = rotations - guess.rotations
-    if not _near(guess, problem, turn, shift) or np.isnan(guess.margin) == problem.load.has_energy:
+    same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
+    if not same or not _small(guess, turn, shift):
         return None
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ...physics.shape import quaternion_product_function, rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
-from ...transcription.loaded import LoadedProblem
+from ...transcription.loaded import LoadedProblem, compliances
 from ...transcription.loaded_arm import LoadedArm, shape_sections
 from ...transcription.piece import ENDS, STEPS
+from ...transcription.reduced import ReducedProblem
 from ...transcription.tableau import tableau
 from ...typing import Array
 from ..loaded import LoadedAnswer
@@ -121,27 +122,36 @@ def _kernel(n: int) -> _Kernel | None:
     return _Kernel(loaded.solve_loaded, answer, loaded.workspace_size())
 
 
-@lru_cache(maxsize=128)
-def _structure(problem: LoadedProblem) -> Any:
-    """The C struct Problem, which keeps the arrays that it points to."""
-    torsion, mesh = problem.torsion, problem.mesh
-    t, pieces, n = mesh.tableau, len(mesh.length), torsion.assembly.n_tubes
+@lru_cache(maxsize=64)
+def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
+    """The C struct Problem without forces, which keeps the arrays that it points to."""
+    mesh, assembly = torsion.mesh, torsion.assembly
+    t, pieces, n = mesh.tableau, len(mesh.length), assembly.n_tubes
     ends = shape_sections(torsion)
     bent = np.zeros((len(torsion.weight), n))
     bent.ravel()[torsion.flat] = 1.0
     bent = bent.reshape(pieces, t.degree, n)[:, 0]
     # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
     felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
-    felt[:, problem.tip_tube] = True
-    rate, held = problem.compliant
-    arrays = (t.weights, t.matrix, mesh.start, mesh.length, torsion.stiffness, torsion.moment)
-    arrays += (np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase, rate, bent, felt, held)
-    arrays += (problem.force, problem.base_force, *(t.lagrange(ENDS, integrals=k) for k in range(3)))
-    arrays += (ends.stiffness, ends.moment, ends.phase, 1 / ends.torsional_stiffness)
-    arrays += (ends.twist, ends.wound)
-    kept = [np.ascontiguousarray(array, dtype=float) for array in arrays]
-    out: Any = _Problem(pieces, t.degree, problem.tip_tube, torsion.assembly.total_length, *(_at(a) for a in kept))
+    felt[:, tip_tube] = True
+    arrays = dict(weights=t.weights, matrix=t.matrix, start=mesh.start, length=mesh.length, bent=bent, felt=felt)
+    arrays |= dict(stiffness=torsion.stiffness, moment=torsion.moment)
+    arrays["phase"] = np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase
+    arrays["rate"], arrays["held"] = compliances(torsion)
+    names = ("basis", "once", "twice")
+    arrays |= {name: t.lagrange(ENDS, integrals=k) for k, name in enumerate(names)}
+    arrays |= dict(ends_stiffness=ends.stiffness, ends_moment=ends.moment, ends_phase=ends.phase)
+    arrays |= dict(ends_rate=1 / ends.torsional_stiffness, ends_twist=ends.twist, ends_wound=ends.wound)
+    kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
+    out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: _at(array) for name, array in kept.items()})
     out.keep = kept
+    return out
+
+
+def _structure(problem: LoadedProblem) -> Any:
+    """The C struct Problem; the template and the forces must live as long."""
+    out = _Problem.from_buffer_copy(_template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length))
+    out.force, out.base_force = _at(problem.force), _at(problem.base_force)
     return out
 
 
