@@ -32,7 +32,7 @@ typedef struct {
 } Problem;
 
 typedef struct {
-    double margin, residual, theta_error, tip_error, margin_error, energy, work, contraction;
+    double margin, residual, theta_error, tip_error, margin_error, energy, work;
     long long iterations;
     double theta[MOST_POINTS][N], curvature[MOST_POINTS][2];
     double compliance[36], base_wrench[6];

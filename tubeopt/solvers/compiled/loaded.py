@@ -34,6 +34,9 @@ DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 9, 24, 6
 FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
 """Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin that it expects."""
 
+PREDICTED_PART = 0.9
+"""Of the largest change in one step of a load, the part that is gone for by the first derivative."""
+
 SOLVED = 0
 
 
@@ -55,11 +58,11 @@ def loaded_source(n: int) -> str:
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "FIRST_LANCZOS": FIRST_LANCZOS,
         "LEAST_SOFTENING": LEAST_SOFTENING,
+        "PREDICTED_PART": PREDICTED_PART,
         "CHORD_STEP": CHORD_STEP,
         "ROUND_OFF": NEWTON.round_off,
         "LAST_STEP": NEWTON.last_step,
         "MOST_ITERATIONS": NEWTON.iterations,
-        "MOST_CORRECTIONS": CONTINUATION.corrections,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
         "LARGEST_TWIST": CONTINUATION.largest_twist,
         "SOFT_TWIST": CONTINUATION.soft_twist,
@@ -99,7 +102,7 @@ class _Kernel:
 
 def _answer(n: int) -> np.dtype[np.void]:
     points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
-    names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work", "contraction")
+    names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
     fields: list[Any] = [(name, "f8") for name in names] + [("iterations", "i8")]
     fields += [("theta", "f8", (points, n)), ("curvature", "f8", (points, 2))]
     fields += [("compliance", "f8", (6, 6)), ("base_wrench", "f8", 6), ("arc_length", "f8", shape)]

@@ -120,22 +120,21 @@ static double residual_of(const Stage *s, const State *state, const double *alph
     return out;
 }
 
-/* Newton steps from `state`; the factors of a step that is small serve for the next. */
-static int newton(Stage *s, State *state, const double *alpha, double factor, int most, Step *step, Answer *out) {
+/* Newton steps from `state`; the factors of a step that is small serve for the next. Not at ease, and so declined, where
+   successive steps do not shrink to `ratio` of one another. */
+static int newton(Stage *s, State *state, const double *alpha, double factor, double ratio, Step *step, Answer *out) {
     static _Thread_local Torsion torsion;
     double last = INFINITY;
     int fresh = 1;
-    out->contraction = 0;
     evaluate(s, state, factor);
-    for (int n = 0; n < most; n++) {
+    for (int n = 0; n < MOST_ITERATIONS; n++) {
         out->iterations++;
         if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
         newton_step(s, state, alpha, factor, step);
         double size = size_of(s, state, step);
-        if (!isfinite(size) || (size > 2 * last && size > 3.2) || size > 1e3) return DECLINED;
+        if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > ratio * last)) return DECLINED;
         take(s, state, step, 1, 1);
         evaluate(s, state, factor);
-        if (size > LAST_STEP) out->contraction = fmax(out->contraction, size / last);
         if (size <= LAST_STEP && (size <= ROUND_OFF || residual_of(s, state, alpha, factor, &torsion) <= ROUND_OFF))
             return SOLVED;
         fresh = size > CHORD_STEP;
@@ -233,8 +232,7 @@ static double largest_twist(double margin) { return fmin(fmax(2 * fabs(margin) *
 
 /* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left. */
 static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
-    return newton(s, state, alpha, factor, MOST_CORRECTIONS, step, out) == SOLVED && out->contraction <= LARGEST_RATIO &&
-           factorise(s, state, factor, 1);
+    return newton(s, state, alpha, factor, LARGEST_RATIO, step, out) == SOLVED && factorise(s, state, factor, 1);
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
@@ -243,15 +241,21 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *s
                 Answer *out) {
     double longest = 1;
     /* The factors of its last step are close enough to predict by. */
-    if (newton(s, state, alpha, 0, MOST_ITERATIONS, step, out)) return DECLINED;
+    if (newton(s, state, alpha, 0, 1, step, out)) return DECLINED;
     for (double t = 0; t < 1;) {
-        double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest, moved = 0;
+        double moved = 0, rate = 0;
         Functional *by = &step->by;
         memset(by, 0, sizeof *by);
         for (int x = 0; x < s->points; x++)
             for (int j = 0; j < 2; j++) by->bend[x][j] = -s->soft[x] * state->felt[x][j];
         sweep_back(s, by, step);
         sweep_forth(s, step);
+        for (int x = 0; x < s->points; x++) {
+            rate = fmax(rate, 2 * sqrt(dot(step->orientation[x], step->orientation[x], 4)));
+            for (int i = 0; i < N; i++) rate = fmax(rate, s->piece[x / s->degree].count[i] == s->degree ? fabs(step->theta[x][i]) : 0);
+        }
+        longest = fmin(longest, PREDICTED_PART * largest_twist(near) / fmax(rate, 1e-300));
+        double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest;
         memcpy(trial->theta, state->theta, s->points * sizeof trial->theta[0]);
         memcpy(trial->q, state->q, s->points * sizeof trial->q[0]);
         take(s, trial, step, goal - t, 0);
