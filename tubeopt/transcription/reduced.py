@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..robots.assembly import Assembly, without_offsets
 from ..robots.lengthwise import CrossSections
-from ..typing import Array
+from ..typing import Array, Mask
 from .buffered import section_function
 from .mesh import Mesh
 from .offset_margin import Block, make_blocks, softenings
@@ -114,13 +114,15 @@ class Evaluation:
     extra_twist: Array | None
 
 
-def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
-    """Eliminate everything but theta at the collocation points of the tubes that are coupled there."""
+def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
+    """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
+    `unknown` (m, n), section by section."""
     elements = np.flatnonzero(mesh.collocated)
     degree, n = mesh.tableau.degree, assembly.n_tubes
     section = np.repeat(mesh.section[elements], degree)
     # Concentric straight tubes are carried along; tubes off the centreline are stretched wherever the arm is curved.
-    unknown = (assembly.present if assembly.eccentric else assembly.curved)[section]
+    usual = assembly.present if assembly.eccentric else assembly.curved
+    unknown = (usual if unknown is None else unknown)[section]
     tube, point = np.nonzero(unknown.T)
     weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
     index = np.full(unknown.shape, -1)
