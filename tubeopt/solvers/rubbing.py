@@ -18,7 +18,7 @@ import scipy
 from ..transcription.contact import Contact, Rubbing, evaluate_contact
 from ..typing import Array
 from .settings import NEWTON
-from .sticking import Signs, stick_or_slip, stick_or_slip_by_descent
+from .sticking import Signs, stick_or_slip
 
 ITERATIONS = 15
 
@@ -77,12 +77,8 @@ def choose(contact: Contact, model: Model, slip: Array, signs: Signs | None) -> 
     """Torques and signs of the rows for a model, from what slipped until now (R,); None where there are none."""
     free = slip + contact.rows @ model.step
     first = np.sign(free).astype(np.int8) if signs is None else signs
-    found = stick_or_slip(model.compliance, free, contact.capacity, first)
-    if model.negative:
-        return found if found is not None and _minimum(model, found[1]) else None
-    if found is None:
-        found = stick_or_slip_by_descent(model.compliance, free, contact.capacity)
-    return found
+    found = stick_or_slip(model.compliance, free, contact.capacity, first, convex=not model.negative)
+    return found if found is not None and (not model.negative or _minimum(model, found[1])) else None
 
 
 def _minimum(model: Model, signs: Signs) -> bool:
@@ -165,3 +161,65 @@ def least(matrix: Array) -> float:
     if not len(matrix):
         return 1.0
     return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
+
+
+STRIDE = 0.1
+"""Largest turn (rad) of a point in one step downhill."""
+
+MOST_STEPS = 2000
+
+
+def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
+    """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
+    free = np.eye(len(state.x))
+    stuck = contact.rows[signs == 0]
+    if len(stuck):
+        free = scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :]
+    direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
+    return np.asarray(direction / turn_of(contact, direction))
+
+
+def slide(
+    contact: Contact, rotations: Array, x: Array, before: Array, push: Array
+) -> tuple[Increment, float] | None:
+    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is not
+    found. It begins beside x, on the side of +-`push` (X,) that is lower.
+
+    Linearly implicit Euler steps in the norm of the torsional energy, each with exact friction from where the last one
+    left it, which grow into those of Newton where the flow comes to rest.
+    """
+    sides = [evaluate_contact(contact, rotations, x + side) for side in (push, -push)]
+    state = min(sides, key=lambda side: side.torsion.energy + float(contact.capacity @ np.abs(side.turned - before)))
+    delay, heat = 1.0, 0.0
+    for _ in range(MOST_STEPS):
+        model = model_of(contact, state, 1 / delay)
+        found = None if model is None or model.negative else choose(contact, model, state.turned - before, None)
+        if model is None or found is None:
+            delay *= 0.25
+            continue
+        move = model.step - model.response @ found[0]
+        turn = turn_of(contact, move)
+        if turn > STRIDE:
+            delay *= max(0.1, 0.8 * STRIDE / turn)
+            continue
+        trial = evaluate_contact(contact, rotations, state.x + move)
+        taken = float(contact.capacity @ np.abs(trial.turned - before))
+        owed = float(contact.capacity @ np.abs(state.turned - before))
+        if trial.torsion.energy + taken > state.torsion.energy + owed + 1e-13 * _scale(contact, state):
+            delay *= 0.25
+            continue
+        if turn < 1e-6 and delay > 1e6:
+            # Where the flow only creeps past a state that was lost, Newton's method finds nothing: it goes on.
+            last = increment(contact, rotations, state.x, before, found[1])
+            if last is not None and last.converged and turn_of(contact, last.state.x - state.x) < 1e-3:
+                return last, heat + float(contact.capacity @ np.abs(last.slip))
+        state, before, heat = trial, trial.turned, heat + taken
+        delay = min(delay * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
+    return None
+
+
+def _scale(contact: Contact, state: Rubbing) -> float:
+    """The energies whose round-off is that of their sum, J."""
+    problem = contact.problem
+    parts = (state.torsion.moment**2).sum(1) / np.maximum(problem.stiffness.sum(1), 1e-300)
+    return float(problem.weight @ parts) + abs(state.torsion.energy)

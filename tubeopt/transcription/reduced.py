@@ -19,6 +19,8 @@ s / kt. Where a tube is made of pieces, `theta` here and in `arm` is phi.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -32,6 +34,9 @@ from .mesh import Mesh
 from .offset_margin import Block, make_blocks, softenings
 
 Index = NDArray[np.intp]
+
+LARGE = 60
+"""Unknowns from which it pays to leave out what is 0 of L."""
 
 INWARDS = 1e-6
 """How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
@@ -98,6 +103,12 @@ class ReducedProblem:
     def size(self) -> int:
         """Number of unknowns U."""
         return len(self.point)
+
+    @cached_property
+    def by_tube(self) -> tuple[slice, ...]:
+        """The unknowns of each tube, between which L is 0."""
+        cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
+        return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +313,15 @@ def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
-    hessian = problem.factor.T @ second.reshape(problem.size, problem.size) @ problem.factor
+    table = second.reshape(problem.size, problem.size)
+    if problem.size < LARGE:
+        hessian = problem.factor.T @ table @ problem.factor
+    else:
+        hessian = np.empty_like(table)
+        for j in problem.by_tube:
+            turned = table[:, j] @ problem.factor[j, j]
+            for i in problem.by_tube:
+                hessian[i, j] = problem.factor[i, i].T @ turned[i]
     hessian.ravel()[:: problem.size + 1] += 1.0
     return np.asarray(hessian)
 
