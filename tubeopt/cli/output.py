@@ -62,7 +62,11 @@ def present(answer: Report[Any], output: Output) -> None:
 
 def _print_table(answer: Report[Any], files: list[Path]) -> None:
     console = Console()
-    console.print(answer.table(), crop=False)
+    shown = answer.table()
+    if isinstance(shown, str):  # as it is, for other programs
+        print(shown)
+    else:
+        console.print(shown, crop=False)
     for path in files:
         console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
 

@@ -47,12 +47,23 @@ class Sweep:
     table: Path
     arrays: Path
     journal: Path
-    rows: tuple[Mapping[str, str], ...] | None = None
+    rows: tuple[Mapping[str, float | str], ...] | None = None
 
     def unkept(self) -> Sweep:
         """The sweep with its table in it, for files that go."""
         with self.table.open(encoding="utf-8", newline="") as lines:
-            return replace(self, rows=tuple(csv.DictReader(lines)))
+            rows = csv.DictReader(lines)
+            return replace(self, rows=tuple({key: _read(cell) for key, cell in row.items()} for row in rows))
+
+
+def _read(cell: str) -> float | str:
+    """A cell of the table: a number, or text."""
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
+    return cell
 
 
 def sweep(

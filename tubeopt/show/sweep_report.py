@@ -7,7 +7,6 @@ import io
 from pathlib import Path
 
 from rich.console import RenderableType
-from rich.text import Text
 
 from ..errors import SolveError
 from ..runs.sweeping import Sweep
@@ -56,7 +55,7 @@ class SweepReport(Report[Sweep]):
         table = csv.DictWriter(written, list(a.rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(a.rows)
-        return Text(written.getvalue().rstrip(), overflow="ignore", no_wrap=True)
+        return written.getvalue().rstrip()
 
     def title(self) -> str:
         """That it is one."""
