@@ -49,7 +49,7 @@ class Fault:
 
 @dataclass
 class Run:
-    """time (T,), count (T,), reading (T,), coldest and hottest of the curved part (T,), top (T,); lines of the heater."""
+    """rows: time, count, reading, coldest and hottest of the curved part, hottest point. lines: of the heater."""
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
     lines: list[dict[str, Any]] = field(default_factory=list)
@@ -70,7 +70,8 @@ def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: fl
     fault = fault or Fault()
     found = Run()
     with subprocess.Popen([heater], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None and process.stdout is not None
+        assert process.stdin is not None
+        assert process.stdout is not None
 
         def answer() -> int:
             while not (line := process.stdout.readline()).startswith("="):  # type: ignore[union-attr]

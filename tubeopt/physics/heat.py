@@ -40,8 +40,8 @@ PROPERTIES = (
 times section, resistance, with their relative slopes per K; heat transfer per length to clamp, air (and radiation) and
 through the gap. Of the mold: resistance of its innermost half shell to heat, conductivity, heat capacity per volume,
 transfer from the outermost shell per length, and conductance beside the tube to current. Resistances in series with
-the tube, and the contacts' part of them; heat capacity and loss of a clamp; the battery; the part of a period that every
-pulse loses while the current rises; lengths of clamp and half of the curved part."""
+the tube, and the contacts' part of them; heat capacity and loss of a clamp; the battery; the part of a period
+that every pulse loses while the current rises; lengths of clamp and half of the curved part."""
 
 Properties = dict[str, Any]
 

@@ -4,22 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from ..errors import InputError, SolveError
+from ..files.checked import Positive, in_file
 from ..shaping.feedback.feedback import lead_by
 from ..shaping.feedback.sensors import Thermocouple
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine
 from ..shaping.firmware.simulated import SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import ENSEMBLE
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import thermal_model
+from .base import Progress, Study
 from .rig_file import LOG_COLUMNS, load_rig
+
+LOG_FILE = "log.csv"
+"""Name of the log in the directory of a run."""
 
 SILENCE = 5
 """Seconds without a word from the rig after which it counts as lost."""
@@ -53,19 +61,54 @@ class HeatingRun:
         return float(self.rows[-1]["time_s"]) if self.rows else 0.0
 
 
-def open_line(port: str | None, simulate: str | None, speed: float = 20.0) -> Line:
-    """The line to a board, or to a simulated rig, planned and led on the spot by a thermocouple.
+class HeatingRunStudy(Study):
+    """A heating on a rig that a board leads, or on a simulated one."""
 
-    Raises:
-        InputError: neither or both are given, no such port or file, or the rig's file names no tube.
-    """
-    if (port is None) == (simulate is None):
-        raise InputError("--port PORT or --simulate RIG.yaml must be given, and not both")
-    if port is not None:
-        return SerialLine(port)
-    rig = load_rig(str(simulate))
-    if rig.tube is None:
-        raise InputError(f"{simulate}: the rig file names no tube; it must, to be simulated")
+    doing = "heating"
+
+    kind: Literal["heating_run"]
+    port: str | None = Field(
+        None, description="serial port of the board that runs the sketch, as /dev/ttyACM0 or COM3", examples=["PORT"]
+    )
+    simulate: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
+        None, description="a simulated rig with its law in place of a board", examples=["RIG.yaml"]
+    )
+    dry: bool = Field(False, description="everything but the current")
+    speed: Positive = Field(Decimal(20), description="of the simulated clock, times the real one")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.port is None) == (self.simulate is None):
+            raise ValueError("port or simulate is missing, or both are given; one of them must be")
+        if self.simulate is not None and self.simulate.tube is None:
+            raise ValueError("simulate: the rig file names no tube; it must name the one that is heated")
+        return self
+
+    def open(self) -> Line:
+        """The line to the board, or to the simulated rig; raises InputError where the port cannot be opened."""
+        if self.port is not None:
+            return SerialLine(self.port)
+        assert self.simulate is not None
+        return simulated_line(self.simulate, float(self.speed))
+
+    def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
+        """Run it, and log into `out`."""
+        tell = progress or (lambda done, total: None)
+        return run_heating(
+            self.open(),
+            dry=self.dry,
+            log=None if out is None else out / LOG_FILE,
+            show=lambda hello, row: tell(row["place"], int(hello.get("slots", 0))),
+        )
+
+    def run(self, progress: Progress | None = None) -> HeatingRun:
+        """Run it without a log."""
+        return self.run_in(None, progress)
+
+
+def simulated_line(rig: Rig, speed: float = 20.0) -> Line:
+    """A line to a simulated rig, planned and led on the spot by a thermocouple; its file must name the tube."""
+    assert rig.tube is not None
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
     sensor = Thermocouple()
     law = lead_by(plan, sensor, samples=20).law
@@ -78,7 +121,7 @@ def run_heating(
     *,
     dry: bool = False,
     log: Path | None = None,
-    show: Callable[[dict[str, Any], dict[str, Any]], None] | None = None,
+    show: Callable[[dict[str, Any], dict[str, Any]], object] | None = None,
 ) -> HeatingRun:
     """Start a rig and follow it to its end; where this is interrupted, the rig is stopped first.
 

@@ -8,7 +8,7 @@ from rich.console import Group
 
 from ..errors import SolveError
 from ..files.files import write_text
-from ..runs.heating_study import LedHeating
+from ..runs.firmware_study import LedHeating
 from ..shaping.feedback.feedback import Contribution, Feedback
 from ..shaping.firmware.parts import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch

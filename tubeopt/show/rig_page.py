@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.live import Live
 
 from ..errors import SolveError
-from ..runs.heating_run import HeatingRun, run_heating
-from ..shaping.firmware.line import Line
+from ..runs.heating_run import LOG_FILE, HeatingRun, HeatingRunStudy, run_heating
 from .quantities import Quantity
 from .report import Report, report, two_columns
 
@@ -43,16 +42,20 @@ class HeatingRunReport(Report[HeatingRun]):
             raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
 
 
-def with_live_page(line: Line, *, dry: bool, log: Path | None) -> HeatingRun:
-    """Run a heating and show it as it goes, on stderr."""
+def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = True) -> HeatingRun:
+    """Run a heating and show it as it goes, on stderr; the log goes into `out`."""
+    if not shown:
+        return study.run_in(out)
     readings: list[float] = []
+    line = study.open()
     with Live(console=Console(stderr=True), transient=True, refresh_per_second=8) as live:
 
         def show(hello: dict[str, Any], row: dict[str, Any]) -> None:
             readings.append(row["temperature_degC"])
             live.update(two_columns(f"{hello.get('firmware', 'rig')}: {row['state']}", _told(hello, row, readings)))
 
-        return run_heating(line, dry=dry, log=log, show=show)
+        log = None if out is None else out / LOG_FILE
+        return run_heating(line, dry=study.dry, log=log, show=show)
 
 
 def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:

@@ -17,8 +17,8 @@ PROBE = 0.02
 """Share by which the planned duties are raised to see what the reading does."""
 
 RESET = 8.0
-"""Time, s, in which an error that stays weighs as much as one at once: that of the mold's first shells, which fill up and
-are why the tube needs less and less power."""
+"""Time, s, in which an error that stays weighs as much as one at once: that of the mold's first shells, which fill up
+and are why the tube needs less and less power."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def response(model: ThermalModel, sensor: Sensor, slot: float, duty: Array, hold
 def regulator(found: Response, slot: float, share_per_kelvin: float) -> tuple[float, float]:
     """Proportional (1/K) and integral gain (1/(K s)) that balance errors with the share that they cost.
 
-    The least sum over slots of e^2 + (sum of e / RESET)^2 + (share / share_per_kelvin)^2, with the reading as the state:
+    The least sum over slots of e^2 + (sum of e / RESET)^2 + (share / share_per_kelvin)^2, the reading being the state:
     the algebraic Riccati equation of error and integrated error.
     """
     kept = float(np.exp(-slot / found.time_constant))

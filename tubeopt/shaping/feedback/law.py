@@ -6,8 +6,8 @@ In every slot, with e = reference - reading:
 
 The share is bounded, and the sum s rests where it is: nothing winds up. Losses, battery and resistance change the power
 that is needed by a factor, so a share is what corrects them, in the ramp as in the hold. While the reading is more than
-`holdback` below its reference the schedule waits, so that the hold begins when the tube is warm; where it waits too long, the
-law stops. Whole counts come from error diffusion: what rounding leaves out is given in the next slot.
+`holdback` below its reference the schedule waits, so that the hold begins when the tube is warm; where it waits too
+long, the law stops. Whole counts come from error diffusion: what rounding leaves out is given in the next slot.
 
 It is what the firmware computes, number by number.
 """

@@ -42,7 +42,7 @@ class Sensor:
         check_fields(self, f"the {self.name}")
         if not self.lowest < self.highest:
             raise InputError(
-                f"lowest of the {self.name} is {self.lowest:g} degC; it must be below its highest, {self.highest:g} degC"
+                f"lowest of the {self.name} is {self.lowest:g} degC; it must be below its highest, {self.highest:g}"
             )
 
     def target(self, model: ThermalModel, state: State) -> Array:
@@ -92,7 +92,8 @@ class Thermocouple(Sensor):
         """(B,) temperature where it touches."""
         if abs(self.position) >= model.half_length - model.position[0]:
             raise InputError(
-                f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie on it"
+                f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie "
+                "on the tube"
             )
         return _at(model, state.cells[:, :, 0], (self.position,))
 

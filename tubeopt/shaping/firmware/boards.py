@@ -78,10 +78,10 @@ class Wiring:
 
 
 def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:
-    """The frequency (Hz) of the board that is nearest to `wanted`, or the lowest where None: it loses least of every pulse.
+    """The frequency (Hz) of the board that is nearest to `wanted`; by default the lowest, which loses least of a pulse.
 
     Raises:
-        InputError: pulses of the rig lose half of one count or more even so.
+        InputError: pulses of the rig lose a tenth of a period or more even so.
     """
     board = wiring.known
     found = board.frequencies[0]
@@ -89,7 +89,7 @@ def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> floa
         found = min(board.frequencies, key=lambda f: abs(math.log(f / wanted)))
     if rig.circuit.lost_on_time * found >= 0.1:
         raise InputError(
-            f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {found:.0f} Hz it must be below a tenth "
-            f"of a period, {1e5 / found:.0f} us"
+            f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {found:.0f} Hz it must be below "
+            f"{1e5 / found:.0f} us, a tenth of a period"
         )
     return found

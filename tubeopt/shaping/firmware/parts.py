@@ -54,17 +54,20 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         "max6675": "thermocouple type K 0.25 mm with MAX6675",
         "analog": "0 to 5 V line of a camera or amplifier",
     }[wiring.converter]
+    bears = math.ceil(2.5 * rest / 10) * 10
+    resistance = 1e3 * plan.rig.circuit.mosfet_resistance
+    hall = f"Hall, {math.ceil(SPARE * peak / 50) * 50} A, {1e3 * wiring.shunt_V_per_A:g} mV/A"
     return (
         Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
         Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
-        Part("MOSFET", f"{math.ceil(2.5 * rest / 10) * 10} V, {math.ceil(SPARE * peak / 10) * 10} A, logic level, at most "
-             f"{1e3 * plan.rig.circuit.mosfet_resistance:g} mohm", f"{peak:.0f} A while on; warms by {heat:.1f} W"),
+        Part("MOSFET", f"{bears} V, {math.ceil(SPARE * peak / 10) * 10} A, logic level, at most {resistance:g} mohm",
+             f"{peak:.0f} A while on; warms by {heat:.1f} W"),
         Part("gate driver", "2 A or more, 10 kohm from gate to source", "without signal the switch must stay off"),
-        Part("diode", f"Schottky, {math.ceil(2.5 * rest / 10) * 10} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
+        Part("diode", f"Schottky, {bears} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
              "the loop's inductance"),
         Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
              "stops without the board too"),
-        Part("current sensor", f"Hall, {math.ceil(SPARE * peak / 50) * 50} A, {1e3 * wiring.shunt_V_per_A:g} mV/A", current),
+        Part("current sensor", hall, current),
         Part("divider", f"1 : {wiring.divider:g} to {wiring.known.reference:g} V with 100 nF", f"{rest:.1f} V at rest"),
         Part("thermometer", sensor, "at the middle of the curved part"),
         Part("board", wiring.known.title, "runs the sketch"),

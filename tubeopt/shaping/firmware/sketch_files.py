@@ -112,8 +112,8 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
     lines = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     mark = hashlib.sha256((lines + body).encode()).hexdigest()[:12]
     return f"""// Schedule and limits of one tube on one rig: {plan.rig.name or "rig"}.
-// Times in ms, temperatures in degC, currents in A. Planned counts in 1/{CENTS}, temperatures of reference in 1/{TENTHS} K above
-// {COLDEST:g} degC.
+// Times in ms, temperatures in degC, currents in A. Planned counts in 1/{CENTS}; temperatures of reference in
+// 1/{TENTHS} K above {COLDEST:g} degC.
 #ifndef SCHEDULE_H
 #define SCHEDULE_H
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 
 from ...errors import InputError, finite, numbers
-from ...files.fields import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
@@ -108,7 +108,7 @@ class Circuit:
         float,
         unit("us"),
         NOT_NEGATIVE,
-        "of every pulse, while the loop's inductance lets the current rise: its inductance over its resistance, less what "
+        "of every pulse, while the loop's inductance lets the current rise: inductance over resistance, less what "
         "still flows afterwards through a diode across the tube",
     ] = 0.0
     current_limit: Annotated[float, unit("A"), POSITIVE, "of the mean current"] = 40.0

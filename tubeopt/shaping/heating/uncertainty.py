@@ -80,8 +80,8 @@ class Uncertainty:
         inner = tube.inner_diameter + by["inner_diameter"]
         if not 0 <= inner < tube.outer_diameter:
             raise InputError(
-                f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; the tube has an inner diameter of "
-                f"{1e3 * tube.inner_diameter:g} mm and an outer one of {1e3 * tube.outer_diameter:g} mm"
+                f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it must leave the tube a "
+                f"wall, whose diameters are {1e3 * tube.inner_diameter:g} and {1e3 * tube.outer_diameter:g} mm"
             )
         other = replace(
             rig,

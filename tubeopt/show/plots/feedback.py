@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from .style import FAINT, INK, headed, new_figure, picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import FancyBboxPatch
 
-    from ...runs.heating_study import LedHeating
+    from ...runs.firmware_study import LedHeating
 
 
 @picture
@@ -47,12 +48,9 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
         axes.legend(loc="lower right" if axes is whole else "lower left", fontsize=7, ncols=2)
     _draw_contributions(figure.add_subplot(grid[:, 1]), answer)
     low_p, high_p = feedback.interval
-    headed(
-        figure,
-        f"{title or answer.plan.rig.name or 'rig'}, led by a {feedback.sensor.name}:  {100 * feedback.probability:.1f} % of "
-        f"{feedback.samples} rigs keep the window ({100 * low_p:.1f} to {100 * high_p:.1f} %),  {100 * feedback.open_loop:.0f} % "
-        "without it",
-    )
+    kept = f"{100 * feedback.probability:.1f} % of {feedback.samples} rigs keep the window"
+    sure = f"({100 * low_p:.1f} to {100 * high_p:.1f} %),  {100 * feedback.open_loop:.0f} % without it"
+    headed(figure, f"{title or answer.plan.rig.name or 'rig'}, led by a {feedback.sensor.name}:  {kept} {sure}")
     return figure
 
 
@@ -87,12 +85,14 @@ def plot_wiring(answer: LedHeating, *, title: str = "") -> Figure:
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     for part in (axes, text):
         part.set_axis_off()
-    axes.set_xlim(0, 1), axes.set_ylim(0, 0.95)
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 0.95)
     pins, board = answer.wiring.known.pins, answer.wiring.known.title
     for name, (x, y, w, h) in BOXES.items():
         axes.add_patch(_box(x, y, w, h))
         axes.text(x + w / 2, y + h / 2, board if name == "board" else name, ha="center", va="center", fontsize=9)
-    power, signal = {"color": TUBE, "lw": 2.4}, {"color": IDEAL, "lw": 1.0}
+    power: dict[str, Any] = {"color": TUBE, "lw": 2.4}
+    signal: dict[str, Any] = {"color": IDEAL, "lw": 1.0}
     for path in (
         [(0.21, 0.72), (0.27, 0.72)], [(0.37, 0.72), (0.43, 0.72)], [(0.55, 0.72), (0.63, 0.72)],
         [(0.71, 0.64), (0.71, 0.42)], [(0.79, 0.36), (0.81, 0.36), (0.81, 0.88), (0.13, 0.88), (0.13, 0.82)],
@@ -121,7 +121,7 @@ def plot_wiring(answer: LedHeating, *, title: str = "") -> Figure:
     return headed(figure, f"{title or answer.plan.rig.name or 'rig'}: wiring")
 
 
-def _box(x: float, y: float, w: float, h: float) -> object:
+def _box(x: float, y: float, w: float, h: float) -> FancyBboxPatch:
     from matplotlib.patches import FancyBboxPatch
 
     return FancyBboxPatch((x, y), w, h, boxstyle="round,pad=0.005", facecolor="white", edgecolor=FAINT)
