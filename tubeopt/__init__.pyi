@@ -55,10 +55,13 @@ from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
+from .shaping.feedback.feedback import Feedback, lead_by
+from .shaping.feedback.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
 from .shaping.heating.spec import HeatingSpec
+from .shaping.heating.uncertainty import Uncertainty
 from .solvers.problem import Problem
 from .solvers.problem_solution import ProblemSolution, load_problem_solution
 from .solvers.problem_status import ProblemStatus
@@ -96,6 +99,7 @@ __version__: str
 __all__ = [
     "NITINOL",
     "Branch",
+    "Camera",
     "Certificate",
     "ConcentricRobot",
     "DesignSolution",
@@ -106,6 +110,7 @@ __all__ = [
     "Equilibrium",
     "EquilibriumBatch",
     "EquilibriumBlock",
+    "Feedback",
     "Finding",
     "ForceEstimate",
     "HeatingPlan",
@@ -142,9 +147,12 @@ __all__ = [
     "Statistics",
     "Status",
     "Sweep",
+    "Thermocouple",
     "TipGoal",
     "Trajectory",
     "Tube",
+    "TubeResistance",
+    "Uncertainty",
     "Verdict",
     "Verification",
     "Workspace",
@@ -163,6 +171,7 @@ __all__ = [
     "forward_kinematics_batch",
     "inverse_kinematics",
     "judge",
+    "lead_by",
     "load_equilibrium",
     "load_problem_solution",
     "load_rig",

@@ -183,7 +183,10 @@ def _smooth_error(held: Held) -> float:
     nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
     theta = arms.rotations_at(problem, held.profile, tuple(nodes.tolist()))[mesh.collocated]
     if problem.here is None:
-        chosen = [np.repeat(part[mesh.collocated], len(nodes), axis=0) for part in (problem.piece_stiffness, problem.piece_moment)]
+        chosen = [
+            np.repeat(part[mesh.collocated], len(nodes), axis=0)
+            for part in (problem.piece_stiffness, problem.piece_moment)
+        ]
         kt, direction = problem.assembly.torsional_stiffness, theta.reshape(-1, n)
     else:
         there = sections_at(problem.assembly, mesh, nodes)

@@ -112,7 +112,9 @@ def increment(
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
         same = kept is not None and np.array_equal(now, kept)
-        if size <= NEWTON.last_step and (size <= NEWTON.round_off or imbalance(contact, state, torque) <= NEWTON.round_off):
+        if size <= NEWTON.last_step and (
+            size <= NEWTON.round_off or imbalance(contact, state, torque) <= NEWTON.round_off
+        ):
             return _told(contact, state, found, before, contraction)
         if same and size > NEWTON.last_step:
             contraction = max(contraction, size / last)
@@ -120,9 +122,7 @@ def increment(
     return None
 
 
-def _told(
-    contact: Contact, state: Rubbing, found: tuple[Array, Signs], before: Array, contraction: float
-) -> Increment:
+def _told(contact: Contact, state: Rubbing, found: tuple[Array, Signs], before: Array, contraction: float) -> Increment:
     torque, signs = found
     slip = state.turned - before
     wrong = np.where(signs == 0, np.abs(slip), np.maximum(0.0, -slip * signs))
@@ -179,9 +179,7 @@ def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
     return np.asarray(direction / turn_of(contact, direction))
 
 
-def slide(
-    contact: Contact, rotations: Array, x: Array, before: Array, push: Array
-) -> tuple[Increment, float] | None:
+def slide(contact: Contact, rotations: Array, x: Array, before: Array, push: Array) -> tuple[Increment, float] | None:
     """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is not
     found. It begins beside x, on the side of +-`push` (X,) that is lower.
 

@@ -156,7 +156,9 @@ def _follow_rubbing(
     for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
         equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
         for each in found if k else ():
-            ends = [to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))]
+            ends = [
+                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
+            ]
             snaps.append(_snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)

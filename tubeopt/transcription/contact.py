@@ -159,7 +159,9 @@ def _softness(problem: ReducedProblem) -> tuple[Array, Array]:
     if problem.here is not None:
         return ahead(mesh, problem.here), reach(mesh, problem.here)
     ends = np.append(mesh.start, assembly.total_length)
-    inside, outside = ((assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends))
+    inside, outside = (
+        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
+    )
     return inside, outside
 
 

@@ -131,7 +131,8 @@ def lead_by(
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
-    kept = history.finished[1:] & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
+    finished = np.asarray(history.finished[1:], dtype=bool)
+    kept = finished & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
     names = (*unknown.unknown, "sensor")
     return Feedback(
         sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
@@ -36,7 +37,7 @@ class LoopHistory:
     Attributes:
         time: (T,). reading: (T, B) degC as the law saw them. count: (T, B). place: (T, B) slot of the schedule.
         coldest, hottest: (T, B) of the curved part, degC; top: (T, B) of any point.
-        finished: (B,) whether the whole schedule was run through.
+        finished: (B,), bool, whether the whole schedule was run through.
     """
 
     time: Array
@@ -46,7 +47,7 @@ class LoopHistory:
     coldest: Array
     hottest: Array
     top: Array
-    finished: Array
+    finished: NDArray[np.bool_]
 
     def in_hold(self, law: HeatingLaw) -> Array:
         """(T, B) whether a time lies in the hold, its end included."""
@@ -91,9 +92,10 @@ def run_loop(
         state = advance(model, state, count / COUNTS, law.slot, steps)
         now = sensor.target(model, state)
         lagged, target = sensor.followed(lagged, target, now, law.slot), now
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    names = ("reading", "count", "place", "coldest", "hottest", "top")
+    columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     finished = (memory.place >= len(law.planned)) & ~dead
-    return LoopHistory(law.slot * np.arange(len(rows)), *columns, finished)
+    return LoopHistory(np.asarray(law.slot * np.arange(len(rows))), finished=finished, **columns)
 
 
 def _part(law: HeatingLaw, reading: Array) -> Array:

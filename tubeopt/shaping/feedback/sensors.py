@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from ...errors import InputError
-from ...files.fields import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array

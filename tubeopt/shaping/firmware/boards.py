@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ...errors import InputError, choice
-from ...files.fields import POSITIVE, OneOf, check_fields, key, unit
+from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
 from ..heating.rig import Rig
 
 CONVERTERS = ("max31855", "max6675", "analog")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, thermal_data
+
+if TYPE_CHECKING:
+    from ..feedback.feedback import Feedback
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -75,6 +78,7 @@ class HeatingPlan:
         quench_time: from the end of the hold until all of the tube is below 100 degC, out of the mold, s.
         growth: of the tube's length by its expansion at the end of the hold, m.
         iterations: of the optimal control problem, in its last round.
+        feedback: the law that leads the schedule by a sensor, where one was given.
     """
 
     tube: Tube
@@ -114,6 +118,7 @@ class HeatingPlan:
     quench_time: float
     growth: float
     iterations: int
+    feedback: Feedback | None = None
 
     @property
     def value(self) -> Counts:

@@ -18,6 +18,8 @@ from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
+from ..feedback.feedback import lead_by
+from ..feedback.sensors import Sensor
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
 from .ideal import Ideal, Shift, joined, solve_ideal
@@ -78,7 +80,7 @@ class Schedule:
         return self.outcome.kept
 
 
-def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> HeatingPlan:
+def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, sensor: Sensor | None = None) -> HeatingPlan:
     """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
     ramp and currents within theirs.
 
@@ -89,6 +91,8 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
         rig: battery, circuit, clamps, mold.
         spec: window, hold and limits; by default 500-550 degC for 60 s.
+        sensor: what is felt of the tube: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then
+            the law that leads the schedule by it, and how likely uncertain rigs keep the window (see `lead_by`).
 
     Raises:
         InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
@@ -98,11 +102,12 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    return HeatingPlan.of(
+    plan = HeatingPlan.of(
         tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
         schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
         cures=cures, iterations=found.ideal.iterations,
     )  # fmt: skip
+    return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:

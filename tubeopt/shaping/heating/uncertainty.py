@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ...errors import InputError
-from ...files.fields import NOT_NEGATIVE, Range, check_fields, unit
+from ...files.marks import NOT_NEGATIVE, Range, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array

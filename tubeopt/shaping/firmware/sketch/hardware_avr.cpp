@@ -31,6 +31,7 @@ void convert(uint8_t channel) {
   ADCSRA |= _BV(ADSC);
 }
 
+#if SENSOR != SENSOR_ANALOG
 uint16_t spi_word(uint8_t bytes, uint16_t *low) {
   uint16_t high = 0;
   PORTB &= ~_BV(PB2);
@@ -44,6 +45,7 @@ uint16_t spi_word(uint8_t bytes, uint16_t *low) {
   PORTB |= _BV(PB2);
   return high;
 }
+#endif
 
 } // namespace
 
