@@ -14,11 +14,15 @@ from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..errors import nearest
 from ..files.checked import Entry, Number, Positive, check, in_file
 from ..files.fields import Part
+from ..files.marks import Usual
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
+
+Place = Annotated[Triple, Usual(1e-3, 10.0)]
+"""A position that is reached by a robot as long as a hand or an arm."""
 
 
 def point(values: list[Decimal]) -> tuple[float, float, float]:
