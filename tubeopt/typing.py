@@ -1,7 +1,9 @@
-"""Names of array types, and what every answer has."""
+"""Names of array types, what every answer has, and methods that are functions of modules above."""
 
 from __future__ import annotations
 
+import functools
+import importlib
 from enum import Enum
 from typing import Any, Protocol, runtime_checkable
 
@@ -10,6 +12,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+@functools.cache
+def late(name: str) -> Any:
+    """A public function by its full name, for a method of plain data that is a shorthand for it.
+
+    Data do not know what is done with them: what saves or differentiates an equilibrium knows the equilibrium, not the
+    other way. A method such as `equilibrium.save(directory)` is there all the same for who reads from left to right.
+    """
+    module, _, function = name.rpartition(".")
+    return getattr(importlib.import_module(module), function)
 
 
 class Sentence(Enum):

@@ -225,9 +225,9 @@ def test_all_problems_are_told_at_once(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("kind: concentric\ntubes: [{outer_diameter_mm: -1, inner_diameter_mm: 0, radius: 3}]\n")
     assert refused(run("fk", str(path), "--rotations-deg", "a", "--tolerance", "-1")) == [
+        f"{path}: tubes[0].curved_length_mm is missing",
         f"{path}: tubes[0].outer_diameter_mm is -1; it must be greater than 0",
         f"{path}: tubes[0].straight_length_mm is missing",
-        f"{path}: tubes[0].curved_length_mm is missing",
         f"{path}: tubes[0].radius is not a known key; did you mean 'radius_mm'?",
         "--rotations-deg[0] is 'a'; it must be a number",
         "--tolerance-rad is -1; it must be greater than 0",

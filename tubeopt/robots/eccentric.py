@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError, positive
 from ..files.marks import NOT_NEGATIVE, unit
-from ..typing import Array
+from ..typing import Array, late
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
@@ -129,9 +129,7 @@ class EccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 @dataclass(frozen=True)
@@ -251,6 +249,4 @@ class SegmentedEccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)

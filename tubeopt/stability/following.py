@@ -89,7 +89,7 @@ def follow(
             start.
         SolveError: descent from a fold found no stable equilibrium.
     """
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
     if load is not None:
         return _follow_loaded(robot, joints, load, start, progress)
@@ -147,7 +147,8 @@ def snap_of(found: LoadedSnap, index: int) -> Snap:
     )
 
 
-def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)
