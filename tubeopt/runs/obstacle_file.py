@@ -34,7 +34,7 @@ def point(values: list[Decimal]) -> tuple[float, float, float]:
 class SphereEntry(Part):
     """A ball."""
 
-    kind: Literal["sphere"]
+    kind: Literal["sphere"] = "sphere"
     centre_mm: Triple
     radius_mm: Positive
 
@@ -46,7 +46,7 @@ class SphereEntry(Part):
 class CapsuleEntry(Part):
     """All within a radius of a segment."""
 
-    kind: Literal["capsule"]
+    kind: Literal["capsule"] = "capsule"
     start_mm: Triple
     end_mm: Triple
     radius_mm: Positive
@@ -59,7 +59,7 @@ class CapsuleEntry(Part):
 class HalfSpaceEntry(Part):
     """All behind a plane; the normal points to where the arm may be."""
 
-    kind: Literal["half_space"]
+    kind: Literal["half_space"] = "half_space"
     point_mm: Triple
     normal: Triple
 
@@ -72,7 +72,7 @@ class HalfSpaceEntry(Part):
 class BoxEntry(Part):
     """A cuboid along the axes of the plate."""
 
-    kind: Literal["box"]
+    kind: Literal["box"] = "box"
     low_mm: Triple
     high_mm: Triple
 
@@ -118,6 +118,8 @@ def _known(value: Any) -> Any:
     if not isinstance(value, dict):
         raise ValueError(f"is {shown(value)}; it must be a mapping with the kind of a body, one of {', '.join(KINDS)}")
     kind = value.get("kind", next((kind for key, kind in BY_KEYS.items() if key in value), None))
+    if kind is None:
+        raise ValueError(f"has no kind, and keys that tell none; its kind must be one of {', '.join(KINDS)}")
     if kind not in KINDS:
         raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}{_hint(kind)}")
     named = ALIASES if kind == "capsule" else {}
