@@ -81,7 +81,9 @@ DOCTOR: tuple[Quantity[Doctor], ...] = (
         "threads",
         "variables that set threads",
         label="threads",
-        words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose",
+        words=lambda a: (
+            ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose, one for small problems"
+        ),
     ),
     Quantity("cache", "cache", lambda a: str(a.cache), words="{cache}, {cache_bytes} bytes"),
     Quantity("cache_bytes", "size of the cache, bytes"),
