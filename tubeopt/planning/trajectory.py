@@ -8,7 +8,7 @@ from os import PathLike
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, late
 from .motion import RateLimits
 from .proof import Proof
 
@@ -87,6 +87,4 @@ class Trajectory:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
-        from .file import save_trajectory
-
-        save_trajectory(self, path)
+        late("tubeopt.planning.file.save_trajectory")(self, path)

@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 
 from ..errors import InputError
-from ..typing import Array
+from ..typing import Array, late
 from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
@@ -89,6 +89,4 @@ class ConcentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)

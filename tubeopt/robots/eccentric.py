@@ -6,11 +6,13 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from os import PathLike
+from typing import Annotated
 
 import numpy as np
 
 from ..errors import InputError, positive
-from ..typing import Array
+from ..files.marks import NOT_NEGATIVE, unit
+from ..typing import Array, late
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
@@ -46,8 +48,10 @@ class EccentricRobot:
     """
 
     tube: Tube
-    offset: float | None = None
-    transmission_length: float = 0.0
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the tubes touch"
+    ] = None
+    transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight tube behind the plate"] = 0.0
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -125,9 +129,7 @@ class EccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,9 @@ class SegmentedEccentricRobot:
     """
 
     segments: tuple[Tube, ...]
-    offset: float | None = None
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the outermost tubes touch"
+    ] = None
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -245,6 +249,4 @@ class SegmentedEccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)

@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Bodies, Triple, point
+from .obstacle_file import Bodies, Place, Triple, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -69,7 +69,7 @@ class InverseStudy(Study):
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: Triple | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    target_mm: Place | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
     direction: Triple | None = Field(
         None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )

@@ -97,7 +97,7 @@ def follow(
             start; a friction for another number of tubes, of an eccentric robot, or beside a load.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
     """
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
     if friction is not None and not friction.trivial:
         return _follow_rubbing(robot, joints, (friction, load), start, progress)
@@ -183,7 +183,8 @@ def _snap_between(index: int, fraction: float, before: Equilibrium, after: Equil
     )
 
 
-def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)
