@@ -23,6 +23,7 @@ from .calibration import Calibration
 from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
+from .friction_file import FrictionEntry, friction_to_dict
 from .limits import JointLimits
 from .materials import NITINOL, ZERO_CELSIUS, Material, ThermalData
 from .piece_file import N_MM2, PieceEntry, given_stiffness, piece_to_dict
@@ -215,11 +216,13 @@ class ConcentricEntry(Part):
     tubes: list[TubeEntry] = Field(min_length=1)
     limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
     calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
+    friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
         tubes = tuple(tube.build() for tube in self.tubes)
-        return ConcentricRobot(tubes, self.name, _limits(self.limits), _calibration(self.calibration))
+        friction = self.friction.build() if self.friction else None
+        return ConcentricRobot(tubes, self.name, _limits(self.limits), _calibration(self.calibration), friction)
 
 
 class EccentricEntry(Part):
@@ -345,6 +348,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         }
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
+    if isinstance(robot, ConcentricRobot) and robot.friction is not None:
+        data["friction"] = friction_to_dict(robot.friction)
     return data
 
 

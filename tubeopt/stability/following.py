@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
@@ -154,7 +154,9 @@ def _follow_rubbing(
     for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
         equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
         for each in found if k else ():
-            ends = [to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))]
+            ends = [
+                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
+            ]
             snaps.append(_snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)

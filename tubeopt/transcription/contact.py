@@ -31,7 +31,7 @@ DEGREE = 6
 """Collocation points of a piece."""
 
 PIECES = 4
-"""Least number of pieces of a section in which tubes rub: the kink of the torsion where slip ends lies inside one."""
+"""Least number of pieces along which two tubes rub: the kink of the torsion where slip ends lies inside one."""
 
 LOOSE = 1e-11
 """Part of a compliance that is round-off: what the points leave open by less, they tell."""
@@ -72,7 +72,7 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
     unknown = assembly.curved & assembly.coupled[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
-    problem = _problem(assembly, friction, touching.any(1), unknown)
+    problem = _problem(assembly, friction, touching, unknown)
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
     spots = _spots(assembly, capacities)
@@ -94,9 +94,11 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
 
 
 def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) -> ReducedProblem:
-    """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where tubes rub (m,)."""
-    counts = piece_counts(assembly)
-    counts[rubs] = np.maximum(counts[rubs], PIECES) * 2**friction.refinement
+    """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where pairs rub (m, n - 1)."""
+    overlap = assembly.length @ rubs
+    longest = np.min(np.where(rubs, overlap / PIECES, np.inf), axis=1, initial=np.inf)
+    fine = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
+    counts = np.where(rubs.any(1), fine * 2**friction.refinement, fine)
     mesh = make_mesh(assembly, counts, degree=DEGREE)
     return reduce(assembly, replace(mesh, collocated=unknown.any(1)[mesh.section]), unknown)
 
@@ -159,7 +161,9 @@ def _softness(problem: ReducedProblem) -> tuple[Array, Array]:
     if problem.here is not None:
         return ahead(mesh, problem.here), reach(mesh, problem.here)
     ends = np.append(mesh.start, assembly.total_length)
-    inside, outside = ((assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends))
+    inside, outside = (
+        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
+    )
     return inside, outside
 
 
