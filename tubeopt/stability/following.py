@@ -14,6 +14,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
+from ..parallel.blas import small
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -69,6 +70,7 @@ class Event:
     landed: Point
 
 
+@small
 def follow(
     robot: Robot,
     rotations: ArrayLike,
