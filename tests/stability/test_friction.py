@@ -1,8 +1,8 @@
 """Dry friction between tubes: states and loops of two tubes by an independent integration, energy, memory, snaps.
 
 Two tubes of equal kt, phi = relative rotation, q = 2 tau / kt, Q = 2 T_end / kt, c = (1 + nu) k1 k2:
-phi'' = c sin phi + q sign(slip), phi(0) - l phi'(0) = gamma, phi'(L) = -Q sign(slip); solved by DOP853 with the front by
-bisection, and by linear elements with Richardson extrapolation.
+phi'' = c sin phi + q sign(slip), phi(0) - l phi'(0) = gamma, phi'(L) = -Q sign(slip); solved by DOP853 with the front
+by bisection, and by linear elements with Richardson extrapolation.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def test_friction_delays_a_snap(c: float, q: float, held: float, fold: float) ->
 
 
 def test_what_friction_alone_holds() -> None:
-    """Tubes that stand against each other are stable as long as they are short, and friction holds them as they grow."""
+    """Tubes that stand against each other are stable while they are short; friction holds them as they grow."""
     tubes = (Tube(d, d - 0.5 * MM, 60 * MM, 100 * MM, 10.0) for d in (1.0 * MM, 2.0 * MM))
     robot = ConcentricRobot(tuple(tubes))
     against = [[0.0, np.pi]] * 2

@@ -1,13 +1,12 @@
 """A robot whose tubes rub, on its way: the state after every increment, and what the next one remembers of it.
 
-What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip is
-what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
+What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip
+is what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
 theta_i(s - dz_i) then: the memory is the material's.
 """
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -159,7 +158,6 @@ def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> 
 
 def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
     """A state with friction as an equilibrium, with its shape, energy and error estimates."""
-    began = time.perf_counter()
     contact, state, problem = held.contact, held.found.state, held.contact.problem
     size = problem.size
     torsion = replace(state.torsion, gradient=(state.gradient + contact.rows.T @ held.found.torque)[:size])

@@ -4,8 +4,8 @@
     <=>  grad E + P' lam = 0,   |lam| <= D,   lam = D sign(slip) where a row slips, no slip where it sticks
 
 By Newton's method: every step solves the quadratic program of the energy's second-order model with the exact friction
-(`sticking`). Where the energy itself is not convex, but is along what sticks, the same exchanges are tried from the rows
-that stuck before, and their answer is taken only if it is a minimum by the inertia of the whole system.
+(`sticking`). Where the energy itself is not convex, but is along what sticks, the same exchanges are tried from the
+rows that stuck before, and their answer is taken only if it is a minimum by the inertia of the whole system.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def increment(
     signs: Signs | None = None,
     slid: Array | None = None,
 ) -> Increment | None:
-    """The state at base rotations (n,) near x, from relative rotations `before` (R,); None where there is none close by.
+    """The state at base rotations (n,) near x, from relative rotations `before` (R,); None where none is close by.
 
     Args:
         signs: of what slips, for a first guess; by default what the energy's model without friction would do.
@@ -205,8 +205,8 @@ def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
 
 
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
-    """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as long
-    as friction holds what it holds."""
+    """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as
+    long as friction holds what it holds."""
     stuck = contact.rows[signs == 0]
     if not len(stuck):
         return least(state.hessian)
@@ -245,8 +245,8 @@ def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
 def slide(
     contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None
 ) -> tuple[Increment, float] | None:
-    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is not
-    found. It begins at x, or beside it, on the side of +-`push` (X,) that is lower.
+    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is
+    not found. It begins at x, or beside it, on the side of +-`push` (X,) that is lower.
 
     Linearly implicit Euler steps in the norm of the torsional energy, each with exact friction from where the last one
     left it, which grow into those of Newton where the flow comes to rest.

@@ -13,6 +13,7 @@ the energy is E(z) + y'y / 2.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -68,7 +69,8 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
     # (m, n - 1) sections in which a pair touches that rubs anywhere.
-    touching = assembly.present[:, 1:] & np.any(list(capacities.values()), axis=0)
+    rub = np.sum(list(capacities.values()), axis=0) > 0
+    touching = assembly.present[:, 1:] & rub
     unknown = assembly.curved & assembly.coupled[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
@@ -82,15 +84,21 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
     pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
     rows = by_x[index[point, pair + 1]] - by_x[index[point, pair]]
-    whole = [rows], [capacities["torque"][pair] * problem.weight[point]], [problem.arc_length[point]], [pair], [point]
+    whole: tuple[list[Any], ...] = (
+        [rows],
+        [capacities["torque"][pair] * problem.weight[point]],
+        [problem.arc_length[point]],
+        [pair],
+        [point],
+    )
     for s, i, most in spots:
         outer, inner = (problem.size + int(np.flatnonzero((place == s) & (tube == j))[0]) for j in (i + 1, i))
         row = by_x[outer] - by_x[inner]
         if row @ row > 0:  # tubes that are held at the plate itself turn as their drives do, whatever rubs
             for column, value in zip(whole, (row, most, s, i, -1), strict=True):
                 column.append(np.array([value]))
-    columns = [np.concatenate(column) for column in whole]
-    return Contact(problem, friction, *columns, place, tube, known, loose)
+    rows, capacity, arc_length, pair, point = (np.concatenate(column) for column in whole)
+    return Contact(problem, friction, rows, capacity, arc_length, pair, point, place, tube, known, loose)
 
 
 def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) -> ReducedProblem:
@@ -98,9 +106,9 @@ def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) 
     overlap = assembly.length @ rubs
     longest = np.min(np.where(rubs, overlap / PIECES, np.inf), axis=1, initial=np.inf)
     fine = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
-    counts = np.where(rubs.any(1), fine * 2**friction.refinement, fine)
+    counts = np.where(rubs.sum(1) > 0, fine * 2**friction.refinement, fine)
     mesh = make_mesh(assembly, counts, degree=DEGREE)
-    return reduce(assembly, replace(mesh, collocated=unknown.any(1)[mesh.section]), unknown)
+    return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 
 
 def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float, int, float]]:
