@@ -145,15 +145,15 @@ def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> 
     if not moved.any():
         return held.contact, held.found.state.turned, held.found.state.x
     contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
-    before = np.zeros(len(contact.capacity))
-    for tube in range(robot.n_tubes):
-        rows = np.flatnonzero((contact.pair == tube) | (contact.pair + 1 == tube))
-        sign = np.where(contact.pair[rows] == tube, -1.0, 1.0)
-        before[rows] += sign * held.theta(contact.arc_length[rows] - moved[tube])[:, tube]
+    pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
+    where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
+    theta = held.theta(np.concatenate(where))
+    at, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in where])[:-1])
+    row, spot = np.arange(len(pair)), np.arange(len(contact.place))
+    before = outer[row, pair + 1] - inner[row, pair]
     turned = rotations - held.rotations
-    points = held.theta(contact.problem.arc_length) + turned
-    between = (held.theta(contact.place) + turned)[np.arange(len(contact.place)), contact.tube]
-    return contact, before, unknowns_of(contact, rotations, points, between)
+    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube])
+    return contact, before, x
 
 
 def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:

@@ -99,9 +99,10 @@ def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
 def _near(path: JointPath, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
     there = step(path.robot, held, *path.at(t))
-    if there is None or there.found.contraction > LARGEST_RATIO or there.held_margin <= 0:
+    if there is None or there.found.contraction > LARGEST_RATIO:
         return None
-    return there if _distance(held, there) <= largest_twist(held.held_margin) else None
+    far = _distance(held, there)
+    return there if far <= largest_twist(0.0) or far <= largest_twist(held.held_margin) else None
 
 
 def _distance(a: Held, b: Held) -> float:

@@ -104,9 +104,8 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
 def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) -> ReducedProblem:
     """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where pairs rub (m, n - 1)."""
     overlap = assembly.length @ rubs
-    longest = np.min(np.where(rubs, overlap / PIECES, np.inf), axis=1, initial=np.inf)
-    fine = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
-    counts = np.where(rubs.sum(1) > 0, fine * 2**friction.refinement, fine)
+    longest = np.min(np.where(rubs, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
+    counts = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
     mesh = make_mesh(assembly, counts, degree=DEGREE)
     return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 

@@ -21,6 +21,9 @@ from .poses import Poses
 
 Index = NDArray[np.intp]
 
+COARSE = -1
+"""Refinement of the mesh: where slip ends is then off by less than what tips are measured to."""
+
 
 def rubbed_poses(
     robot: Robot, joints: tuple[Array, Array], stations: Array, runs: Sequence[Index], friction: Friction
@@ -33,6 +36,7 @@ def rubbed_poses(
         InputError: joint values at which the robot cannot be.
     """
     alpha, shift = joints
+    coarse = replace(friction, refinement=min(friction.refinement, COARSE))
     count = len(alpha)
     position, frame = np.full((count, len(stations), 3), np.nan), np.full((count, 3, 3), np.nan)
     margin, length = np.full(count, np.nan), np.zeros(count)
@@ -41,7 +45,7 @@ def rubbed_poses(
     for run in runs:
         table, k = np.hstack([alpha[run], shift[run]]), 0
         try:
-            for k, (held, _) in enumerate(rubbing_legs(robot, table, friction, None)):
+            for k, (held, _) in enumerate(rubbing_legs(robot, table, coarse, None)):
                 arm, row = _arm(held), run[k]
                 last = int(np.argmax(shift[row] + curved))
                 length[row], margin[row] = arm.arc_length[-1], held.margin
