@@ -32,7 +32,9 @@ def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
         return []
     every = [*model.parameters, *others]
     start = np.append(fit.state.x, [p.start for p in others])
-    slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration))
+    count = len(model.parameters)
+    slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration), skip=count)
+    slopes[..., :count] = fit.jacobian[..., :count]
     flat = slopes.reshape(-1, slopes.shape[2])
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))
     words = []

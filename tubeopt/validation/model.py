@@ -236,6 +236,10 @@ class ArmModel:
         out[..., count:] = -self._registration_slope(state, here)
         return out
 
+    def costly(self, state: State) -> bool:
+        """Whether the derivatives at a state take a way along all rows for every parameter."""
+        return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
+
     def _joint_slopes(self, setup: Setup, motion: Registration, here: Array) -> Array:
         """(V, 3, 2 n) of what is seen by the joint values of its row; tubes of one carriage share theirs equally."""
         alpha, shift = self.joints(setup)
