@@ -47,6 +47,7 @@ from .planning import (
 from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
+from .robots.friction import Friction
 from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
@@ -113,6 +114,7 @@ __all__ = [
     "Feedback",
     "Finding",
     "ForceEstimate",
+    "Friction",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
