@@ -88,7 +88,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
-from .validation.force import ForceEstimate, estimate_force
+from .validation.force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -108,6 +108,7 @@ __all__ = [
     "EquilibriumBlock",
     "Finding",
     "ForceEstimate",
+    "ForceRecord",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
@@ -153,6 +154,7 @@ __all__ = [
     "certify",
     "energy_map",
     "estimate_force",
+    "estimate_forces",
     "find_equilibria",
     "find_load_limit",
     "find_snap",

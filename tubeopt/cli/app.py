@@ -23,6 +23,7 @@ from . import (
     heat,
     inverse,
     kinematics,
+    loads,
     measure,
     mold,
     plan,
@@ -61,6 +62,15 @@ app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml confi
 app.command(
     epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
 )(stability.certify)
+app.command(
+    "load-limit",
+    epilog="Example: tubeopt load-limit configs/robots/thesis_ctr.yaml --from-deg 0,0,0 --rotations-deg 200,0,0 "
+    "--tip-force-mN=-10,0,0",
+)(loads.load_limit)
+app.command(
+    epilog="Example: tubeopt force configs/robots/thesis_ctr.yaml configs/experiments/synthetic_forces.csv "
+    "--noise-mm 0.1 --out results"
+)(loads.force)
 app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
     stability.stability_map
 )

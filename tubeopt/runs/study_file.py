@@ -23,6 +23,7 @@ from .design_study import DesignStudy
 from .heating_study import HeatingStudy
 from .inverse_study import InverseStudy
 from .load_file import LoadedStudy
+from .load_studies import ForceStudy, LoadLimitStudy
 from .measure_study import MeasureStudy
 from .mold_study import MoldStudy
 from .plan_study import PlanStudy
@@ -66,6 +67,8 @@ STUDY_KINDS: dict[str, type[Study]] = {
     "equilibria": EquilibriaStudy,
     "snap": SnapStudy,
     "follow": FollowStudy,
+    "load_limit": LoadLimitStudy,
+    "force": ForceStudy,
     "certify": CertifyStudy,
     "stability_map": StabilityMapStudy,
     "validation": ValidationStudy,

@@ -19,6 +19,7 @@ from . import (  # noqa: F401  (each registers its reports)
     fabrication_report,
     heat_report,
     inverse_report,
+    load_report,
     mandrel_report,
     map_report,
     measure_report,
