@@ -37,6 +37,8 @@ class Bearing:
 class LoadLimitStudy(LoadedStudy):
     """How many times a load can be put on a robot before its equilibrium is lost."""
 
+    doing = "putting the load on"
+
     kind: Literal["load_limit"]
     robot: RobotPath
     rotations_deg: OnePerTube | None = TURNED
@@ -70,6 +72,8 @@ class LoadLimitStudy(LoadedStudy):
 
 class ForceStudy(LoadedStudy):
     """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
+
+    doing = "estimating forces"
 
     kind: Literal["force"]
     robot: RobotPath

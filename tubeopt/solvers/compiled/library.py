@@ -26,6 +26,7 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
@@ -103,6 +104,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
     """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
+    generator.add(coupling_rate_function(n))
     if general:
         for name, function in (
             ("section_curvature", section_functions(n, False)["curvature"]),
