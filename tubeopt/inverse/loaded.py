@@ -49,7 +49,9 @@ def under_load(
         SolveError: no unloaded answer; a load that the robot does not bear there; aiming that does not converge.
     """
     if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip; it has no margin, so no answer is known to be stable")
+        raise InputError(
+            "load has a moment or turns with the tip; it has no margin, so no answer is known to be stable"
+        )
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
     floor, clearance, last = min_margin, options.clearance, None
@@ -100,7 +102,9 @@ def _aim(
         if direction is not None and along is not None:
             along = along + direction - e.tip_rotation[:, 2]
             along = along / np.linalg.norm(along)
-    raise SolveError(f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm, and aiming does not help")
+    raise SolveError(
+        f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm, and aiming does not help"
+    )
 
 
 def _answer(found: InverseSolution, e: Equilibrium, target: tuple[Array, Array | None]) -> InverseSolution:

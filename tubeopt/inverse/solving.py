@@ -134,7 +134,9 @@ def inverse_kinematics(
             )
 
         towards = None if direction is None else unit_vector("direction", direction)
-        return under_load(without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options)
+        return under_load(
+            without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
+        )
     goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
