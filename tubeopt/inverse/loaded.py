@@ -49,9 +49,7 @@ def under_load(
         SolveError: no unloaded answer; a load that the robot does not bear there; aiming that does not converge.
     """
     if not load.has_energy:
-        raise InputError(
-            "load has a moment or turns with the tip; it has no margin, so no answer is known to be stable"
-        )
+        raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
     if options.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
     floor, clearance, last = min_margin, options.clearance, None
@@ -69,7 +67,7 @@ def under_load(
             break
         last = found
     raise SolveError(
-        f"under the load the margin is {e.margin:.3g} and the clearance is short by {1e3 * max(near, 0.0):.3g} mm at the "
+        f"under the load the margin is {e.margin:.3g} and the clearance {1e3 * max(near, 0.0):.3g} mm too small at the "
         "best answer that was found",
         answer,
     )

@@ -97,8 +97,8 @@ def inverse_kinematics(
         weights: of the joints' distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad and 2
             per length of the longest tube.
         obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
-        load: forces that push on the robot and keep their direction: tip, margin and clearance are those under it, grown
-            from none. One answer; whether a way leads there is not told.
+        load: forces that push on the robot and keep their direction: tip, margin and clearance are those under it,
+            grown from none. One answer; whether a way leads there is not told.
         on_failure: "raise", or "closest" to get the closest pose where the target is out of reach.
         all_solutions: return all distinct answers that are found, best first: nearest to the reference where there is
             one, else the largest margin.

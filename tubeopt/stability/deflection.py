@@ -4,14 +4,15 @@ Where the certificate mu under forces of at most F is positive, the potential en
 more: with T the elastic form of `loaded_certificate` in rotations and bending, whose second variation is at least mu T
 everywhere, the equilibrium x_F under a force and the one without, x_0, are apart by D = x_F - x_0 with
 
-    mu T(D) <= (F . dp_L)(D) <= F phi-bar_L,      |p_F(s) - p_0(s)| <= phi-bar_s = int_0^s phi,   phi' = sum A_i |y_i| + |r|,
+    mu T(D) <= F . dp_L(D) <= F g(L),    |p_F(s) - p_0(s)| <= g(s) = int_0^s phi,    phi' = sum A_i |y_i| + |r|,
 
-since the gradient of the energy vanishes at x_F, is minus the work of the force at x_0, and tangents turn by no more
-than curvatures differ, at most A_i |y_i| by tube i and |r| by bending. With the largest phi-bar_s for T = 1,
+since the gradient of the potential energy vanishes at x_F and is minus that of the work at x_0, and tangents turn by no
+more than curvatures differ, at most A_i |y_i| by tube i and |r| by bending. g(s) is at most kappa(s) T(D)^(1/2) with
 
-    kappa(s)^2 = int_0^s (s - x)^2 / K dx + sum_i (|beta_i| m_i(0)^2 + int_0^s m_i^2 dx) / kt_i,    m_i(x) = int_x^s (s - t) A_i dt,
+    kappa(s)^2 = int_0^s (s - x)^2 / K dx + sum_i (|beta_i| m_i(0)^2 + int_0^s m_i^2 dx) / kt_i,
+    m_i(x) = int_x^s (s - t) A_i dt,
 
-the arm moves by at most F kappa(L) kappa(s) / mu.
+so that the arm moves by at most F kappa(L) kappa(s) / mu.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ def deflection_bound(
 ) -> Array:
     """(S,) how far points of the arm at most move, m, whatever pushes on the tip with up to `max_force`.
 
-    For all rotations and for all forces that keep their direction, in any direction, put on the unloaded robot; infinite
-    where the certificate under that force is not positive.
+    For all rotations and for all forces that keep their direction, in any direction, put on the unloaded robot;
+    infinite where the certificate under that force is not positive.
 
     Args:
         translations: (n,) m; default home.
