@@ -80,6 +80,7 @@ from .stability import (
     WorstCertificate,
     WorstMargin,
     certify,
+    deflection_bound,
     energy_map,
     find_equilibria,
     find_load_limit,
@@ -92,7 +93,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
-from .validation.force import ForceEstimate, estimate_force
+from .validation.force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -114,6 +115,7 @@ __all__ = [
     "Feedback",
     "Finding",
     "ForceEstimate",
+    "ForceRecord",
     "Friction",
     "HeatingPlan",
     "HeatingSpec",
@@ -161,8 +163,10 @@ __all__ = [
     "WorstCertificate",
     "WorstMargin",
     "certify",
+    "deflection_bound",
     "energy_map",
     "estimate_force",
+    "estimate_forces",
     "find_equilibria",
     "find_load_limit",
     "find_snap",

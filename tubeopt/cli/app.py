@@ -27,6 +27,8 @@ COMMANDS = {
     "equilibria": "stability.equilibria",
     "snap": "stability.snap",
     "follow": "stability.follow",
+    "load-limit": "loads.load_limit",
+    "force": "loads.force",
     "certify": "stability.certify",
     "stability-map": "stability.stability_map",
     "run": "study.run",

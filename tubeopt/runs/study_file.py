@@ -20,6 +20,8 @@ STUDY_KINDS = Kinds(
         "equilibria": "stability_studies.EquilibriaStudy",
         "snap": "stability_studies.SnapStudy",
         "follow": "stability_studies.FollowStudy",
+        "load_limit": "load_studies.LoadLimitStudy",
+        "force": "load_studies.ForceStudy",
         "certify": "stability_studies.CertifyStudy",
         "stability_map": "stability_studies.StabilityMapStudy",
         "validation": "validation_study.ValidationStudy",

@@ -25,6 +25,7 @@ MODULES = {
     "firmware_report": ("LedHeating",),
     "heat_report": ("Heating", "RigFit", "TrialFit"),
     "inverse_report": ("Postures", "TargetTable"),
+    "load_report": ("Bearing", "ForceRecord"),
     "mandrel_report": ("Mandrel",),
     "map_report": ("RobotMap",),
     "measure_report": ("Placement",),

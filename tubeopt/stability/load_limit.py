@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.loaded import solved, unloaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
