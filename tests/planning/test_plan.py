@@ -32,8 +32,8 @@ from tubeopt.control import search
 from tubeopt.control.chart import Chart
 from tubeopt.control.joints import joint_space
 from tubeopt.planning import plan
-from tubeopt.planning.motion import hurried
 from tubeopt.planning.reach import least_miss
+from tubeopt.planning.timing import Limits, stopping_at
 from tubeopt.robots.robot import Robot
 
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
@@ -286,7 +286,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     mark = np.array([0.0, 1.0, 1.05, 2.05])
     even = np.linspace(0, mark[-1], 120)
     rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
-    motion = hurried(np.column_stack([np.interp(even, mark, column) for column in way.T]), rate, most)
+    motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
     t = np.linspace(0, motion.duration, 4000)
     q = motion.at(t)
     speed = np.diff(q, axis=0) / t[1]
