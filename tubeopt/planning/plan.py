@@ -52,9 +52,9 @@ SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 SHARE_OF_SMOOTHING = 0.5
 """Share of the time that is left which smoothing may take: the proof needs the rest."""
 
-SHORT, ROUND_OFF, SLOWER = 1e-9, 1e-6, 2e-3
-"""Length of a way (joints' scales) on which nothing is smoothed, and shares of a length and of a duration that are
-none."""
+SHORT, SAME = 1e-9, 2e-3
+"""Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
+count as the same."""
 
 ROUNDINGS = (0.4, 0.2, 0.1, 0.05)
 """Distances (joints' scales) of the points of a polyline whose corners are rounded."""
@@ -201,7 +201,7 @@ def _motions(
             found = [each for each in found if each[0].duration <= resting.duration]
             found.sort(key=lambda each: each[0].duration)
         else:
-            longest, slowest = resting.length(task.scale) * (1 + ROUND_OFF), resting.duration * (1 + SLOWER)
+            longest, slowest = resting.length(task.scale) * (1 + SAME), resting.duration * (1 + SAME)
             short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
             found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
     return [*found, (resting, "", 0, len(points))]
