@@ -17,9 +17,10 @@ from .proof import Proof
 class PlanStatistics:
     """How a plan was found.
 
-    how: "straight", "detour" or "search"; smoothed: by which objective, "" where the smoothed motion was not allowed or
-    not asked for.   motions: that the search checked.   raw_length, length: of the path in joint space as found and as
-    it is, in units of the joints' scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
+    how: "straight", "detour" or "search"; smoothed: by which objective, "corners" where only those of the way were
+    rounded, "" where it rests at them: what is smoothed was not allowed, no better, or not asked for.   motions: that
+    the search checked.   raw_length, length: of the path in joint space as found and as it is, in units of the joints'
+    scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
     search_seconds, smooth_seconds, proof_seconds, seconds.
     """
 
