@@ -51,6 +51,8 @@ OPTIONS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
     "max_iter": 300,
+    # The start is feasible: a larger barrier would drive it far away first, through designs that no branch connects.
+    "mu_init": 1e-4,
     "tol": 1e-8,
     "constr_viol_tol": 1e-10,
     "bound_relax_factor": 0.0,
