@@ -7,6 +7,9 @@ A, weights b, and A~ the adjoint of A (itself for Gauss points),
 
 and the same with b to the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Every other
 module has the equations, the energy, the shape and all their derivatives from here.
+
+Of tubes made of pieces theta is the elastic rotation, to which the natural turn is added where a tube pulls; their
+torsional stiffness is kt of the tube over an ease c that varies, so that c stands beside g: theta' = g c w.
 """
 
 from __future__ import annotations
@@ -18,8 +21,9 @@ import casadi as ca
 import numpy as np
 
 from ..physics.shape import GAUSS_POINTS, magnus_quaternion
-from ..physics.torsion import CrossSection, cross_section, section_functions
+from ..physics.torsion import CrossSection, bent_anyhow, cross_section, section_functions
 from ..typing import Array
+from .panel import Local, local, width
 from .tableau import Tableau, tableau
 
 SHAPE_STEPS = 4
@@ -31,17 +35,24 @@ ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
 
 @dataclass(frozen=True)
 class Grid:
-    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets."""
+    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets, and of tubes
+    made of pieces the `detail`, coefficients of what varies along them (0: nothing does)."""
 
     n_tubes: int
     family: str = "gauss"
     degree: int = 6
     eccentric: bool = False
+    detail: int = 0
 
     @property
     def tableau(self) -> Tableau:
         """Collocation tableau of every piece."""
         return tableau(self.family, self.degree)
+
+    @property
+    def stretched(self) -> bool:
+        """Whether theta' is another one than w."""
+        return self.eccentric or self.detail > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +61,7 @@ class Piece:
 
     theta, twist: (n,) where it begins.  inner: (n, K) theta at its points.  stiffness, moment: (n,) kb_i of the tubes
     present, m_i of the tubes curved.  torsional_stiffness: (n,).  length: h.  place: offset and angle (n,), or nothing.
+    along: what varies along tubes made of pieces, as `panel.local` reads it, in place of stiffness and moment.
     """
 
     grid: Grid
@@ -61,16 +73,36 @@ class Piece:
     torsional_stiffness: Any
     length: Any
     place: tuple[Any, ...] = ()
+    along: Any = None
 
     @property
     def arguments(self) -> list[Any]:
         """What the functions of this module take, in order."""
-        data = [self.stiffness, self.moment, self.torsional_stiffness, self.length]
-        return [self.theta, self.twist, self.inner, *data, *self.place]
+        data = [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.place]
+        if self.along is not None:
+            data = [self.torsional_stiffness, self.length, self.along]
+        return [self.theta, self.twist, self.inner, *data]
 
-    def section(self, theta: Any) -> CrossSection:
-        """The cross-section of this piece at rotations (n,)."""
-        return cross_section(theta, self.stiffness, self.moment, *self.place)
+    def local(self, x: Any) -> Local:
+        """The tubes at the fraction x of this piece."""
+        if self.along is None:
+            return Local(self.stiffness, self.moment)
+        return local(self.along, self.torsional_stiffness, self.grid.detail, x)
+
+    def section(self, theta: Any, x: Any) -> CrossSection:
+        """The cross-section at the fraction x of this piece, at rotations (n,)."""
+        here = self.local(x)
+        return cross_section(theta + here.wound, here.stiffness, here.moment, *self.place)
+
+    def balance(self, theta: Any, x: Any) -> Any:
+        """M, dM/dtheta (n, n), and where theta' is another than w: g c and dg/dtheta (n, n), at the fraction x."""
+        here, n = self.local(x), self.grid.n_tubes
+        if self.along is not None:
+            moment, slope = bent_anyhow(n)(theta + here.wound, here.stiffness, here.moment)
+            return [moment, slope, here.ease, ca.SX(n, n)]
+        functions = section_functions(n, bool(self.place))
+        moment, slope, _, *stretch = functions["balance"](theta, here.stiffness, here.moment, *self.place)
+        return [moment, slope, *stretch]
 
 
 def symbols(grid: Grid) -> Piece:
@@ -79,13 +111,14 @@ def symbols(grid: Grid) -> Piece:
     theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
     place = (d, phi) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
-    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place)
+    along = ca.SX.sym("along", width(n, grid.detail)) if grid.detail else None
+    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along)
 
 
 @dataclass(frozen=True, eq=False)
 class Torsion:
     """theta and w of a piece as polynomials: `twist` (n, K) at its points, `gain` (n, K) M / kt and `extra` (n, K)
-    (g - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w where the piece ends, (n,) each."""
+    (g c - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w where the piece ends, (n,) each."""
 
     piece: Piece
     twist: Any
@@ -99,7 +132,7 @@ class Torsion:
         piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
         theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
         theta += piece.length**2 * self.gain @ _lagrange(piece.grid, x, 2).T
-        if piece.place:
+        if piece.grid.stretched:
             theta += piece.length * self.extra @ _lagrange(piece.grid, x, 1).T
         return theta
 
@@ -111,7 +144,7 @@ class Torsion:
     def curvature(self, x: Any) -> Any:
         """u (2, len(x)) at fractions x of the piece."""
         theta = self.rotation(x)
-        return ca.horzcat(*(self.piece.section(theta[:, k]).curvature for k in range(theta.shape[1])))
+        return ca.horzcat(*(self.piece.section(theta[:, k], x[k]).curvature for k in range(theta.shape[1])))
 
 
 def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
@@ -127,10 +160,11 @@ def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
 def torsion_of(piece: Piece) -> Torsion:
     """The collocated torsion of a piece."""
     t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
-    sections = [piece.section(piece.inner[:, k]) for k in range(count)]
+    sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
     gain = ca.horzcat(*(here.moment / piece.torsional_stiffness for here in sections))
     twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
-    stretch = ca.horzcat(*(ca.SX(here.stretch) for here in sections))
+    eases = [piece.local(x).ease for x in t.nodes]
+    stretch = ca.horzcat(*(ca.SX(here.stretch * ease) for here, ease in zip(sections, eases, strict=True)))
     slope = stretch * twist
     defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
     end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
@@ -145,12 +179,12 @@ def untwisting(piece: Piece) -> Torsion:
 
 
 def energy_of(torsion: Torsion) -> Any:
-    """Elastic energy of the piece, J: int kt g w^2 / 2 + bending, g w^2 = w (w + (g - 1) w)."""
-    piece = torsion.piece
+    """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending, g c w^2 = w (w + (g c - 1) w)."""
+    piece, t = torsion.piece, torsion.piece.grid.tableau
     total: Any = 0.0
-    for k, b in enumerate(piece.grid.tableau.weights.tolist()):
+    for k, b in enumerate(t.weights.tolist()):
         w = torsion.twist[:, k]
-        bending = piece.section(piece.inner[:, k]).bending_energy
+        bending = piece.section(piece.inner[:, k], t.nodes[k]).bending_energy
         total += b * (ca.dot(piece.torsional_stiffness, w * (w + torsion.extra[:, k])) / 2 + bending)
     return piece.length * total
 
@@ -173,7 +207,7 @@ def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tupl
     """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
 
     The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
-    where w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
+    where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
     det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
@@ -184,8 +218,7 @@ def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tupl
     """
     piece, t = torsion.piece, torsion.piece.grid.tableau
     n, count, h = piece.grid.n_tubes, piece.grid.degree, piece.length
-    balance = section_functions(n, bool(piece.place))["balance"]
-    sections = [balance(piece.inner[:, k], piece.stiffness, piece.moment, *piece.place) for k in range(count)]
+    sections = [piece.balance(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
     gains = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ here[1] for here in sections]
     ahead, ahead_twist = t.weights - t.matrix, t.weights - t.adjoint
     before, defects = [], []
@@ -193,9 +226,9 @@ def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tupl
         y, v, own = end[:n, c], end[n:, c], inner[:, c * count : (c + 1) * count]
         gained = ca.horzcat(*(gains[k] @ own[:, k] for k in range(count)))
         slope = ca.repmat(v, 1, count) - h * gained @ ahead_twist.T
-        if piece.place:
+        if piece.grid.stretched:
             turned = [
-                here[3] * slope[:, k] + torsion.twist[:, k] * (here[4] @ own[:, k]) for k, here in enumerate(sections)
+                here[2] * slope[:, k] + torsion.twist[:, k] * (here[3] @ own[:, k]) for k, here in enumerate(sections)
             ]
             slope = ca.horzcat(*turned)
         defects.append(own - ca.repmat(y, 1, count) + h * slope @ ahead.T)

@@ -43,14 +43,18 @@ def places_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def inside_function(grid: Grid) -> ca.Function:
-    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it."""
+    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it; of tubes
+    made of pieces also their natural turn, its rate per fraction, and their ease (n,)."""
     torsion = torsion_of(symbols(grid))
     q, p = _pose()
     x = ca.SX.sym("x")
     turn, shift, _ = shape_of(torsion, x)[-1]
     end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
     theta, w = torsion.rotation(x), torsion.torsion(x)
-    outputs = [*end, theta, w, torsion.piece.section(theta).curvature]
+    outputs = [*end, theta, w, torsion.piece.section(theta, x).curvature]
+    if grid.detail:
+        here = torsion.piece.local(x)
+        outputs += [here.wound, ca.jacobian(here.wound, x), here.ease]
     return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
 
 
@@ -64,14 +68,22 @@ def energy_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def bend_function(grid: Grid) -> ca.Function:
     """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
-    at the points, |u / g - u*|, 1/m."""
+    at the points, |u / g - u*|, 1/m, and its own there; tubes made of pieces have theirs from the arguments."""
     piece, natural = symbols(grid), ca.SX.sym("natural", grid.n_tubes)
     columns = []
-    for k in range(grid.degree):
-        theta = piece.inner[:, k]
-        here = piece.section(theta)
-        columns.append(bend_from_own((ca.cos(theta), ca.sin(theta)), here.curvature, natural, here.stretch))
-    return ca.Function("bend", [*piece.arguments, natural], [ca.horzcat(*columns)], OPTIONS)
+    for k, x in enumerate(grid.tableau.nodes):
+        theta, at = piece.inner[:, k], piece.local(x)
+        here = piece.section(theta, x)
+        own: Any = natural
+        direction = ca.cos(theta), ca.sin(theta)
+        if grid.detail:
+            turned = theta + at.wound
+            cos, sin, (a, b) = ca.cos(turned), ca.sin(turned), ca.horzsplit(at.natural)
+            direction, own = (a * cos - b * sin, a * sin + b * cos), bend_from_own((a, b), ca.DM.zeros(2), 1.0)
+        bent = bend_from_own(direction, here.curvature, 1.0 if grid.detail else natural, here.stretch)
+        columns.append((bent, own))
+    bends, owns = (ca.horzcat(*parts) for parts in zip(*columns, strict=True))
+    return ca.Function("bend", [*piece.arguments, natural], [bends, owns], OPTIONS)
 
 
 @lru_cache(maxsize=64)

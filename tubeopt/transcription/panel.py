@@ -1,0 +1,73 @@
+"""What varies along one piece of tubes made of pieces, as the numbers of a column and read at any point of the piece.
+
+Every tube has polynomials on the panels that its own pieces are cut into; a piece of the mesh lies in one panel of each
+tube, from `low` to `high` in the coordinate -1 .. 1 of that panel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+CHANNELS = 5
+"""EI of a tube that is present, GJ, u*_x, u*_y and the natural turn, in this order."""
+
+QUADRATURE = 16
+"""Gauss points for the mean torsional compliance of a panel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Local:
+    """n tubes at a cross-section: kb (n,), m (n,) or (n, 2), natural turn, ease kt / GJ, and u* (n, 2)."""
+
+    stiffness: Any
+    moment: Any
+    wound: Any = 0.0
+    ease: Any = 1.0
+    natural: Any = None
+
+
+def width(n: int, detail: int) -> int:
+    """Length of the column of n tubes with `detail` coefficients."""
+    return n * (CHANNELS * detail + 2)
+
+
+def local(along: Any, torsional_stiffness: Any, detail: int, x: Any) -> Local:
+    """The tubes at the fraction x of a piece.
+
+    Args:
+        along: column, tube by tube: `detail` coefficients of each channel, then low and high.
+        torsional_stiffness: (n,) kt, to which the ease refers.
+    """
+    table = ca.reshape(along, CHANNELS * detail + 2, -1)
+    low, high = table[-2, :], table[-1, :]
+    basis = chebyshev(low + x * (high - low), detail)
+    kb, kt, a, b, wound = (
+        sum(table[c * detail + k, :] * basis[k] for k in range(detail)).T for c in range(CHANNELS)
+    )
+    natural = ca.horzcat(a, b)
+    return Local(kb, ca.horzcat(kb, kb) * natural, wound, torsional_stiffness / kt, natural)
+
+
+def chebyshev(x: Any, count: int) -> list[Any]:
+    """The first `count` polynomials at x."""
+    basis = [1.0, x]
+    for _ in range(2, count):
+        basis.append(2 * x * basis[-1] - basis[-2])
+    return basis[:count]
+
+
+@lru_cache(maxsize=32)
+def compliance_function(detail: int) -> ca.Function:
+    """(coefficients of GJ (detail,), low, high) -> mean of 1 / GJ between two places of a panel."""
+    coefficients, low, high = ca.SX.sym("kt", detail), ca.SX.sym("low"), ca.SX.sym("high")
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE if detail > 1 else 1)
+    mean: Any = 0.0
+    for x, w in zip((nodes + 1) / 2, weights / 2, strict=True):
+        basis = chebyshev(low + x * (high - low), detail)
+        mean += w / sum(coefficients[k] * basis[k] for k in range(detail))
+    return ca.Function("compliance", [coefficients, low, high], [mean], {"cse": True})
