@@ -24,9 +24,6 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
-from .block.problem import Problem
-from .block.problem_solution import ProblemSolution, load_problem_solution
-from .block.problem_status import ProblemStatus
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.file import load_equilibrium
@@ -62,6 +59,9 @@ from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
 from .shaping.heating.spec import HeatingSpec
+from .solvers.problem import Problem
+from .solvers.problem_solution import ProblemSolution, load_problem_solution
+from .solvers.problem_status import ProblemStatus
 from .solvers.settings import Ipopt, Newton
 from .stability import (
     Branch,

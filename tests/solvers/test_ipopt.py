@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from tubeopt.transcription.block import structure_of
+from tubeopt.transcription.nlp import IPOPT_OPTIONS
 
 from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
 from tubeopt import SolveError
@@ -15,9 +17,7 @@ from tubeopt.solvers import ipopt
 from tubeopt.solvers.ipopt import solve_ipopt, start_values
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription import arm as arms
-from tubeopt.transcription.block import structure_of
 from tubeopt.transcription.mesh import make_mesh
-from tubeopt.transcription.nlp import IPOPT_OPTIONS
 from tubeopt.transcription.reduced import ReducedProblem, margin, reduce, residual
 from tubeopt.typing import Array
 

@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from tubeopt.transcription.block import add_energy, add_equilibrium, parameter_values, parameters, structure_of
+from tubeopt.transcription.nlp import Builder, Nlp
 
 from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested
 from tubeopt import ConcentricRobot, forward_kinematics
@@ -15,9 +17,7 @@ from tubeopt.equilibrium.solving import Discretisation, reduced_problem
 from tubeopt.solvers.ipopt import start_values
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription import arm as arms
-from tubeopt.transcription.block import add_energy, add_equilibrium, parameter_values, parameters, structure_of
 from tubeopt.transcription.mesh import make_mesh
-from tubeopt.transcription.nlp import Builder, Nlp
 from tubeopt.transcription.reduced import ReducedProblem, reduce
 from tubeopt.typing import Array
 

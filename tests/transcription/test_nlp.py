@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from tubeopt.transcription.nlp import Builder, Nlp
 
 from tubeopt import InputError
-from tubeopt.transcription.nlp import Builder, Nlp
 
 
 def circle_and_line(scale: float = 1.0, g_scale: float = 1.0) -> Nlp:

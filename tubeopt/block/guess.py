@@ -10,8 +10,8 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..transcription import arm as arms
 from ..transcription import functions
+from ..transcription.model import Model
 from ..typing import Array
-from .model import Model
 
 Shape = tuple[Array, Array, Array]
 """theta, w (n, P) and theta inside (n, P K)."""

@@ -189,6 +189,15 @@ def energy_of(torsion: Torsion) -> Any:
     return piece.length * total
 
 
+def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
+    """A piece of concentric tubes whose torsion `twist` (n, K) at its points is a control: defect (n, K) of theta,
+    theta (n,) where it ends, elastic energy, J."""
+    t, h = piece.grid.tableau, piece.length
+    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * twist @ t.matrix.T
+    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), ca.SX.zeros(*twist.shape), defect, (piece.theta, twist))
+    return defect, piece.theta + h * twist @ t.weights, energy_of(free)
+
+
 def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:
     """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each step up to `fraction`
     of it, which may be a symbol."""

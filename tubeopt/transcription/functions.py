@@ -10,7 +10,7 @@ import casadi as ca
 from ..physics.matrix import determinant
 from ..physics.shape import quaternion_product, rotation_matrix
 from ..physics.strain import bend_from_own
-from .collocated import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
+from .collocated import Grid, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
 
@@ -63,6 +63,15 @@ def energy_function(grid: Grid) -> ca.Function:
     """Arguments of a piece -> its elastic energy, J."""
     torsion = torsion_of(symbols(grid))
     return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def motion_function(grid: Grid) -> ca.Function:
+    """(theta (n,) where a piece begins, theta and theta' (n, K) at its points, kb, m, kt (n,), length) -> `motion_of`
+    concentric tubes."""
+    piece, twist = symbols(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
+    inputs = [piece.theta, piece.inner, twist, piece.stiffness, piece.moment, piece.torsional_stiffness, piece.length]
+    return ca.Function("motion", inputs, list(motion_of(piece, twist)), OPTIONS)
 
 
 @lru_cache(maxsize=64)

@@ -1,10 +1,10 @@
-"""A nonlinear program in which everything has a name: what its user composes from blocks, and how it is solved."""
+"""A nonlinear program in which everything has a name: what is composed from blocks, and how it is solved."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, nearest
-from ..solvers.settings import Ipopt
 from ..typing import Array
 from .problem_solution import ProblemSolution, ProblemStatistics
 from .problem_status import ProblemStatus
+from .settings import Ipopt
 from .violation import violations_of, worst
 
 MENTIONED = 3
@@ -168,6 +168,14 @@ class Problem:
         """Start the next solve with these numbers of a variable, given by its symbol or its name."""
         name = self._name_of(variable, {key: each.symbol for key, each in self._variables.items()}, "variable")
         self._variables[name].guess = _table(f"guess of {name!r}", value, len(self._variables[name].guess))
+
+    def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Give a variable, by its symbol or its name, other bounds."""
+        name = self._name_of(variable, {key: each.symbol for key, each in self._variables.items()}, "variable")
+        own, given = self._variables[name], {"lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in given.items()}
+        _ordered(name, {**table, "scale": own.scale})
+        own.lower, own.upper = table["lower"], table["upper"]
 
     def rename(self, name: str, entries: Sequence[str]) -> None:
         """Give the rows of a constraint other words."""
@@ -366,8 +374,3 @@ def _ordered(name: str, table: dict[str, Array]) -> None:
         raise InputError(f"bounds of {name!r} are {table['lower'].tolist()} to {table['upper'].tolist()}: out of order")
     if (table["scale"] <= 0).any():
         raise InputError(f"scale of {name!r} is {table['scale'].tolist()}; it must be greater than 0")
-
-
-def with_reorderings(solution: ProblemSolution, count: int, seconds: float) -> ProblemSolution:
-    """The solution, told how often breakpoints changed places and what all solves took."""
-    return replace(solution, statistics=replace(solution.statistics, reorderings=count, seconds=seconds))

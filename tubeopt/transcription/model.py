@@ -1,8 +1,13 @@
-"""The arm of a block, all its pieces side by side: its equations as expressions, or its numbers at a solution."""
+"""An arm in a program, all its pieces side by side: its equations as expressions, or its numbers at a solution.
+
+Every piece is the same function of what holds where it begins: lifted into unknowns, so that all derivatives are local.
+The base gives theta(0) = alpha + |beta| w(0), the tip w = 0 for every tube (a tube that has ended feels no moment, so
+w = 0 at the tip is w = 0 at its own end).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -12,10 +17,10 @@ import numpy as np
 
 from ..robots.assembly import Assembly
 from ..robots.breakpoints import places
-from ..transcription import functions
-from ..transcription.collocated import Grid
-from ..transcription.layout import Layout
 from ..typing import Array
+from . import functions
+from .collocated import Grid
+from .layout import Layout
 
 UNKNOWNS = ("rotation", "torsion", "rotation inside", "orientation", "position")
 """Columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose where all
@@ -33,29 +38,24 @@ class Equation:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """P pieces with K points, n tubes, b breakpoints; expressions or arrays.
+class TorsionModel:
+    """The torsion of P pieces with K points and n tubes; expressions or arrays.
 
-    theta, twist: (n, P).  inner: (n, P K).  q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.
-    stiffness, moment, torsional_stiffness: (n, P).  natural: (n, P) precurvature.  present: (n, P).  lengths: (P,).
-    gaps: (b,).  transmission: (n,).  place: offset and angle (n,), or nothing.
+    theta, twist: (n, P) where pieces begin.  inner: (n, P K) theta at their points.
+    stiffness, moment, torsional_stiffness: (n, P) kb_i of the tubes present, m_i of the tubes curved, kt_i.
+    lengths: (P,).  transmission: (n,).  place: offset and angle (n,), or nothing.
     """
 
     grid: Grid
     theta: Any
     twist: Any
     inner: Any
-    q: Any
-    p: Any
     stiffness: Any
     moment: Any
     torsional_stiffness: Any
-    natural: Any
-    present: Any
     lengths: Any
-    gaps: Any
     transmission: Any
-    place: tuple[Array, ...]
+    place: tuple[Any, ...]
 
     @property
     def n_pieces(self) -> int:
@@ -65,7 +65,7 @@ class Model:
     @property
     def arguments(self) -> list[Any]:
         """Of the functions of a piece, all pieces side by side."""
-        beside = [np.repeat(v[:, None], self.n_pieces, axis=1) for v in self.place]
+        beside = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.place]
         data = [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.T]
         return [self.theta, self.twist, self.inner, *data, *beside]
 
@@ -76,13 +76,8 @@ class Model:
         own += [self.stiffness[:, k], self.moment[:, k], self.torsional_stiffness[:, k], self.lengths[k]]
         return [*own, *self.place]
 
-    @property
-    def poses(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where the pieces begin."""
-        return ca.horzcat(ca.DM([1, 0, 0, 0]), self.q), ca.horzcat(ca.DM.zeros(3), self.p)
-
     def mapped(self, name: str) -> ca.Function:
-        """A function of `block.functions` for all pieces at once."""
+        """A function of `transcription.functions` for all pieces at once."""
         return mapped(name, self.grid, self.n_pieces)
 
     @cached_property
@@ -91,38 +86,62 @@ class Model:
         defect, theta, twist = self.mapped("torsion")(*self.arguments)
         return defect, theta, twist
 
-    @cached_property
-    def pose_ends(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where pieces end."""
-        q, p = self.mapped("pose")(*self.poses, *self.arguments)
-        return q, p
-
     @property
     def energy(self) -> Any:
         """Elastic energy of the arm and of the transmissions, J."""
         bending = ca.sum2(self.mapped("energy")(*self.arguments))
         return bending + ca.dot(self.torsional_stiffness[:, 0] * self.transmission, self.twist[:, 0] ** 2) / 2
 
-    def equations(self, rotations: Any, reach: float) -> list[Equation]:
-        """All that hold at an equilibrium whose tubes are held at `rotations`; `reach`: a typical length, m."""
-        n, pieces, degree = self.theta.shape[0], self.n_pieces, self.grid.degree
+    def torsion_equations(self, rotations: Any, reach: float, sections: Sequence[int] | None = None) -> list[Equation]:
+        """All that hold at an equilibrium whose tubes are held at `rotations`; `reach`: a typical length, m.
+
+        Where the `sections` (from 0) are given of which the pieces are parts, words are of them."""
         defect, theta, twist = self.ends
-        q, p = self.pose_ends
-        tubes, after = [f"tube {i + 1}" for i in range(n)], [f"after piece {k + 1}" for k in range(pieces - 1)]
-        points = [f"piece {k + 1}, point {c + 1}" for k in range(pieces) for c in range(degree)]
+        tubes = [f"tube {i + 1}" for i in range(self.theta.shape[0])]
+        after, points = places_in_words(self.n_pieces, self.grid.degree, sections)
         wound = self.transmission * self.twist[:, 0]
-        rows = [
-            ("torsion equation", _words(tubes, points), defect, 1.0),
-            ("continuity of rotation", _words(tubes, after), self.theta[:, 1:] - theta[:, :-1], 1.0),
-            ("continuity of torsion", _words(tubes, after), self.twist[:, 1:] - twist[:, :-1], 1 / reach),
-            ("base rotation", tubes, self.theta[:, 0] - rotations - wound, 1.0),
-            ("torsion at the end", tubes, twist[:, -1], 1 / reach),
-            ("continuity of orientation", _words(list("wxyz"), after), self.q - q[:, :-1], 1.0),
-            ("continuity of position", _words(list("xyz"), after), self.p - p[:, :-1], reach),
-        ]
         return [
-            Equation(name, tuple(f"{name}, {entry}" for entry in entries), ca.vec(expression), scale)
-            for name, entries, expression, scale in rows
+            equation("torsion equation", tubes, points, defect, 1.0),
+            equation("continuity of rotation", tubes, after, self.theta[:, 1:] - theta[:, :-1], 1.0),
+            equation("continuity of torsion", tubes, after, self.twist[:, 1:] - twist[:, :-1], 1 / reach),
+            equation("base rotation", tubes, None, self.theta[:, 0] - rotations - wound, 1.0),
+            equation("torsion at the end", tubes, None, twist[:, -1], 1 / reach),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Model(TorsionModel):
+    """An arm with its shape, and b breakpoints.
+
+    q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.  natural: (n, P) precurvature.  present: (n, P).
+    gaps: (b,).
+    """
+
+    q: Any
+    p: Any
+    natural: Any
+    present: Any
+    gaps: Any
+
+    @property
+    def poses(self) -> tuple[Any, Any]:
+        """Quaternions (4, P) and positions (3, P) where the pieces begin."""
+        return ca.horzcat(ca.DM([1, 0, 0, 0]), self.q), ca.horzcat(ca.DM.zeros(3), self.p)
+
+    @cached_property
+    def pose_ends(self) -> tuple[Any, Any]:
+        """Quaternions (4, P) and positions (3, P) where pieces end."""
+        q, p = self.mapped("pose")(*self.poses, *self.arguments)
+        return q, p
+
+    def equations(self, rotations: Any, reach: float) -> list[Equation]:
+        """Those of the torsion, and of the shape."""
+        q, p = self.pose_ends
+        after, _ = places_in_words(self.n_pieces, self.grid.degree)
+        return [
+            *self.torsion_equations(rotations, reach),
+            equation("continuity of orientation", list("wxyz"), after, self.q - q[:, :-1], 1.0),
+            equation("continuity of position", list("xyz"), after, self.p - p[:, :-1], reach),
         ]
 
     def at(self, value: Callable[[Any], Any]) -> Model:
@@ -134,15 +153,31 @@ class Model:
         return Model(grid=self.grid, place=self.place, **numbers)
 
 
-def _words(rows: list[str], columns: list[str]) -> list[str]:
-    """Names of the entries of a matrix by columns."""
-    return [f"{row}, {column}" for column in columns for row in rows]
+def places_in_words(pieces: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
+    """Words for where pieces but the first begin, and for all points; of the `sections` of which they are parts."""
+    if sections is None:
+        after = [f"after piece {k + 1}" for k in range(pieces - 1)]
+        return after, [f"piece {k + 1}, point {c + 1}" for k in range(pieces) for c in range(degree)]
+    begun = [k - list(sections).index(section) for k, section in enumerate(sections)]
+    points = [
+        f"section {section + 1}, point {begun[k] * degree + c + 1}"
+        for k, section in enumerate(sections)
+        for c in range(degree)
+    ]
+    return [f"section {section + 1}" for section in sections[1:]], points
+
+
+def equation(name: str, rows: list[str], columns: list[str] | None, expression: Any, scale: float) -> Equation:
+    """A matrix that is 0, with words for its entries by columns; a single column needs none."""
+    tails = [""] if columns is None else [f", {column}" for column in columns]
+    words = tuple(f"{name}, {row}{tail}" for tail in tails for row in rows)
+    return Equation(name, words, ca.vec(expression), scale)
 
 
 @lru_cache(maxsize=256)
 def mapped(name: str, grid: Grid, pieces: int) -> ca.Function:
-    """A function of `block.functions`, by name, for so many pieces side by side: one for all blocks, and so are its
-    derivatives."""
+    """A function of `transcription.functions`, by name, for so many pieces side by side: one for all arms, and so are
+    its derivatives."""
     function: ca.Function = getattr(functions, f"{name}_function")(grid)
     return function.map(pieces)
 
