@@ -76,12 +76,16 @@ class Piece:
     along: Any = None
 
     @property
+    def data(self) -> list[Any]:
+        """What is given of the piece."""
+        if self.along is not None:
+            return [self.torsional_stiffness, self.length, self.along]
+        return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.place]
+
+    @property
     def arguments(self) -> list[Any]:
         """What the functions of this module take, in order."""
-        data = [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.place]
-        if self.along is not None:
-            data = [self.torsional_stiffness, self.length, self.along]
-        return [self.theta, self.twist, self.inner, *data]
+        return [self.theta, self.twist, self.inner, *self.data]
 
     def local(self, x: Any) -> Local:
         """The tubes at the fraction x of this piece."""
@@ -193,9 +197,11 @@ def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
     """A piece of concentric tubes whose torsion `twist` (n, K) at its points is a control: defect (n, K) of theta,
     theta (n,) where it ends, elastic energy, J."""
     t, h = piece.grid.tableau, piece.length
-    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * twist @ t.matrix.T
-    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), ca.SX.zeros(*twist.shape), defect, (piece.theta, twist))
-    return defect, piece.theta + h * twist @ t.weights, energy_of(free)
+    extra = twist * (ca.horzcat(*(ca.SX.ones(piece.grid.n_tubes) * piece.local(x).ease for x in t.nodes)) - 1)
+    slope = twist + extra
+    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * slope @ t.matrix.T
+    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), extra, defect, (piece.theta, twist))
+    return defect, piece.theta + h * slope @ t.weights, energy_of(free)
 
 
 def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:

@@ -44,7 +44,7 @@ def places_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def inside_function(grid: Grid) -> ca.Function:
     """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it; of tubes
-    made of pieces also their natural turn, its rate per fraction, and their ease (n,)."""
+    made of pieces also their natural turn, natural twist, and ease (n,)."""
     torsion = torsion_of(symbols(grid))
     q, p = _pose()
     x = ca.SX.sym("x")
@@ -54,7 +54,7 @@ def inside_function(grid: Grid) -> ca.Function:
     outputs = [*end, theta, w, torsion.piece.section(theta, x).curvature]
     if grid.detail:
         here = torsion.piece.local(x)
-        outputs += [here.wound, ca.jacobian(here.wound, x), here.ease]
+        outputs += [here.wound, ca.jacobian(here.wound, x) / torsion.piece.length, here.ease]
     return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
 
 
@@ -67,11 +67,10 @@ def energy_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def motion_function(grid: Grid) -> ca.Function:
-    """(theta (n,) where a piece begins, theta and theta' (n, K) at its points, kb, m, kt (n,), length) -> `motion_of`
+    """(theta (n,) where a piece begins, theta and w (n, K) at its points, what is given of it) -> `motion_of`
     concentric tubes."""
     piece, twist = symbols(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
-    inputs = [piece.theta, piece.inner, twist, piece.stiffness, piece.moment, piece.torsional_stiffness, piece.length]
-    return ca.Function("motion", inputs, list(motion_of(piece, twist)), OPTIONS)
+    return ca.Function("motion", [piece.theta, piece.inner, twist, *piece.data], list(motion_of(piece, twist)), OPTIONS)
 
 
 @lru_cache(maxsize=64)
