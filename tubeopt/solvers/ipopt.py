@@ -85,6 +85,8 @@ def solve_ipopt(
     Raises:
         SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
     """
+    if not len(problem.mesh.length):
+        return NewtonResult(evaluate(problem, rotations, np.zeros(0)), True, 0, 0.0)
     program = _program(structure_of(problem), formulation)
     for name, numbers in {"rotations": rotations, **torsion_numbers(problem)}.items():
         program.set_value(name, numbers)

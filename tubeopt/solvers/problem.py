@@ -186,6 +186,30 @@ class Problem:
         self.blocks.append(block)
         return f"equilibrium {len(self.blocks)}"
 
+    def symbol(self, name: str) -> Any:
+        """The symbol of a variable, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._variables[self._name_of(name, self._variables, "variable")].symbol
+
+    def constraint(self, name: str) -> Any:
+        """The expression of a constraint, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].expression
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """The words for the rows of a constraint.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].entries
+
     # --- solution -----------------------------------------------------------------------------------------------------
 
     def solve(
@@ -321,16 +345,29 @@ class Problem:
         if key not in self._solvers:
             if not self._variables:
                 raise InputError(f"{self.name} has no variables")
-            x, g = _Stacked(list(self._variables.values())), _Stacked(list(self._constraints.values()))
+            x = _Stacked(list(self._variables.values()))
             symbols = [each.symbol for each in self._variables.values()] + [p for p, _ in self._parameters.values()]
-            rows = ca.vertcat(*(each.expression for each in self._constraints.values())) / ca.DM(g.scale)
-            whole = _function(symbols, [self._objective, rows])
+            rows = [
+                each.expression / ca.DM(each.scale) if each.expression.numel() else ca.MX(0, 1)
+                for each in self._constraints.values()
+            ]
+            whole = _function(symbols, [self._objective, *rows])
             scaled, p = ca.MX.sym("x", len(x.scale)), ca.MX.sym("p", sum(len(v) for _, v in self._parameters.values()))
             parts = _parted(ca.DM(x.scale) * scaled, [len(each.scale) for each in self._variables.values()])
             parts += _parted(p, [len(numbers) for _, numbers in self._parameters.values()])
-            f, constraints = whole.call(parts, True, False)
-            problem = {"x": scaled, "p": p, "f": f, "g": constraints}
-            self._solvers[key] = ca.nlpsol("program", "ipopt", problem, solver.options(warm=warm))
+            f, *constraints = whole.call(parts, True, False)
+            options = solver.options(warm=warm)
+            if solver.expand:
+                flat = ca.Function("flat", [scaled, p], [f, *constraints]).expand()
+                scaled, p = ca.SX.sym("x", len(x.scale)), ca.SX.sym("p", flat.numel_in(1))
+                f, *constraints = flat.call([scaled, p], True, False)
+                # Each constraint by itself: the rows of a few that depend on everything are cheap in reverse, and would
+                # spoil the colouring of all that are local.
+                slopes = ca.vertcat(ca.SX(0, len(x.scale)), *(ca.jacobian(each, scaled) for each in constraints))
+                both = [ca.vertcat(ca.SX(0, 1), *constraints), slopes]
+                options["jac_g"] = ca.Function("jac_g", [scaled, p], both, ["x", "p"], ["g", "jac_g_x"])
+            problem = {"x": scaled, "p": p, "f": f, "g": ca.vertcat(*constraints)}
+            self._solvers[key] = ca.nlpsol("program", "ipopt", problem, options)
         function: ca.Function = self._solvers[key]
         return function
 

@@ -51,6 +51,7 @@ class Ipopt:
     Args:
         tolerance: of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT
             counts as a failure.
+        constraint_tolerance: of constraints over their scales; None is `tolerance`.
         iterations: after how many it gives up.
         linear_solver: of the Newton steps; "mumps" comes with CasADi.
         expand: write the program out in scalars first: a solve is faster, the building slower. For one to three blocks.
@@ -63,6 +64,7 @@ class Ipopt:
     """
 
     tolerance: float = 1e-10
+    constraint_tolerance: float | None = None
     iterations: int = 500
     linear_solver: str = "mumps"
     expand: bool = False
@@ -72,6 +74,8 @@ class Ipopt:
 
     def __post_init__(self) -> None:
         positive("tolerance", self.tolerance)
+        if self.constraint_tolerance is not None:
+            positive("constraint_tolerance", self.constraint_tolerance)
         positive("barrier", self.barrier)
         choice("hessian", self.hessian, HESSIANS)
         if self.iterations < 1:
@@ -83,7 +87,7 @@ class Ipopt:
         """Options of `casadi.nlpsol`; `warm` for a start with multipliers."""
         own: dict[str, Any] = {
             "tol": self.tolerance,
-            "constr_viol_tol": self.tolerance,
+            "constr_viol_tol": self.constraint_tolerance or self.tolerance,
             "max_iter": self.iterations,
             "linear_solver": self.linear_solver,
             "hessian_approximation": self.hessian,
@@ -102,6 +106,5 @@ class Ipopt:
         return {
             "print_time": False,
             "show_eval_warnings": False,
-            "expand": self.expand,
             **{f"ipopt.{key}": value for key, value in own.items()},
         }
