@@ -92,7 +92,7 @@ def _in_proportion(
         if whole in tubes:
             own = robot[whole][owner]
             part = np.where(own == 0, 1.0, start[name] / np.where(own == 0, 1.0, own))
-            values[name], start[name] = ca.DM(part) * values[whole][owner], part * start[whole][owner]
+            values[name], start[name] = ca.DM(part) * values[whole][owner, :], part * start[whole][owner]
     if "piece_length" in tubes:
         rows = ca.DM((np.arange(len(robot["curvature"]))[:, None] == chain.owner).astype(float))
         values["curved_length"] = rows @ values["piece_length"]

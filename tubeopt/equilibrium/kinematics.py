@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, choice, positive, vector
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
-from ..robots.tubes import must_be_plain
+from ..robots.robot import Robot
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
@@ -122,8 +121,6 @@ def forward_kinematics(
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
     by = _method(method)
     positive("tolerance", tolerance)
-    if method != "newton" and is_general(robot):
-        must_be_plain(robot.tubes, f"method {method!r}")
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:

@@ -146,7 +146,7 @@ def panels(chain: Chain, given: Mapping[str, Any]) -> Panels:
     one, zero = ca.DM.ones(n), ca.DM.zeros(n)
     width = ca.DM(chain.share) * of_piece("piece_length", given["straight_length"])
     stiff = [
-        _rows(coefficients, of_piece(factor, one) * given[name][tube] / ca.DM(own))
+        _rows(coefficients, of_piece(factor, one) * given[name][tube, :] / ca.DM(own))
         for coefficients, factor, name, own in (
             (chain.kb, "piece_bending_factor", "bending_stiffness", own_stiffness(chain, chain.kb)),
             (chain.kt, "piece_torsion_factor", "torsional_stiffness", own_stiffness(chain, chain.kt)),

@@ -13,6 +13,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..robots.lengthwise import CrossSections
+from ..typing import Array
+
 CHANNELS = 5
 """EI of a tube that is present, GJ, u*_x, u*_y and the natural turn, in this order."""
 
@@ -59,6 +62,20 @@ def chebyshev(x: Any, count: int) -> list[Any]:
     for _ in range(2, count):
         basis.append(2 * x * basis[-1] - basis[-2])
     return basis[:count]
+
+
+def at_points(here: CrossSections, nodes: Array) -> Array:
+    """The columns of P pieces, one behind the other, by polynomials through the cross-sections (P K, n) at nodes (K,)
+    of every piece: as good as exact where nothing but these is asked for."""
+    count, n = len(nodes), here.stiffness.shape[1]
+    curvature = here.moment / np.where(here.stiffness > 0, here.stiffness, 1.0)
+    turn = here.phase - here.wound
+    parts = here.stiffness, here.torsional_stiffness, curvature * np.cos(turn), curvature * np.sin(turn), here.wound
+    fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1))
+    tables = [fit @ part.reshape(-1, count, n) for part in parts]
+    whole = np.concatenate(tables, axis=1).transpose(0, 2, 1)
+    ends = np.broadcast_to([-1.0, 1.0], (*whole.shape[:2], 2))
+    return np.asarray(np.concatenate([whole, ends], axis=2).ravel())
 
 
 @lru_cache(maxsize=32)
