@@ -53,6 +53,17 @@ class Change:
     phase: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a change does: `whole` with the turn of all pulls as its phase, phi (P + 1, n) between the pieces, u and the
+    turn vector per piece (P, K, 2), (P, K, 3) at the points."""
+
+    whole: Change
+    between: Array
+    bent: Array
+    turn: Array
+
+
 def general_columns(
     equilibrium: Equilibrium, wrt: Sequence[str], side: int
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -67,20 +78,20 @@ def general_columns(
     for name in wrt:
         if name not in WRT:
             raise InputError(f"wrt names {name!r}; with tubes made of pieces it may name {', '.join(WRT)}")
-    here = _Linear(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
+    here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
     columns = []
     for name in wrt:
         for tube in range(equilibrium.robot.n_tubes):
             at = here
-            if name == "translations" and _coincides(here.problem, tube):
-                at = _nudged(equilibrium, tube, side)
+            if name == "translations" and coincides(here.problem, tube):
+                at = nudged(equilibrium, tube, side)
             columns.append(at.column(at.change(name, tube)))
     table = np.array(columns).T
     n = equilibrium.robot.n_tubes
     return table[:3], table[3:6], table[6 : 6 + n], table[6 + n], table[7 + n]
 
 
-def _coincides(problem: ReducedProblem, tube: int) -> bool:
+def coincides(problem: ReducedProblem, tube: int) -> bool:
     """Whether a breakpoint of a tube lies at the plate or at one of another tube."""
     own = _breakpoints(problem, tube)
     others = [0.0]
@@ -95,17 +106,17 @@ def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
     return [s - float(problem.assembly.transmission[tube]) for s in table.cuts[tube][1:]]
 
 
-def _nudged(equilibrium: Equilibrium, tube: int, side: int) -> _Linear:
+def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little."""
     from .kinematics import forward_kinematics
 
     shift = equilibrium.translations.copy()
     shift[tube] += side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
-    return _Linear(polish(moved, discretisation_of(equilibrium)), moved)
+    return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 
 
-class _Linear:
+class Linearised:
     """A solved problem, linearised."""
 
     def __init__(self, solution: Solution, equilibrium: Equilibrium) -> None:
@@ -125,8 +136,7 @@ class _Linear:
         self.moments = np.zeros(self.shape)
         self.moments[problem.mesh.collocated] = solution.result.state.moment.reshape(-1, *self.shape[1:])
         arm = evaluate_arm(problem, solution.rotations, solution.result.state, self.torsion)
-        self.tip = arm.position[-1]
-        self.tip_direction = arm.frame[-1][:, 2]
+        self.arm, self.tip = arm, arm.position[-1]
         self.frame, self.position = poses_at_points(self.t, self.length, (arm.frame, arm.position, arm.curvature))
         self._look()
         self.factors = scipy.linalg.lapack.dgetrf(solution.result.state.hessian)[:2]
@@ -236,9 +246,8 @@ class _Linear:
         columns = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
         return np.asarray((slope @ columns[..., None])[..., 0])
 
-    def column(self, change: Change) -> Array:
-        """(8 + n,) tip position and rotation, tip rotations, margin, energy."""
-        problem, n = self.problem, self.n
+    def answer(self, change: Change) -> Answer:
+        """What a change does along the arm."""
         given = self._explicit(self.moment_slope, change)
         explicit, _ = self.turned(self.moments, change, given)
         phi = self._solved(explicit)
@@ -247,11 +256,18 @@ class _Linear:
         inside, between = self.turned(self.moments, change, gained)
         whole = _with(change, phase=change.phase + inside)
         bent = self._explicit(self.u_slope, whole)
-        weights, dh = self.t.weights[:, None], change.length[:, None, None]
-        turn = self.frame[..., :2] @ (weights * (dh * self.u + self.length[:, None, None] * bent))[..., None]
-        rotation = turn.sum((0, 1))[:, 0]
-        stretch = (self.frame[..., 2] * (weights * dh)).sum((0, 1))
-        position = np.cross(turn[..., 0], self.tip - self.position).sum((0, 1)) + stretch
+        turn = self.frame[..., :2] @ (change.length[:, None, None] * self.u + self.length[:, None, None] * bent)[..., None]
+        return Answer(whole, between, bent, turn[..., 0])
+
+    def column(self, change: Change) -> Array:
+        """(8 + n,) tip position and rotation, tip rotations, margin, energy."""
+        problem, n = self.problem, self.n
+        answer = self.answer(change)
+        whole, between = answer.whole, answer.between
+        turn = answer.turn * self.t.weights[:, None]
+        rotation = turn.sum((0, 1))
+        stretch = (self.frame[..., 2] * (self.t.weights[:, None] * change.length[:, None, None])).sum((0, 1))
+        position = np.cross(turn, self.tip - self.position).sum((0, 1)) + stretch
         cuts = np.append(problem.mesh.start, problem.assembly.total_length)
         index = np.abs(cuts - np.clip(problem.assembly.end, 0.0, cuts[-1])[:, None]).argmin(1)
         tips = between[index, np.arange(n)]
