@@ -78,6 +78,18 @@ def at_points(here: CrossSections, nodes: Array) -> Array:
     return np.asarray(np.concatenate([whole, ends], axis=2).ravel())
 
 
+def slid(table: Any, detail: int, lengths: Any, moved: tuple[Any, Any]) -> Any:
+    """Columns (X, P) as `at_points` gives them for pieces of `lengths` (P,), m, after the ends of the pieces (P + 1,) and
+    the tubes (n,) have `moved` forward, m: the same polynomials of the place on each tube."""
+    ends, tubes = moved
+    rows, pieces = CHANNELS * detail + 2, table.shape[1]
+    out = []
+    for i in range(tubes.shape[0]):
+        places = [2 * (ends[first : first + pieces] - tubes[i]) / lengths for first in (0, 1)]
+        out += [table[i * rows : (i + 1) * rows - 2, :], (places[0] - 1).T, (places[1] + 1).T]
+    return ca.vertcat(*out)
+
+
 @lru_cache(maxsize=32)
 def compliance_function(detail: int) -> ca.Function:
     """(coefficients of GJ (detail,), low, high) -> mean of 1 / GJ between two places of a panel."""

@@ -139,3 +139,10 @@ def held_stiffness(problem: ReducedProblem) -> Array:
     """(n,) GJ of tubes made of pieces where they are held: that of the tube, to which their ease refers."""
     assert problem.assembly.lengthwise is not None
     return np.asarray(problem.assembly.lengthwise.values(np.zeros((1, problem.assembly.n_tubes)))[1][0])
+
+
+def ease_at_plate(problem: ReducedProblem) -> Array:
+    """(n,) how much softer in torsion tubes made of pieces are at the plate than where they are held."""
+    assert problem.assembly.lengthwise is not None
+    here = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
+    return np.asarray(held_stiffness(problem) / here)
