@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -30,7 +29,7 @@ TURNED, SHIFT = np.array([0.0, 1.0, 2.0]), np.array([-0.02, -0.01, 0.0])
 
 def helix_and_wave(curvature: Array, plane: float, twist: float, factors: Array, length: float) -> ConcentricRobot:
     """A wave and a helix in an arc of which the second half is slotted, made anew for every dimension."""
-    inner, outer = Tube(1e-3, 0.8e-3, 0.06, 0.07, 0.0), Tube(1.5e-3, 1.2e-3, 0.03, 0.06, 0.0)
+    inner = Tube(1e-3, 0.8e-3, 0.06, 0.07, 0.0)
     wave = Piece(length, lambda s: (curvature[0] * math.cos(30 * s * 0.03 / length), 0.0, 0.0))
     own = np.array([float(inner.bending_stiffness), float(inner.torsional_stiffness)]) * factors
     bend = curvature[1] * math.cos(plane), curvature[1] * math.sin(plane), twist

@@ -19,8 +19,8 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import Tube
 from ..solvers.newton import newton
-from ..transcription.reduced import margin, to_unknowns
 from ..transcription.chain import chain_of
+from ..transcription.reduced import margin, to_unknowns
 from .guess import sample
 from .pieces import tubes_at
 

@@ -88,7 +88,9 @@ def _in_proportion(
     owner, (tubes, robot) = chain.owner.tolist(), known
     for name, whole in OF_TUBE.items():
         if name in tubes and whole in tubes:
-            raise InputError(f"tubes names both {whole!r} and {name!r}; of tubes made of pieces it may name one of them")
+            raise InputError(
+                f"tubes names both {whole!r} and {name!r}; of tubes made of pieces it may name one of them"
+            )
         if whole in tubes:
             own = robot[whole][owner]
             part = np.where(own == 0, 1.0, start[name] / np.where(own == 0, 1.0, own))

@@ -39,7 +39,7 @@ def torsion_of_equilibrium(near: Equilibrium, start: Array, inside: Array) -> Sh
 
 
 def sample(model: Model, arc_length: Array) -> tuple[Array, Array]:
-    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m; of tubes made of pieces the elastic
+    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m; of tubes of pieces the elastic
     rotation."""
     start, _ = points_of(model)
     inside = functions.inside_function(model.grid)

@@ -83,9 +83,7 @@ def _equations(block: EquilibriumBlock) -> tuple[ca.Function, Any, list[str]]:
     symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
     unknowns = tuple(ca.reshape(part, *shape) for part, shape in zip(parts, shapes, strict=True))
-    model = model_of(
-        block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block._fittings()}
-    )
+    model = model_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block._fittings()})
     table = model.equations(symbols["rotations"], block._reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
     words = [word for each in table for word in each.entries]

@@ -256,7 +256,9 @@ class Linearised:
         inside, between = self.turned(self.moments, change, gained)
         whole = _with(change, phase=change.phase + inside)
         bent = self._explicit(self.u_slope, whole)
-        turn = self.frame[..., :2] @ (change.length[:, None, None] * self.u + self.length[:, None, None] * bent)[..., None]
+        turn = (
+            self.frame[..., :2] @ (change.length[:, None, None] * self.u + self.length[:, None, None] * bent)[..., None]
+        )
         return Answer(whole, between, bent, turn[..., 0])
 
     def column(self, change: Change) -> Array:

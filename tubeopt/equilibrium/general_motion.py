@@ -68,12 +68,12 @@ class GeneralMotion:
     @property
     def margin(self) -> Array:
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
-        return self._columns[6 + self.here.n]
+        return np.asarray(self._columns[6 + self.here.n])
 
     @property
     def energy(self) -> Array:
         """(Q,) of the elastic energy, J."""
-        return self._columns[7 + self.here.n]
+        return np.asarray(self._columns[7 + self.here.n])
 
     @property
     def pushed(self) -> Array:

@@ -111,7 +111,12 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     shift = (space.spread @ at.q)[n:]
     if problem.here is not None:
         cuts = np.append(mesh.start, problem.assembly.total_length)
-        numbers |= {"ease": ease_at_plate(problem), "cuts": cuts, "lengths of the mesh": mesh.length, "translations of the mesh": shift}
+        numbers |= {
+            "ease": ease_at_plate(problem),
+            "cuts": cuts,
+            "lengths of the mesh": mesh.length,
+            "translations of the mesh": shift,
+        }
     numbers["transmission at 0"] = numbers.pop("transmission") + numbers.get("ease", 1.0) * shift
     del numbers["lengths"]
     numbers |= {

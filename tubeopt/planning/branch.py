@@ -13,9 +13,11 @@ A = DF(theta_0)^-1, of norm 1 / mu in the norm of torsional energy (mu: the marg
 Where the right-hand side maps a ball into itself and q < 1 (Newton and Kantorovich), the ball holds exactly one
 solution for every t, on which DF is never singular: no fold, no crossing, and no loss of stability in between. The
 half of the time nearer to the other end is reached from there. Every bound is in closed form and holds for all
-rotations. Arcs and helices of constant stiffness, of which a tube may be a chain, change nothing of this: their natural
-turn is linear along each, so that at a fixed fraction of a section it is linear in t; F holds it on either side. Then, |u| being known to within what e and curved paths of theta make of it, the points of the arm are no
+rotations. Then, |u| being known to within what e and curved paths of theta make of it, the points of the arm are no
 farther than `off` from the straight line between where they are at both ends.
+
+Tubes that are chains of arcs and helices of constant stiffness change nothing of this. Their natural turn is linear
+along each, and so linear in t at a fixed fraction of a section: added to both sides of F = 0, it leaves F_tt as it is.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ class Arms:
         cuts, kt, twist = self.breakpoints[owner], c.torsional, np.pad(c.steps.twist, ((0, 0), (0, 1)))
         sides = [c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1)]
         torque = (self.torsion - c.at(twist, sides[0])) * c.at(kt, sides[0])
-        jumps = (sides[0] != sides[1]) & (sides[1] < c.ended) & (self.arc_length > JUMP)[:, None]
+        jumps = (sides[0] != sides[1]) & (self.arc_length > JUMP)[:, None]
         return np.where(jumps, torque / c.at(kt, sides[1]) + c.at(twist, sides[1]), self.torsion)
 
     def _hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:

@@ -48,7 +48,7 @@ def steps_of(tubes: Sequence[Tube], what: str) -> Steps:
         chain = stretches(tube)
         if tube.straight_length == 0:
             chain = [(0.0, (0.0, 0.0, 0.0), *chain[0][2:]), *chain]
-        for length, u, bending, torsional in chain:
+        for _, u, bending, torsional in chain:
             if any(isinstance(q, Series) for q in (*u, bending, torsional)):
                 raise InputError(
                     f"tube {i} has a piece that varies along its length; {what} takes straight pieces, arcs and "

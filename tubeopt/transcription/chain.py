@@ -30,9 +30,9 @@ PIECES = (
     "piece_torsion_factor",
 )
 """Dimensions of the pieces, one each, tube by tube, inner to outer, from the straight part to the tip: length (m),
-largest bend (1/m, signed), angle (rad) by which its direction is turned from that of the robot, natural twist (1/m) where
-the piece begins, and factors of its stiffnesses, as slots leave them. What varies along a piece is stretched, and bent in
-proportion; a piece that is straight becomes an arc about x. A tube of one curvature is one piece."""
+largest bend (1/m, signed), angle (rad) by which its direction is turned from that of the robot, natural twist (1/m)
+where the piece begins, and factors of its stiffnesses, as slots leave them. What varies along a piece is stretched, and
+bent in proportion; a piece that is straight becomes an arc about x. A tube of one curvature is one piece."""
 
 OF_TUBE = {"piece_length": "curved_length", "piece_curvature": "curvature"}
 """Dimensions of tubes that are in proportion for all their pieces, where those are not given."""
@@ -69,7 +69,7 @@ class Chain:
     @property
     def before(self) -> Array:
         """(B, B) 1 where the panel of a column lies in the same tube nearer to its held end than that of the row."""
-        return np.tril(self.tube[:, None] == self.tube, -1).astype(float)
+        return np.asarray(np.tril(self.tube[:, None] == self.tube, -1), dtype=float)
 
 
 @lru_cache(maxsize=64)
@@ -97,15 +97,20 @@ def chain_of(tubes: tuple[Tube, ...]) -> Chain:
                 pieces.append((length, size, float(z(0.0)) if isinstance(z, Series) else float(z)))
     width = max(1, *(len(c) for *_, channels in rows for c in channels))
     table = np.array([[np.pad(c, (0, width - len(c))) for c in channels] for *_, channels in rows])
-    length, curvature, twist = np.array(pieces).reshape(-1, 3).T
-    start = dict(zip(PIECES, (length, curvature, 0 * length, twist, 1 + 0 * length, 1 + 0 * length), strict=True))
+    lengths, bends, twists = np.array(pieces).reshape(-1, 3).T
+    zero, one = np.zeros(len(pieces)), np.ones(len(pieces))
+    kb, kt, x, y, z = table.transpose(1, 0, 2)
     return Chain(
-        np.array([row[0] for row in rows]),
-        np.array([row[1] for row in rows]),
-        np.array([row[2] for row in rows]),
-        *table.transpose(1, 0, 2),
-        np.array(owner, dtype=np.intp),
-        start,
+        tube=np.array([row[0] for row in rows]),
+        piece=np.array([row[1] for row in rows]),
+        share=np.array([row[2] for row in rows]),
+        kb=kb,
+        kt=kt,
+        x=x,
+        y=y,
+        z=z,
+        owner=np.array(owner, dtype=np.intp),
+        start=dict(zip(PIECES, (lengths, bends, zero, twists, one, one), strict=True)),
     )
 
 

@@ -122,7 +122,7 @@ def symbols(grid: Grid) -> Piece:
 @dataclass(frozen=True, eq=False)
 class Torsion:
     """theta and w of a piece as polynomials: `twist` (n, K) at its points, `gain` (n, K) M / kt and `extra` (n, K)
-    (g c - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w where the piece ends, (n,) each."""
+    (g c - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w (n,) where the piece ends."""
 
     piece: Piece
     twist: Any
@@ -222,8 +222,8 @@ def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tupl
     """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
 
     The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
-    where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
-    det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+    where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the
+    tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
         end: (2n, c) y above v where the piece ends.  inner: (n, K c) y at its points, field by field.

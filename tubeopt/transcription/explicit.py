@@ -128,7 +128,8 @@ def explicit_arm(kind: Kind) -> ca.Function:
         length, *given, transmission, end = _stretches(n, kind.stretches)(shift, robot)
         theta = tip - end
     else:
-        kb, kt, moment, straight, whole, *place = ca.vertsplit(robot, n)
+        kb, kt, moment, straight, whole, *beside = ca.vertsplit(robot, n)
+        place = tuple(beside)
         length, *given, transmission = _sections(n)(shift, kb, moment, straight, whole)
         given, theta = [*given, ca.repmat(kt, 1, kind.sections)], tip
     columns = [ca.horzsplit(each) for each in (length, *given)]

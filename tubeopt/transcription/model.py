@@ -158,7 +158,9 @@ class Model(TorsionModel):
         """The numbers of this arm that `value` gives to its expressions."""
         names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place")]
         parts = {name: getattr(self, name) for name in names}
-        numbers = {n: None if part is None else np.array(value(part)).reshape(part.shape) for n, part in parts.items()}
+        numbers: dict[str, Any] = {
+            name: None if part is None else np.array(value(part)).reshape(part.shape) for name, part in parts.items()
+        }
         for name in ("lengths", "gaps", "transmission", "held"):
             numbers[name] = numbers[name].ravel()
         return Model(grid=self.grid, place=self.place, **numbers)

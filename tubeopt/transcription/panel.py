@@ -49,9 +49,7 @@ def local(along: Any, torsional_stiffness: Any, detail: int, x: Any) -> Local:
     table = ca.reshape(along, CHANNELS * detail + 2, -1)
     low, high = table[-2, :], table[-1, :]
     basis = chebyshev(low + x * (high - low), detail)
-    kb, kt, a, b, wound = (
-        sum(table[c * detail + k, :] * basis[k] for k in range(detail)).T for c in range(CHANNELS)
-    )
+    kb, kt, a, b, wound = (sum(table[c * detail + k, :] * basis[k] for k in range(detail)).T for c in range(CHANNELS))
     natural = ca.horzcat(a, b)
     return Local(kb, ca.horzcat(kb, kb) * natural, wound, torsional_stiffness / kt, natural)
 
@@ -79,8 +77,8 @@ def at_points(here: CrossSections, nodes: Array) -> Array:
 
 
 def slid(table: Any, detail: int, lengths: Any, moved: tuple[Any, Any]) -> Any:
-    """Columns (X, P) as `at_points` gives them for pieces of `lengths` (P,), m, after the ends of the pieces (P + 1,) and
-    the tubes (n,) have `moved` forward, m: the same polynomials of the place on each tube."""
+    """Columns (X, P) as `at_points` gives them for pieces of `lengths` (P,), m, after the ends of the pieces (P + 1,)
+    and the tubes (n,) have `moved` forward, m: the same polynomials of the place on each tube."""
     ends, tubes = moved
     rows, pieces = CHANNELS * detail + 2, table.shape[1]
     out = []

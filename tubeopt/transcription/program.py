@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from ..typing import Array
 from .arm import Profile, rotations_at
 from .collocated import Grid
-from .panel import at_points, width
 from .model import UNKNOWNS, TorsionModel, sizes
+from .panel import at_points, width
 from .reduced import ReducedProblem
 
 
