@@ -9,7 +9,7 @@ import numpy as np
 
 from ..transcription.collocated import ENDS
 from ..typing import Array
-from .general_derivatives import Change, Linearised, coincides, nudged
+from .general_derivatives import Change, Linearised, changes_of, columns_of
 from .result import Equilibrium
 from .solving import discretisation_of, polish
 
@@ -42,18 +42,12 @@ class GeneralMotion:
 
     @cached_property
     def _changes(self) -> list[tuple[Linearised, Change]]:
-        """What every joint changes, and of which equilibrium: one to the side where breakpoints coincide."""
-        out = []
-        for name in ("rotations", "translations"):
-            for tube in range(self.here.n):
-                aside = name == "translations" and coincides(self.here.problem, tube)
-                at = nudged(self.equilibrium, tube, self.side) if aside else self.here
-                out.append((at, at.change(name, tube)))
-        return out
+        """What every joint changes, and of which equilibrium."""
+        return changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
 
     @cached_property
     def _columns(self) -> Array:
-        return np.array([at.column(change) for at, change in self._changes]).T
+        return columns_of(self._changes)
 
     @property
     def tip_position(self) -> Array:
@@ -92,11 +86,11 @@ class GeneralMotion:
 
     def _moved(self, at: Linearised, change: Change) -> Array:
         """(m, 3) of the shape points with one joint."""
-        turn = at.answer(change).turn
+        turn, length = at.answer(change).turn[0], change.length[0][:, None, None]
         up_to = at.t.lagrange(ENDS, integrals=1)
         turned, lever = (_cumulate(up_to, part) for part in (turn, np.cross(turn, at.position)))
-        stretch = _cumulate(up_to, at.frame[..., 2] * change.length[:, None, None])
-        ahead = _cumulate(np.asarray(ENDS)[:, None], change.length[:, None, None])
+        stretch = _cumulate(up_to, at.frame[..., 2] * length)
+        ahead = _cumulate(np.asarray(ENDS)[:, None], length)
         out = np.cross(turned, at.arm.position) - lever + stretch
         out[:-1] -= at.arm.frame[:-1, :, 2] * ahead[:-1]
         if at is self.here:
@@ -117,8 +111,8 @@ class GeneralMotion:
         """(Q,) of int |u|^2 ds, 1/m."""
         out = []
         for at, change in self._changes:
-            bent, weights = at.answer(change).bent, at.t.weights
-            grown = change.length[:, None] * (at.u**2).sum(2) + 2 * at.length[:, None] * (at.u * bent).sum(2)
+            bent, weights = at.answer(change).bent[0], at.t.weights
+            grown = change.length[0][:, None] * (at.u**2).sum(2) + 2 * at.length[:, None] * (at.u * bent).sum(2)
             out.append(float((weights * grown).sum()))
         return np.array(out)
 

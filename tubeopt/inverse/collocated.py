@@ -80,7 +80,8 @@ def inverse_program(question: Question) -> Problem:
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
     (n,) at translations 0; of tubes made of pieces `ease` (n,) at the plate, and `cuts` (P + 1,) between the pieces
     where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,); `position`,
-    `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the joints; `order` (closings, G) and its `bound`.
+    `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the
+    joints; `order` (closings, G) and its `bound`.
     """
     structure, length = question.structure, question.length
     n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
