@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.posture import Posture, arm_radius
+from ..control.posture import Posture
 from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
@@ -28,15 +28,20 @@ from .order import CLOSED, Order, apart, beyond, breakpoint_order
 MOST_SWITCHES = 6
 """Changes of the order of breakpoints on the way."""
 
+MOST_BODIES = 16
+"""Obstacles at most: every one costs as much as all of the arm."""
+
 MARGIN_ROOM = 1e-4
 """Margin kept above the bound: more than the steps of the Jacobi fields are off."""
 
 
 def programmable(goal: Goal) -> bool:
-    """Whether the program can be written: enough joints for the target, a formula for every obstacle, nothing own."""
+    """Whether the program can be written: enough joints for the target, few obstacles, a formula for every one, nothing
+    own."""
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
-    return not goal.overdetermined and all(has_formula(obstacle) for obstacle in goal.obstacles)
+    bodies = goal.scene.bodies
+    return not goal.overdetermined and len(bodies) <= MOST_BODIES and all(has_formula(body) for body in bodies)
 
 
 def solve_program(goal: Goal, start: Posture) -> Search:
@@ -97,7 +102,7 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
         pointed=goal.pointed,
         aimed=goal.direction is not None and goal.direction_weight is not None,
         objective=goal.objective or "nearest",
-        obstacles=tuple(goal.obstacles),
+        obstacles=goal.scene.bodies,
         length=goal.space.length,
         closings=len(order.bound),
     )
@@ -127,7 +132,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         "direction weight": np.array(goal.direction_weight or 0.0),
         "least margin": np.array(goal.min_margin + MARGIN_ROOM),
         "clearance": np.array(goal.gap),
-        "radius": arm_radius(at.equilibrium, mesh.start + 0.5 * mesh.length),
+        "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,
         "weights": 1 / space.scale if goal.objective is None else goal.weights,
         "order": order.rows,

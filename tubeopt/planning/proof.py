@@ -25,6 +25,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..stability.following import _waypoints
@@ -90,6 +91,7 @@ class Proof:
         return self.least_clearance
 
 
+@small
 def verify_trajectory(
     robot: Robot,
     time: ArrayLike,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
+from .closing import Closed, Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics
 from .problem_status import ProblemStatus
 from .settings import Ipopt
@@ -258,7 +259,7 @@ class Problem:
         began = time.perf_counter()
         function = self._solver(solver, warm=start is not None)
         variables, constraints = self._variables.values(), self._constraints.values()
-        x, g = (_Stacked(list(part)) for part in (variables, constraints))
+        x, g = (Stacked(list(part)) for part in (variables, constraints))
         guess = {name: each.guess for name, each in self._variables.items()}
         given: dict[str, Any] = {}
         if start is not None:
@@ -310,7 +311,7 @@ class Problem:
         names = [*self._variables, *self._parameters]
         known = {name: each.guess for name, each in self._variables.items()}
         known |= {name: numbers for name, (_, numbers) in self._parameters.items()} | values | parameters
-        return np.array(_function(symbols, [expression])(*(known[name] for name in names)))
+        return np.array(function_of(symbols, [expression])(*(known[name] for name in names)))
 
     # --- within -------------------------------------------------------------------------------------------------------
 
@@ -345,52 +346,17 @@ class Problem:
         if key not in self._solvers:
             if not self._variables:
                 raise InputError(f"{self.name} has no variables")
-            x = _Stacked(list(self._variables.values()))
-            symbols = [each.symbol for each in self._variables.values()] + [p for p, _ in self._parameters.values()]
-            rows = [
-                each.expression / ca.DM(each.scale) if each.expression.numel() else ca.MX(0, 1)
-                for each in self._constraints.values()
-            ]
-            whole = _function(symbols, [self._objective, *rows])
-            scaled, p = ca.MX.sym("x", len(x.scale)), ca.MX.sym("p", sum(len(v) for _, v in self._parameters.values()))
-            parts = _parted(ca.DM(x.scale) * scaled, [len(each.scale) for each in self._variables.values()])
-            parts += _parted(p, [len(numbers) for _, numbers in self._parameters.values()])
-            f, *constraints = whole.call(parts, True, False)
-            options = solver.options(warm=warm)
-            if solver.expand:
-                flat = ca.Function("flat", [scaled, p], [f, *constraints]).expand()
-                scaled, p = ca.SX.sym("x", len(x.scale)), ca.SX.sym("p", flat.numel_in(1))
-                f, *constraints = flat.call([scaled, p], True, False)
-                # Each constraint by itself: the rows of a few that depend on everything are cheap in reverse, and would
-                # spoil the colouring of all that are local.
-                slopes = ca.vertcat(ca.SX(0, len(x.scale)), *(ca.jacobian(each, scaled) for each in constraints))
-                both = [ca.vertcat(ca.SX(0, 1), *constraints), slopes]
-                options["jac_g"] = ca.Function("jac_g", [scaled, p], both, ["x", "p"], ["g", "jac_g_x"])
-            problem = {"x": scaled, "p": p, "f": f, "g": ca.vertcat(*constraints)}
-            self._solvers[key] = ca.nlpsol("program", "ipopt", problem, options)
+            variables, constraints = list(self._variables.values()), list(self._constraints.values())
+            program = Closed(
+                variables=[each.symbol for each in variables],
+                scale=Stacked(variables).scale,
+                parameters=[symbol for symbol, _ in self._parameters.values()],
+                objective=self._objective,
+                constraints=[each.expression / ca.DM(each.scale) for each in constraints],
+            )
+            self._solvers[key] = ipopt_function(program, solver, warm=warm)
         function: ca.Function = self._solvers[key]
         return function
-
-
-class _Stacked:
-    """Scales and bounds of variables or constraints, one below the other."""
-
-    def __init__(self, parts: Sequence[Any]) -> None:
-        columns = [
-            np.concatenate([*(getattr(p, key) for p in parts), np.zeros(0)]) for key in ("scale", "lower", "upper")
-        ]
-        self.scale, self.lower, self.upper = columns
-
-
-def _parted(column: Any, sizes: list[int]) -> list[Any]:
-    return list(ca.vertsplit(column, np.cumsum([0, *sizes]).tolist())) if sizes else []
-
-
-def _function(symbols: list[Any], expressions: list[Any]) -> ca.Function:
-    function: ca.Function = ca.Function("program", symbols, expressions, {"allow_free": True})
-    if function.has_free():
-        raise InputError(f"an expression has symbols that are not the problem's: {', '.join(function.get_free())}")
-    return function
 
 
 def _table(what: str, value: ArrayLike, size: int) -> Array:

@@ -41,6 +41,30 @@ class Newton:
 NEWTON = Newton()
 """What solvers do unless they are told otherwise."""
 
+
+@dataclass(frozen=True)
+class Continuation:
+    """How a branch of equilibria is followed.
+
+    largest_ratio: Newton must shrink its steps at least so much: beyond that it may be on its way to another branch.
+    largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
+    soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther
+        apart.
+    compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general solver.
+    least_stiffness: margin below which errors no longer grow in the estimate.
+    hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
+    """
+
+    largest_ratio: float = 0.3
+    largest_twist: float = 0.6
+    soft_twist: float = 0.1
+    compiled_step: float = 1e-3
+    least_stiffness: float = 1e-6
+    hardly_softened: float = 0.99
+
+
+CONTINUATION = Continuation()
+
 HESSIANS = ("exact", "limited-memory")
 
 

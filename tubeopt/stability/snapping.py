@@ -12,6 +12,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish
 from ..errors import InputError, vector
+from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.ipopt import EQUILIBRIUM, inside_points
@@ -27,6 +28,7 @@ from .loaded_following import loaded_legs
 Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
+@small
 def find_snap(
     robot: Robot,
     start: Configuration,

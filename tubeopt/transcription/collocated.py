@@ -99,11 +99,12 @@ class Piece:
         return cross_section(theta + here.wound, here.stiffness, here.moment, *self.place)
 
     def balance(self, theta: Any, x: Any) -> Any:
-        """M, dM/dtheta (n, n), and where theta' is another than w: g c and dg/dtheta (n, n), at the fraction x."""
+        """M, dM/dtheta (n, n), where theta' is another than w g c, of eccentric tubes dg/dtheta (n, n): at the fraction
+        x."""
         here, n = self.local(x), self.grid.n_tubes
         if self.along is not None:
             moment, slope = bent_anyhow(n)(theta + here.wound, here.stiffness, here.moment)
-            return [moment, slope, here.ease, ca.SX(n, n)]
+            return [moment, slope, here.ease]
         functions = section_functions(n, bool(self.place))
         moment, slope, _, *stretch = functions["balance"](theta, here.stiffness, here.moment, *self.place)
         return [moment, slope, *stretch]
@@ -218,37 +219,38 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]
     return out
 
 
-def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tuple[Any, Any]:
-    """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
+def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
+    """A Jacobi field of a piece of softened tubes, collocated as its torsion is.
 
     The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
     where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the
     tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
-        end: (2n, c) y above v where the piece ends.  inner: (n, K c) y at its points, field by field.
+        softness: (n, n K) (dM/dtheta) / ((1 - margin) kt) at the points; of eccentric tubes also (n, n K) w dg/dtheta,
+            and of these and of tubes made of pieces (n, K) g c.
+        end: (2n,) y above v where the piece ends.  inner: (n, K) y at its points.
 
     Returns:
-        (2n, c) y above v where the piece begins; (n, K c) defect of the collocated equations.
+        (2n,) y above v where the piece begins; (n, K) defect of the collocated equations.
     """
-    piece, t = torsion.piece, torsion.piece.grid.tableau
-    n, count, h = piece.grid.n_tubes, piece.grid.degree, piece.length
-    sections = [piece.balance(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
-    gains = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ here[1] for here in sections]
-    ahead, ahead_twist = t.weights - t.matrix, t.weights - t.adjoint
-    before, defects = [], []
-    for c in range(end.shape[1]):
-        y, v, own = end[:n, c], end[n:, c], inner[:, c * count : (c + 1) * count]
-        gained = ca.horzcat(*(gains[k] @ own[:, k] for k in range(count)))
-        slope = ca.repmat(v, 1, count) - h * gained @ ahead_twist.T
-        if piece.grid.stretched:
-            turned = [
-                here[2] * slope[:, k] + torsion.twist[:, k] * (here[3] @ own[:, k]) for k, here in enumerate(sections)
-            ]
-            slope = ca.horzcat(*turned)
-        defects.append(own - ca.repmat(y, 1, count) + h * slope @ ahead.T)
-        before.append(ca.vertcat(y - h * slope @ t.weights, v - h * gained @ t.weights))
-    return ca.horzcat(*before), ca.horzcat(*defects)
+    t, n, count = grid.tableau, grid.n_tubes, grid.degree
+    gain, *stretching = softness
+    y, v = end[:n], end[n:]
+    gained = _at_points(gain, inner)
+    slope = ca.repmat(v, 1, count) - length * gained @ (t.weights - t.adjoint).T
+    if stretching:
+        slope = stretching[-1] * slope
+    if len(stretching) > 1:
+        slope += _at_points(stretching[0], inner)
+    defect = inner - ca.repmat(y, 1, count) + length * slope @ (t.weights - t.matrix).T
+    return ca.vertcat(y - length * slope @ t.weights, v - length * gained @ t.weights), defect
+
+
+def _at_points(matrices: Any, columns: Any) -> Any:
+    """(n, K) products of matrices (n, n K), side by side, with columns (n, K)."""
+    n = columns.shape[0]
+    return ca.horzcat(*(matrices[:, k * n : (k + 1) * n] @ columns[:, k] for k in range(columns.shape[1])))
 
 
 def quaternion_of(frame: Array) -> Array:

@@ -61,7 +61,9 @@ def _field_rate(piece: Piece, x: float, at: tuple[Any, Any], margin: Any) -> Any
 
     def rate(fields: Any) -> Any:
         y, v = fields[:n, :], fields[n:, :]
-        turned = ca.diag(stretching[0]) @ v + ca.diag(w) @ (stretching[1] @ y) if stretching else v
+        turned = ca.diag(stretching[0]) @ v if stretching else v
+        if len(stretching) > 1:
+            turned += ca.diag(w) @ (stretching[1] @ y)
         return ca.vertcat(turned, gain @ y)
 
     return rate

@@ -95,24 +95,49 @@ def bend_function(grid: Grid) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def fields_function(grid: Grid) -> ca.Function:
-    """(Jacobi fields (2n, n) at the end, (n, K n) at the points, margin, arguments of a piece) -> fields (2n, n) at its
-    beginning, defect (n, K n)."""
+def twist_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> w (n, K) at its points."""
     torsion = torsion_of(symbols(grid))
-    n = grid.n_tubes
-    fields, inner, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("inside", n, grid.degree * n), ca.SX.sym("margin")
-    out = softened_fields(torsion, fields, inner, margin)
-    return ca.Function("fields", [fields, inner, margin, *torsion.piece.arguments], list(out), OPTIONS)
+    return ca.Function("twist", torsion.piece.arguments, [torsion.twist], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def softness_function(grid: Grid) -> ca.Function:
+    """(margin, theta, w (n,), its place x, what is given of the piece) of one point -> what `softened_fields` needs."""
+    piece = symbols(grid)
+    margin, w, x = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes), ca.SX.sym("x")
+    _, stiff, *stretching = piece.balance(piece.theta, x)
+    outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
+    outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
+    given = [margin, piece.theta, w, x, *piece.data]
+    return ca.Function("softness", given, [ca.densify(part) for part in outputs], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def fields_function(grid: Grid) -> ca.Function:
+    """(n Jacobi fields (2n, n) at the end, (n, K n) at the points, field by field, length, softness) of a piece ->
+    fields (2n, n) at its beginning, defect (n, K n). Every field is the same function, of few operations: of nine tubes
+    the second derivatives of all at once would take minutes to write out."""
+    n, count = grid.n_tubes, grid.degree
+    end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", n, count), ca.SX.sym("h")
+    softness = _softness(grid)
+    one = ca.Function("field", [end, inner, h, *softness], list(softened_fields(grid, h, softness, end, inner)))
+    return one.map("fields", "serial", n, list(range(2, one.n_in())), [])
 
 
 @lru_cache(maxsize=64)
 def field_matrix_function(grid: Grid) -> ca.Function:
-    """(margin, arguments of a piece) -> (K n, K n) matrix of the defect of one field by its values at the points."""
-    torsion = torsion_of(symbols(grid))
-    inner, margin = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("margin")
-    defect = softened_fields(torsion, ca.SX.zeros(2 * grid.n_tubes, 1), inner, margin)[1]
+    """(length, softness) of a piece -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    inner, h, softness = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("h"), _softness(grid)
+    defect = softened_fields(grid, h, softness, ca.SX.zeros(2 * grid.n_tubes), inner)[1]
     matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
-    return ca.Function("field_matrix", [margin, *torsion.piece.arguments], [matrix], OPTIONS)
+    return ca.Function("field_matrix", [h, *softness], [matrix], OPTIONS)
+
+
+def _softness(grid: Grid) -> tuple[Any, ...]:
+    n, count = grid.n_tubes, grid.degree
+    gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
+    return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
 
 
 @lru_cache(maxsize=16)

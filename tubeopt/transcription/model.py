@@ -94,6 +94,17 @@ class TorsionModel:
         defect, theta, twist = self.mapped("torsion")(*self.arguments)
         return defect, theta, twist
 
+    def softness(self, margin: Any) -> tuple[Any, ...]:
+        """What the Jacobi fields of tubes softened by `margin` need, side by side for all points."""
+        count, degree = self.n_pieces, self.grid.degree
+        data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in self.data]
+        places = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
+        # Where g is 1, nothing depends on the torsion.
+        twist = self.mapped("twist")(*self.arguments) if self.place else ca.DM.zeros(*self.inner.shape)
+        function = mapped("softness", self.grid, count * degree)
+        out = function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, places, *data])
+        return tuple(out)
+
     @property
     def energy(self) -> Any:
         """Elastic energy of the arm and of the transmissions, J."""

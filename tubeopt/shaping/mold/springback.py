@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from ...errors import InputError, choice, positive, vector
-from ...files.fields import check_fields, unit
+from ...files.marks import check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")
