@@ -62,6 +62,7 @@ class EquilibriumBlock(Outputs):
         name: what to call it in messages.
 
     Attributes:
+        chain: the pieces of tubes made of such, else None.
         tip_position (3,) m, tip_rotation (3, 3): pose of the tip in the plate frame.
         tip_rotations: (n,) rad, theta of the tubes where the arm ends.
         energy: elastic energy, J.  length: of the arm in front of the plate, m.
@@ -108,7 +109,7 @@ class EquilibriumBlock(Outputs):
         self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
         self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
         self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
-        chain = self._given.chain
+        self.chain = chain = self._given.chain
         self._grid = Grid(
             self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
         )
@@ -233,7 +234,8 @@ class EquilibriumBlock(Outputs):
         with 0 the robot cannot snap at any rotations. Concentric robots.
 
         Raises:
-            InputError: a number that is not below 1, or an eccentric robot.
+            InputError: a number that is not below 1, an eccentric robot, or pieces of tubes that vary along their
+                length otherwise than by a natural twist.
         """
         add_certificate(self, margin)
 
