@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -56,17 +57,18 @@ def _tube(tube: Tube, pieces: list[Piece], straight: float, stiffness: tuple[flo
     """A tube of these pieces; a stiffness that is not changed keeps following the cross-section."""
     own = (tube.bending_stiffness, tube.torsional_stiffness)
     kb, kt = (old if old == new else new for old, new in zip(own, stiffness, strict=True))
-    if not pieces:
-        return replace(tube, straight_length=straight, bending_stiffness=kb, torsional_stiffness=kt)
-    return Tube.of_pieces(
-        tube.outer_diameter,
-        tube.inner_diameter,
-        pieces,
+    bend, chain = max((piece.largest_curvature for piece in pieces), default=0.0), tuple(pieces)
+    # A tube of pieces stays one, even where they are arcs about x: so do the unknowns of the block.
+    if not tube.general and all(piece.plain for piece in pieces):
+        bend, chain = (float(pieces[0].precurvature[0]) if pieces else tube.curvature), ()
+    return replace(
+        tube,
         straight_length=straight,
-        material=tube.material,
+        curved_length=math.fsum(piece.length for piece in pieces),
+        curvature=bend,
         bending_stiffness=kb,
         torsional_stiffness=kt,
-        mass_per_length=tube.mass_per_length,
+        pieces=chain,
     )
 
 
