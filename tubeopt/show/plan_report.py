@@ -20,7 +20,7 @@ from ..robots.file import save_robot
 from ..runs.plan_study import Checked
 from ..stability import ASSUMING
 from .quantities import Quantity, line, rows, within
-from .report import Report, report, two_columns
+from .report import Drawing, Report, drawing, report, two_columns
 
 HOW = {
     "straight": "straight",
@@ -151,11 +151,14 @@ class TrajectoryReport(Report[Trajectory]):
             shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write trajectory.png and trajectory.gif."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The motion, still and moving."""
         from .plots.trajectory import animate_trajectory, plot_trajectory
 
-        return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
+        return {
+            "trajectory": drawing(plot_trajectory, self.answer),
+            "trajectory.gif": drawing(animate_trajectory, self.answer),
+        }
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""

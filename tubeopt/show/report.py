@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, TypeVar
@@ -22,6 +23,23 @@ from . import quantities
 from .quantities import Quantity
 
 A = TypeVar("A")
+
+Drawing = Callable[..., Any]
+"""Draws a picture, and saves it where it is given a path; returns the figure."""
+
+
+FORMAT: ContextVar[str] = ContextVar("FORMAT", default="png")
+"""Of the pictures that reports write: png, pdf or svg."""
+
+
+def file_name(picture: str) -> str:
+    """Name of the file of a picture: with the suffix of `FORMAT`, unless it has one."""
+    return picture if "." in picture else f"{picture}.{FORMAT.get()}"
+
+
+def drawing(plot: Callable[..., Any], what: Any, **options: Any) -> Drawing:
+    """A picture of `what`, with nothing left to be said but where to save it."""
+    return lambda path=None: plot(what, path, **options)
 
 
 @dataclass(frozen=True)
@@ -69,20 +87,19 @@ class Report(Generic[A]):
         write_text(directory / self.file, to_text(self.record()))
         return directory / self.file
 
+    def pictures(self) -> dict[str, Drawing]:
+        """Name of every picture -> what draws it; a name without a suffix gets that of the format asked for."""
+        return {}
+
     def draw(self, directory: Path) -> list[Path]:
-        """Write the pictures into `directory`; return the paths."""
-        return []
+        """Write the pictures into `directory`, in the format of `FORMAT`; return the paths."""
+        drawings = {directory / file_name(name): draw for name, draw in self.pictures().items()}
+        for path, draw in drawings.items():
+            draw(path)
+        return list(drawings)
 
     def conclude(self) -> None:
         """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""
-
-    def drawn(
-        self, directory: Path, pictures: Mapping[str, Callable[..., object]], what: Any = None, **options: Any
-    ) -> list[Path]:
-        """Draw `what`, by default the answer, once for every name, by the function that plots it; return the paths."""
-        for name, plot in pictures.items():
-            plot(self.answer if what is None else what, directory / name, **options)
-        return [directory / name for name in pictures]
 
 
 @functools.singledispatch
