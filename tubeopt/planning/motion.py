@@ -9,6 +9,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..control.joints import JointSpace
+from ..display import Displayed
 from ..errors import InputError
 from ..typing import Array
 
@@ -26,7 +27,7 @@ SAMPLE_STEP = 0.04
 
 
 @dataclass(frozen=True)
-class RateLimits:
+class RateLimits(Displayed):
     """How fast the actuators are.
 
     Args:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from .tubes import Tube
 
@@ -14,7 +15,7 @@ Ranges = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class JointLimits:
+class JointLimits(Displayed):
     """Least and greatest value of every joint: rotations (rad) and translations (m) as (n, 2) pairs.
 
     Raises:

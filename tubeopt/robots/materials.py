@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from ..display import Displayed
 from ..errors import InputError, finite, positive
 
 ZERO_CELSIUS = 273.15
@@ -49,7 +50,7 @@ class ThermalData:
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Displayed):
     """An isotropic, linear-elastic tube material.
 
     Args:

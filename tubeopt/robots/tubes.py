@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
@@ -27,7 +28,7 @@ class OfCrossSection(float):
 
 
 @dataclass(frozen=True)
-class Tube:
+class Tube(Displayed):
     """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
 
     Args:

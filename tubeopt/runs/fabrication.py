@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..display import Displayed
 from ..robots.robot import Robot
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.spec import HeatingSpec
@@ -28,7 +29,7 @@ class TubeParts:
 
 
 @dataclass(frozen=True, eq=False)
-class Fabrication:
+class Fabrication(Displayed):
     """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
 
     robot: Robot

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..files.checked import NotNegative, in_file
 from ..files.units import MM, to_si
 from ..robots.tubes import Tube
@@ -21,7 +22,7 @@ from .mold_file import load_mold_spec, load_springback
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
+class Ranking(Displayed):
     """Mold materials for a tube, best first.   heat: the heating that they are for."""
 
     ratings: tuple[MaterialRating, ...]

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
+from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Positive
 from ..files.units import DEG, MM, to_si
 from ..planning import PlanOptions, Proof, RateLimits, TipGoal, Trajectory, plan_trajectory
@@ -122,7 +123,7 @@ class PlanStudy(Study):
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class Checked(Displayed):
     """A trajectory of whatever origin, and what was found on it."""
 
     file: str

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, in_file
 from ..files.units import UNITS, to_si
@@ -36,7 +37,7 @@ from .load_file import LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibria:
+class Equilibria(Displayed):
     """All equilibria of a robot at given joint values, the lowest energy first."""
 
     robot: Robot
@@ -66,7 +67,7 @@ class EquilibriaStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class Way(Displayed):
     """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one.
 
     start, end: (rotations (n,), translations (n,)), rad and m.
@@ -115,7 +116,7 @@ class SnapStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Displayed):
     """What a robot does along waypoints."""
 
     robot: Robot
@@ -146,7 +147,7 @@ class FollowStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Certification:
+class Certification(Displayed):
     """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
 
     robot_file: what the commands that repeat it name.
@@ -224,7 +225,7 @@ def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotMap:
+class RobotMap(Displayed):
     """A stability map, and the robot that it is of."""
 
     robot: Robot

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..typing import Array, Sentence
@@ -32,7 +33,7 @@ class Finding(Sentence):
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Verdict(Displayed):
     """Whether a robot can snap at given translations.
 
     certificate: the lower bound of the margin over all rotations: proved.
@@ -44,6 +45,8 @@ class Verdict:
     decided: whether no more than two tubes, of one curvature each, are coupled, so that the certificate is exact and
     the nearest snap is known.
     """
+
+    _brief = ("robot", "finding", "certificate")
 
     robot: Robot
     certificate: Certificate

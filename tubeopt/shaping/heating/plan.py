@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
@@ -47,7 +48,7 @@ class HeatingStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class HeatingPlan:
+class HeatingPlan(Displayed):
     """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
 
     Attributes:
@@ -76,6 +77,8 @@ class HeatingPlan:
         growth: of the tube's length by its expansion at the end of the hold, m.
         iterations: of the optimal control problem, in its last round.
     """
+
+    _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
 
     tube: Tube
     rig: Rig
