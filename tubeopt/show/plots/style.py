@@ -107,12 +107,9 @@ def tube_colour(index: int) -> str:
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of this size in inches that draws into memory: no window, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from .figure import Shown
 
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Shown(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
 
 
 def headed(figure: Figure, heading: str) -> Figure:
