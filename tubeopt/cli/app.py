@@ -34,10 +34,11 @@ from . import (
     view,
     workspace,
 )
+from .options import App
 
 BAD_INPUT, NO_SOLUTION, NOT_PROVED = 2, 3, 4
 
-app = typer.Typer(
+app = App(
     help="Concentric tube robots: where they go, whether they snap, how to build them.",
     no_args_is_help=True,
     add_completion=False,

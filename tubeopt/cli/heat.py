@@ -21,9 +21,9 @@ from ..show.progress import working
 from ..show.report import can_be_saved, present
 from ..show.reports import report
 from .flags import ask, asks
-from .options import JsonOption, OutOption, PlanByDefault, PlotOption, numbers
+from .options import App, JsonOption, OutOption, PlanByDefault, PlotOption, numbers
 
-app = typer.Typer(cls=PlanByDefault, help="Heating schedules for setting the shape of tubes.", no_args_is_help=True)
+app = App(cls=PlanByDefault, help="Heating schedules for setting the shape of tubes.", no_args_is_help=True)
 
 RigArgument = Annotated[str, typer.Argument(metavar="RIG.yaml", help="Rig file.", show_default=False)]
 RobotOption = Annotated[

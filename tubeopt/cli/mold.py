@@ -21,9 +21,9 @@ from ..shaping.mold.springback import calibrate_springback
 from ..show.report import can_be_saved, present
 from ..show.reports import report
 from .flags import ask, asks
-from .options import JsonOption, OutOption, PlanByDefault, PlotOption, RobotArgument
+from .options import App, JsonOption, OutOption, PlanByDefault, PlotOption, RobotArgument
 
-app = typer.Typer(cls=PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
+app = App(cls=PlanByDefault, help="Molds for setting the shape of tubes.", no_args_is_help=True)
 
 
 @app.command(epilog="Example: tubeopt mold plan configs/robots/thesis_etr.yaml --out results")

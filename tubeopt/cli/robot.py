@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import typer
-
 from ..robots.file import load_robot
 from ..show.report import present
 from ..show.reports import report
-from .options import JsonOption, OutOption, RobotArgument
+from .options import App, JsonOption, OutOption, RobotArgument
 
-app = typer.Typer(help="What a robot is made of.", no_args_is_help=True)
+app = App(help="What a robot is made of.", no_args_is_help=True)
 
 
 @app.command(epilog="Example: tubeopt robot show configs/robots/thesis_ctr.yaml")

@@ -46,4 +46,4 @@ def sweep(
             retry_failed=retry_failed,
             progress=progress,
         )
-    present(report(answer), out=None, as_json=as_json)
+    present(report(answer), out=directory, as_json=as_json)

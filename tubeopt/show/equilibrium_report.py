@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
@@ -61,6 +62,14 @@ class EquilibriumReport(Report[Equilibrium]):
     def save(self, directory: Path) -> list[Path]:
         """Write result.json and arrays.npz."""
         return save_equilibrium(self.answer, directory)
+
+    def tables(self) -> dict[str, Any]:
+        """The arm, a row per point."""
+        return {"arm": self.answer}
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm."""
+        return {"arm": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:
         """The shape, and the torsion along it."""

@@ -37,7 +37,7 @@ def show_in_3d(
     meshes = [_mesh(library, part, part.opacity) for part in parts]
     meshes += [_mesh(library, part, GHOST_OPACITY) for ghost in ghosts for part in robot_parts(ghost)]
     axes = {f"{axis}axis": {"title": {"text": f"{axis} (mm)"}} for axis in "xyz"}
-    scene = {**axes, "aspectmode": "data", "camera": {"projection": {"type": "orthographic"}}}
+    scene = {**axes, "aspectmode": "data"}
     name = equilibrium.robot.name or "robot"
     layout = {"scene": scene, "height": height, "margin": {"l": 0, "r": 0, "t": 30, "b": 0}, "title": {"text": name}}
     figure: plotly.graph_objects.Figure = library.Figure(meshes, layout)

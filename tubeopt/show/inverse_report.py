@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -121,6 +122,10 @@ class PosturesReport(Report[Postures]):
             table = zip(*readings_of, strict=True)
             write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
         return paths
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm in the best posture."""
+        return {"arm": self.answer.solutions[0].equilibrium}
 
     def pictures(self) -> dict[str, Drawing]:
         """The postures at the target."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Group
@@ -150,6 +151,10 @@ class TrajectoryReport(Report[Trajectory]):
         for time, tip, margin, clear in zip(t.time, t.tip_position, t.margin, t.clearance, strict=True):
             shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
+
+    def tables(self) -> dict[str, Any]:
+        """Joint values, tip and margin over time."""
+        return {"trajectory": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:
         """The motion, still and moving."""

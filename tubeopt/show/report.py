@@ -17,6 +17,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.files import write_text
 from . import quantities
@@ -28,13 +29,18 @@ Drawing = Callable[..., Any]
 """Draws a picture, and saves it where it is given a path; returns the figure."""
 
 
-FORMAT: ContextVar[str] = ContextVar("FORMAT", default="png")
-"""Of the pictures that reports write: png, pdf or svg."""
+PICTURE_FORMATS = ("png", "pdf", "svg")
+TABLE_FORMATS = ("parquet",)
+SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
+
+FORMATS: ContextVar[tuple[str, ...]] = ContextVar("FORMATS", default=("png",))
+"""In which reports write: one of `PICTURE_FORMATS`, and any of the others for tables and arms."""
 
 
 def file_name(picture: str) -> str:
-    """Name of the file of a picture: with the suffix of `FORMAT`, unless it has one."""
-    return picture if "." in picture else f"{picture}.{FORMAT.get()}"
+    """Name of the file of a picture: with the suffix of its format, unless it has one."""
+    chosen = next((form for form in FORMATS.get() if form in PICTURE_FORMATS), PICTURE_FORMATS[0])
+    return picture if "." in picture else f"{picture}.{chosen}"
 
 
 def drawing(plot: Callable[..., Any], what: Any, **options: Any) -> Drawing:
@@ -98,6 +104,28 @@ class Report(Generic[A]):
             draw(path)
         return list(drawings)
 
+    def tables(self) -> dict[str, Any]:
+        """Name -> what has many rows, and can be saved as a table of another format."""
+        return {}
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """Name -> arms that can be saved as meshes and rigid bodies."""
+        return {}
+
+    def convert(self, directory: Path) -> list[Path]:
+        """Write tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
+        from . import solids, tables  # what they convert with is loaded only where it is asked for
+
+        wanted = FORMATS.get()
+        paths = [
+            tables.save_table(table, directory / f"{name}.{form}")
+            for form in TABLE_FORMATS if form in wanted for name, table in self.tables().items()
+        ]  # fmt: skip
+        return paths + [
+            solids.save_solid(arm, directory / f"{name}.{'xml' if form == 'mjcf' else form}")
+            for form in SOLID_FORMATS if form in wanted for name, arm in self.solids().items()
+        ]  # fmt: skip
+
     def conclude(self) -> None:
         """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""
 
@@ -116,6 +144,8 @@ def present(answer: Report[Any], *, out: Path | None, as_json: bool, plot: bool 
     files = answer.save(out) if out else []
     pictures = answer.draw(out or Path()) if out or plot else []
     files += pictures
+    if out and FORMATS.get() != ("png",):
+        files += answer.convert(out)
     if as_json:
         print(to_text(answer.record() | {"files": [str(path) for path in files]}), end="")
     else:

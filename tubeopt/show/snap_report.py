@@ -156,6 +156,13 @@ class WayReport(Report[Way]):
         numbers = self.rows() + ([] if w.snap is None else rows(w.snap, SNAP))
         return Group(Text(f"{w.robot.name or 'the robot'} {way_sentence(w)}"), two_columns("", numbers))
 
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm before and after the snap, or arrived."""
+        w = self.answer
+        if w.snap is not None:
+            return {"before": w.snap.before, "after": w.snap.after}
+        return {} if w.arrived is None else {"arm": w.arrived}
+
     def pictures(self) -> dict[str, Drawing]:
         """The robot before and after the snap, or arrived at the end."""
         from .plots import plot_shape, plot_snap  # Matplotlib takes longer to load than a solve
@@ -210,6 +217,10 @@ class MotionReport(Report[Motion]):
             shifts = [in_unit(float(shift), MM) for shift in e.translations]
             tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
             yield [k, *turns, *shifts, *tip, round(e.margin, 12)]
+
+    def tables(self) -> dict[str, Any]:
+        """The state at every waypoint."""
+        return {"path": self.answer.path}
 
     def pictures(self) -> dict[str, Drawing]:
         """The tip and the margin along the way, with the snaps."""

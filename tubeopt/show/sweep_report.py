@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..errors import SolveError
 from ..runs.sweeping import Sweep
 from .quantities import Quantity
@@ -44,6 +46,10 @@ class SweepReport(Report[Sweep]):
         if len(a.failures) > SHOWN:
             told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
         return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+
+    def tables(self) -> dict[str, Any]:
+        """The table, which is CSV and npz already."""
+        return {"table": self.answer}
 
     def conclude(self) -> None:
         """Raise SolveError where every point failed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -127,6 +128,10 @@ class WorkspaceReport(Report[Findings]):
         fields = {name: getattr(a.voxels, name) for name in ("size", "index", "count", "dexterity", "margin")}
         lost = {} if a.loss is None else {"held": a.loss.held, "lost": a.loss.lost}
         return [*samples, save_arrays(directory / "voxels.npz", **fields, **lost)]
+
+    def tables(self) -> dict[str, Any]:
+        """The samples."""
+        return {"samples": self.answer.workspace}
 
     def pictures(self) -> dict[str, Drawing]:
         """The workspace, seen from two sides and cut."""
