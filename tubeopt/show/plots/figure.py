@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 SCREEN_DPI = 100
 
 
-class Shown(Figure):
+class NotebookFigure(Figure):
     """A Matplotlib figure that draws into memory, and that notebooks know how to show."""
 
     def __init__(self, *args: Any, **options: Any) -> None:

@@ -128,12 +128,12 @@ def tube_colour(index: int) -> str:
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of this size in inches that draws into memory: no window, no global state."""
-    from .figure import Shown
+    from .figure import NotebookFigure
 
     wanted = WIDTH.get()
     scale = 1.0 if wanted is None else wanted / INCH / width
     # Letters keep their size, so that what is narrower needs more of its height.
-    return Shown(
+    return NotebookFigure(
         figsize=(scale * width, scale**HEIGHT_SHARE * height), dpi=DPI, layout="constrained", facecolor="white"
     )
 
