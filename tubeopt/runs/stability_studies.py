@@ -242,9 +242,9 @@ class StabilityMapStudy(Study):
     tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field(
         [1, 2], description="the two tubes that turn; 1 is the innermost", examples=["I,J"]
     )
-    samples: Annotated[Whole, Field(ge=2)] = Field(60, description="points per axis, from -180 to 180 deg")
+    samples: Annotated[Whole, Field(ge=2)] = Field(24, description="points per axis, from -180 to 180 deg")
     directions: Annotated[Whole, Field(ge=4)] = Field(
-        180, description="directions in which the snap boundary is computed"
+        120, description="directions in which the snap boundary is computed"
     )
     workers: Annotated[Whole, Field(ge=1)] = Field(2, description="processes that share the work")
 

@@ -75,7 +75,7 @@ class RobotMapReport(Report[RobotMap]):
         """The map."""
         from .plots import plot_stability_map  # Matplotlib takes longer to load than a solve
 
-        return {"stability_map": drawing(plot_stability_map, self.answer.map)}
+        return {"stability_map": drawing(plot_stability_map, self.answer.map, title=self.answer.robot.name)}
 
 
 report.register(RobotMap, RobotMapReport)

@@ -137,10 +137,9 @@ class EquilibriaReport(Report[Equilibria]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The shape of lowest energy, the others as ghosts."""
-        from .plots import plot_shape  # Matplotlib takes longer to load than a solve
+        from .plots import plot_equilibria  # Matplotlib takes longer to load than a solve
 
-        lowest, *others = self.answer.equilibria
-        return {"equilibria": drawing(plot_shape, lowest, ghosts=others)}
+        return {"equilibria": drawing(plot_equilibria, self.answer.equilibria)}
 
 
 class WayReport(Report[Way]):

@@ -181,8 +181,8 @@ def stability_map(
     translations: ArrayLike | None = None,
     *,
     tubes: tuple[int, int] = (0, 1),
-    samples: int = 60,
-    directions: int = 180,
+    samples: int = 24,
+    directions: int = 120,
     workers: int = 2,
     progress: Callable[[int, int], object] | None = None,
 ) -> StabilityMap:
