@@ -24,7 +24,7 @@ class KernelHook(BuildHookInterface):
         if version == "editable":
             return
         sys.path.insert(0, self.root)
-        from tubeopt.solvers.compiled.library import package_kernels
+        from tubeopt.solvers.compiled.wheel import package_kernels
 
         self._folder = tempfile.TemporaryDirectory()
         kernels = package_kernels(Path(self._folder.name), everywhere=os.environ.get("TUBEOPT_WHEEL") == "everywhere")

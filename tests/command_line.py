@@ -28,11 +28,16 @@ def answer(outcome: Outcome, code: int = 0) -> dict[str, Any]:
     assert (outcome.code, outcome.err) == (code, "")
     data = json.loads(outcome.out)
     assert isinstance(data, dict)
+    assert data.get("error", {}).get("exit_code", code) == code
     return data
 
 
 def refused(outcome: Outcome) -> list[str]:
-    """The problems that a command reports on stderr."""
+    """The problems that a command reports on stderr, or as JSON."""
+    if outcome.out.startswith("{"):
+        messages = answer(outcome, 2)["error"]["messages"]
+        assert isinstance(messages, list)
+        return messages
     assert (outcome.code, outcome.out) == (2, "")
     lines = outcome.err.splitlines()
     assert all(line.startswith("error: ") for line in lines)

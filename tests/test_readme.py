@@ -9,9 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from typer.main import get_command
-
-from tubeopt.cli.app import app
+from tubeopt.cli.app import program
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -42,7 +40,7 @@ def commands(group: Any, words: str = "") -> set[str]:
 
 def test_table_lists_every_command() -> None:
     listed = re.findall(r"^\| `tubeopt ([a-z -]+?)(?: [A-Z]|`)", README, re.MULTILINE)
-    assert sorted(listed) == sorted(commands(get_command(app)))
+    assert sorted(listed) == sorted(commands(program()))
 
 
 def test_links_lead_somewhere() -> None:

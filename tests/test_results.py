@@ -22,12 +22,12 @@ from tubeopt import (
     forward_kinematics,
     inverse_kinematics,
 )
-from tubeopt.block.problem_status import ProblemStatus
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.equilibrium.result import Status
 from tubeopt.errors import InputError
 from tubeopt.inverse.answer import InverseStatus
 from tubeopt.shaping.heating.plan import HeatingStatus
+from tubeopt.solvers.problem_status import ProblemStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
 

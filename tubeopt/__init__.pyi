@@ -24,9 +24,6 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
-from .block.problem import Problem
-from .block.problem_solution import ProblemSolution, load_problem_solution
-from .block.problem_status import ProblemStatus
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.file import load_equilibrium
@@ -65,6 +62,9 @@ from .shaping.heating.spec import HeatingSpec
 from .show.interactive import show_in_3d
 from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
+from .solvers.problem import Problem
+from .solvers.problem_solution import ProblemSolution, load_problem_solution
+from .solvers.problem_status import ProblemStatus
 from .solvers.settings import Ipopt, Newton
 from .stability import (
     Branch,

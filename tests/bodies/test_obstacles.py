@@ -80,7 +80,7 @@ def test_a_scene_knows_which_bodies_are_close() -> None:
     spheres = [Sphere(tuple(c.tolist()), random.uniform(1e-3, 1e-2)) for c in random.normal(size=(80, 3)) * 0.1]
     boxes = [Box(tuple(c.tolist()), tuple((c + 5e-3).tolist())) for c in random.normal(size=(20, 3)) * 0.1]
     bodies = (*spheres, *boxes, HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0)))
-    close = scene_of(bodies).close(points, 0.01)
+    close = [bodies[k] for k in scene_of(bodies).close(points, 0.01)]
     near = [body for body in bodies if body.signed_distance(points).min() < 0.01]
     far = [body for body in bodies if body.signed_distance(points).min() > 0.03]
     assert near

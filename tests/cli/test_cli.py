@@ -15,10 +15,10 @@ import typer
 
 import tubeopt
 from tests.command_line import COLOUR, CRL, ROOT, THESIS, Run, answer, refused
+from tubeopt.cli import output
 from tubeopt.equilibrium.file import load_equilibrium
 from tubeopt.errors import SolveError
-from tubeopt.runs import study_file
-from tubeopt.show import report
+from tubeopt.runs import forward_study
 
 STUDY = str(ROOT / "configs" / "studies" / "thesis_actuated.yaml")
 ACTUATED = ["--rotations-deg", "0,57.29577951308232,114.59155902616465"]
@@ -124,7 +124,7 @@ def test_fk_draws_pictures_and_says_where(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, opened: list[str], display: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(report, "has_display", lambda: display)
+    monkeypatch.setattr(output, "has_display", lambda: display)
     outcome = run("fk", THESIS, "--plot")
     assert outcome.code == 0
     assert "saved shape.png\nsaved torsion.png\n" in outcome.out
@@ -136,9 +136,9 @@ def test_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert not report.has_display()
+    assert not output.has_display()
     monkeypatch.setenv("DISPLAY", ":0")
-    assert report.has_display()
+    assert output.has_display()
 
 
 # --- run --------------------------------------------------------------------------------------------------------------
@@ -245,34 +245,51 @@ def test_a_file_that_cannot_be_read(run: Run, tmp_path: Path, command: list[str]
 
 def test_a_directory_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    (problem,) = refused(run("fk", THESIS, "--json", "--out", str(tmp_path / "file")))
-    assert problem.startswith(f"{tmp_path / 'file' / 'arrays.npz'}: cannot be written: ")
+    taken = str(tmp_path / "file")
+    for command in (["fk", THESIS, "--json"], ["certify", THESIS], ["robot", "show", THESIS], ["run", STUDY, "--json"]):
+        assert refused(run(*command, "--out", taken)) == [f"{taken}: nothing can be saved there: it is a file"]
+    (problem,) = refused(run("fk", THESIS, "--out", f"{taken}/x"))
+    assert problem == f"{taken}/x: nothing can be saved there: {taken} is in the way"
+
+
+def test_what_cannot_be_saved_is_printed_all_the_same(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "shape.png").mkdir()
+    outcome = run("fk", THESIS, "--out", str(tmp_path))
+    assert (outcome.code, outcome.err) == (2, f"error: {tmp_path / 'shape.png'}: cannot be written: Is a directory\n")
+    assert "-90.7584" in outcome.out
+    data = answer(run("fk", THESIS, "--out", str(tmp_path), "--json"), 2)
+    assert data["tip_position_mm"][2] == pytest.approx(164.8346, abs=1e-4)
+    assert data["error"]["messages"] == [f"{tmp_path / 'shape.png'}: cannot be written: Is a directory"]
 
 
 @pytest.mark.parametrize(
     "arguments", [["fk"], ["fk", THESIS, "--colour"], ["fl"], ["fk", THESIS, "1", "2"], ["robot", "x"]]
 )
 def test_usage_errors(run: Run, arguments: list[str]) -> None:
-    outcome = run(*arguments)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert "Error" in outcome.err
+    (message,) = refused(run(*arguments))
+    assert message.endswith(" --help")
+    assert refused(run(*arguments, "--json")) == [message]
 
 
 def test_no_solution(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: Any, **options: Any) -> None:
         raise SolveError("no equilibrium [was] found: torsion equation, tube 2: violated by 3e-3")
 
-    monkeypatch.setattr(study_file, "forward_kinematics", fail)
+    monkeypatch.setattr(forward_study, "forward_kinematics", fail)
     outcome = run("fk", THESIS)
     assert outcome == (3, "", "error: no equilibrium [was] found: torsion equation, tube 2: violated by 3e-3\n")
+    error = answer(run("fk", THESIS, "--json"), 3)["error"]
+    assert (error["kind"], error["exit_code"]) == ("no_solution", 3)
+    assert error["messages"] == ["no equilibrium [was] found: torsion equation, tube 2: violated by 3e-3"]
 
 
 def test_an_interruption(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*arguments: Any, **options: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(study_file, "forward_kinematics", interrupt)
-    assert run("run", STUDY).code == 130
+    monkeypatch.setattr(forward_study, "forward_kinematics", interrupt)
+    assert run("run", STUDY) == (130, "", "error: interrupted; nothing was saved\n")
+    assert answer(run("fk", THESIS, "--json"), 130)["error"]["kind"] == "interrupted"
 
 
 def test_output_that_nobody_reads_on() -> None:

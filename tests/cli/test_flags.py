@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from tests.command_line import COLOUR, ROOT, THESIS, Run, answer
 from tubeopt.cli.flags import asks
+from tubeopt.cli.output import Output
 from tubeopt.errors import InputError
 from tubeopt.files.checked import Number, Positive
 from tubeopt.runs.base import Progress, RobotPath, Study, Whole
@@ -43,8 +44,10 @@ app = typer.Typer()
 
 
 @app.command()
-@asks(PaintStudy, flags={"coats": "--coats,-c"}, defaults={"names": "red, blue"})
-def paint(study: PaintStudy, robot: str, twice: Annotated[bool, typer.Option("--twice")] = False) -> None:
+@asks(PaintStudy, flags={"coats": "--coats,-c"}, defaults={"names": "red, blue"}, example="paint ROBOT.yaml")
+def paint(
+    study: PaintStudy, output: Output, robot: str, twice: Annotated[bool, typer.Option("--twice")] = False
+) -> None:
     """Paint a robot."""
     print(json.dumps({"robot": robot, "twice": twice} | study.run(), default=float))
 

@@ -63,7 +63,7 @@ def test_infeasible_task_says_what_to_relax(run: Run, tmp_path: Path) -> None:
 
 def test_wrong_files_are_refused(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "study.yaml"
-    assert "it must be 'design'" in refused(run("design", str(STUDIES / "thesis_snap.yaml")))[0]
+    assert "it must be design" in refused(run("design", str(STUDIES / "thesis_snap.yaml")))[0]
     assert "gives 0 ranges" in refused(run("design", written(path, free="equal: true")))[0]
     assert "kind is 'curvature'" in refused(run("design", written(path, objective="curvature")))[0]
     text = Path(written(path)).read_text(encoding="utf-8")

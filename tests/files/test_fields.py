@@ -12,20 +12,8 @@ from hypothesis import strategies as st
 
 from tubeopt import InputError
 from tubeopt.files.checked import check
-from tubeopt.files.fields import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    REQUIRED,
-    Absent,
-    Named,
-    OneOf,
-    Range,
-    check_fields,
-    entry_of,
-    key,
-    to_data,
-    unit,
-)
+from tubeopt.files.fields import entry_of, to_data
+from tubeopt.files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Absent, Named, OneOf, Range, check_fields, key, unit
 from tubeopt.files.yaml_file import load_yaml, save_yaml
 
 

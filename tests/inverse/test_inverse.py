@@ -24,8 +24,10 @@ from tubeopt import (
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.bodies.scene import Scene
 from tubeopt.control.clock import Clock
 from tubeopt.control.joints import joint_space
+from tubeopt.control.outline import Outline
 from tubeopt.control.posture import posture_of
 from tubeopt.inverse.descent import reach
 from tubeopt.inverse.eccentric import mirror_closed_form, mirror_pose
@@ -253,15 +255,15 @@ class TestObstacles:
             assert closest.clearance >= 0
 
     def test_a_small_one_is_seen_between_the_points_of_the_measurement(self) -> None:
-        at = posture_of(joint_space(THESIS), forward_kinematics(THESIS, [0.0, 1.0, 2.0]))
-        e = at.equilibrium
+        e = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
         s = np.linspace(0, e.arc_length[-1], 40001)
         line = CubicHermiteSpline(e.arc_length, e.position, e.frame[:, :, 2])(s)
         reach = np.where(s[:, None] <= e.tube_end, [t.outer_diameter / 2 for t in THESIS.tubes], 0.0).max(1)
         for place in np.linspace(0.103, 0.107, 9) * e.arc_length[-1] / 0.2:
             k = int(np.searchsorted(s, place))
             body = Sphere(tuple(line[k] + 1.2 * MM * e.frame[0, :, 0]), 0.2 * MM)
-            assert at.clearance(body) == pytest.approx((body.signed_distance(line) - reach).min(), abs=2e-6)
+            least = float((body.signed_distance(line) - reach).min())
+            assert Outline(e).clearance(Scene((body,))) == pytest.approx(least, abs=2e-6)
 
     def test_the_closest_pose_is_clear_too(self) -> None:
         body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)

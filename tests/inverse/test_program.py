@@ -8,16 +8,16 @@ import pytest
 
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, eccentric_robot
-from tubeopt import InverseOptions, forward_kinematics
+from tubeopt import InverseOptions, Problem, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.joints import joint_space
 from tubeopt.control.posture import Posture, posture_of
 from tubeopt.inverse.goal import Goal
 from tubeopt.inverse.order import breakpoint_order
-from tubeopt.inverse.program import _parameters, _program, solve_program
+from tubeopt.inverse.program import posed, solve_program
 from tubeopt.inverse.question import pose_question
 from tubeopt.robots.robot import Robot
-from tubeopt.solvers.ipopt import start_values
+from tubeopt.transcription.program import torsion_guess
 
 ETR = eccentric_robot(0.03)
 SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
@@ -55,29 +55,51 @@ def question(at: Posture, **options: object) -> Goal:
     )
 
 
-def unknowns(goal: Goal, at: Posture, margin: float | None = None) -> tuple[object, np.ndarray, np.ndarray]:
-    """The program of a posture, its scaled unknowns there, and its parameters."""
-    order = breakpoint_order(goal, at)
-    program, asked = _program(goal, at, order)
-    block = start_values(asked.structure, at.solution.problem, at.solution.arm, "equations")
-    x = np.concatenate([at.q, [] if margin is None else [margin], block]) / program.nlp.scale
-    return program, x, _parameters(goal, at, order, asked)
+EQUATIONS = (
+    "torsion equation",
+    "continuity of rotation",
+    "continuity of torsion",
+    "base rotation",
+    "torsion at the end",
+)
+
+
+def program_at(goal: Goal, at: Posture) -> tuple[Problem, dict[str, np.ndarray]]:
+    """The program of a goal, and its variables at a posture."""
+    program = posed(goal, at, breakpoint_order(goal, at))
+    n = at.space.robot.n_tubes
+    start = {"rotations": at.q[:n], "translations": at.q[n:]}
+    return program, start | torsion_guess(at.solution.problem, at.solution.arm)
+
+
+def rows(program: Problem, names: tuple[str, ...], at: dict[str, np.ndarray]) -> np.ndarray:
+    """Values of constraints, one below the other."""
+    return np.concatenate([program.evaluate(program.constraint(name), at, {}).ravel() for name in names])
+
+
+def slopes(program: Problem, names: tuple[str, ...], at: dict[str, np.ndarray]) -> np.ndarray:
+    """(rows, unknowns) of constraints by central differences."""
+    columns = []
+    for name, value in at.items():
+        for k in range(len(value)):
+            step = np.zeros(len(value))
+            step[k] = 1e-6
+            ahead, behind = (rows(program, names, {**at, name: value + s * step}) for s in (1, -1))
+            columns.append((ahead - behind) / 2e-6)
+    return np.array(columns).T
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, ETR, SEGMENTED], ids=lambda robot: robot.name or "ETR")
 def test_a_solved_equilibrium_satisfies_it(robot: Robot) -> None:
     """The equations hold, and the tip is where forward kinematics, which integrates differently, has it."""
     at = pose(robot)
-    program, x, p = unknowns(question(at), at)
-    nlp = program.nlp  # type: ignore[attr-defined]
-    g = ca.Function("g", [nlp.x, nlp.p], [nlp.constraints])(x, p)
-    g = g.full().ravel()
-    equations = nlp.constraint_lower == nlp.constraint_upper
-    assert np.abs(g[equations]).max() < 1e-5
-    assert (g[~equations] > -1e-12).all()
-    tip, direction = (each.full().ravel() for each in program.tip(x, p))  # type: ignore[attr-defined]
-    np.testing.assert_allclose(tip, at.tip, atol=2e-6 * at.space.length)
-    np.testing.assert_allclose(direction, at.direction, atol=1e-5)
+    goal = question(at, direction=at.direction)
+    program, start = program_at(goal, at)
+    assert np.abs(rows(program, EQUATIONS, start)).max() < 1e-5
+    assert np.abs(rows(program, ("tip position",), start)).max() < 2e-6 * at.space.length
+    if goal.pointed:
+        assert np.abs(rows(program, ("tip direction",), start)).max() < 1e-5
+    assert (rows(program, ("Jacobi fields", "order of breakpoints"), start) > -1e-12).all()
 
 
 def test_jacobi_fields_tell_the_margin() -> None:
@@ -85,58 +107,42 @@ def test_jacobi_fields_tell_the_margin() -> None:
     rotations, shift = np.radians([140.0, 20.0, -30.0]), [-0.02, -0.03, -0.01]
     at = posture_of(joint_space(CRL), forward_kinematics(CRL, rotations, shift))
     assert 0.05 < at.margin < 0.9
-    program, x, p = unknowns(question(at, objective="margin"), at, margin=0.0)
-    place = len(at.q)
+    program, start = program_at(question(at, objective="margin"), at)
 
     def least(mu: float) -> float:
-        trial = x.copy()
-        trial[place] = mu
-        return float(program.margin(trial, p).full().min())  # type: ignore[attr-defined]
+        return float(rows(program, ("Jacobi fields",), {**start, "margin": np.array([mu])}).min())
 
     low, high = 0.0, 0.95
     assert least(low) > 0 > least(high)
-    for _ in range(40):
+    for _ in range(30):
         middle = (low + high) / 2
         low, high = (middle, high) if least(middle) > 0 else (low, middle)
     assert low == pytest.approx(at.margin, abs=1e-7)
 
 
-@pytest.mark.parametrize("robot", [CRL, ETR], ids=["CTR", "ETR"])
-def test_derivatives_are_those_of_finite_differences(robot: Robot) -> None:
-    """Of tip and margin with respect to all unknowns, as IPOPT gets them."""
-    at = pose(robot, 3)
-    goal = question(at, obstacles=(Sphere((0.03, 0.0, 0.05), 0.01),), direction=at.direction)
-    program, x, p = unknowns(goal, at)
-    nlp, step = program.nlp, 1e-6  # type: ignore[attr-defined]
-    value = ca.Function("g", [nlp.x, nlp.p], [nlp.constraints])
-    table = program.jacobian(x, p).full()  # type: ignore[attr-defined]
-    named = [k for k, name in enumerate(nlp.constraint_names) if name.startswith(("tip", "margin", "clearance"))]
-    assert len(named) >= 8
-    for column in range(len(x)):
-        ahead, behind = x.copy(), x.copy()
-        ahead[column] += step
-        behind[column] -= step
-        slope = ((value(ahead, p) - value(behind, p)) / (2 * step)).full().ravel()
-        scale = 1 + np.abs(slope).max()
-        np.testing.assert_allclose(table[:, column], slope, atol=2e-7 * scale)
+def test_derivatives_are_those_of_finite_differences() -> None:
+    """Of every constraint with respect to all unknowns, as IPOPT gets them."""
+    at = pose(ETR, 3)
+    program, start = program_at(question(at, obstacles=(Sphere((0.03, 0.0, 0.05), 0.01),), direction=at.direction), at)
+    names = ("tip position", "tip direction", "Jacobi fields", "clearance of obstacle 1")
+    wanted = slopes(program, names, start)
+    found = program.evaluate(
+        ca.horzcat(*(ca.jacobian(ca.vertcat(*map(program.constraint, names)), program.symbol(name)) for name in start)),
+        start,
+        {},
+    )
+    scale = 1 + np.abs(wanted).max(0)
+    np.testing.assert_allclose(found / scale, wanted / scale, atol=2e-7)
 
 
 def test_implicit_derivatives_are_those_along_its_equations() -> None:
-    """d(tip)/dq with the block's unknowns eliminated is what `Equilibrium.jacobian` says."""
+    """d(tip)/dq with the torsion eliminated is what `Equilibrium.jacobian` says."""
     at = pose(THESIS, 5)
-    program, x, p = unknowns(question(at), at)
-    nlp = program.nlp  # type: ignore[attr-defined]
-    table = program.jacobian(x, p).full()  # type: ignore[attr-defined]
+    program, start = program_at(question(at), at)
+    equations, tip = slopes(program, EQUATIONS, start), slopes(program, ("tip position",), start)
     count = len(at.q)
-    tip = [k for k, name in enumerate(nlp.constraint_names) if name.startswith("tip position")]
-    equations = [
-        k
-        for k, (low, high) in enumerate(zip(nlp.constraint_lower, nlp.constraint_upper, strict=True))
-        if low == high and k not in tip
-    ]
-    inner = np.linalg.solve(table[np.ix_(equations, range(count, len(x)))], -table[np.ix_(equations, range(count))])
-    total = table[np.ix_(tip, range(count))] + table[np.ix_(tip, range(count, len(x)))] @ inner
-    total *= at.space.length / nlp.scale[:count]
+    inner = np.linalg.solve(equations[:, count:], -equations[:, :count])
+    total = tip[:, :count] + tip[:, count:] @ inner
     np.testing.assert_allclose(total, at.equilibrium.jacobian().position @ at.space.spread, atol=1e-6)
 
 

@@ -13,7 +13,7 @@ from tubeopt import find_snap, forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
 from tubeopt.control.clock import Clock
-from tubeopt.control.posture import arm_radius
+from tubeopt.control.outline import Outline
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import branch
 from tubeopt.planning.sections import Arms, Constants, Intervals
@@ -41,7 +41,7 @@ def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
     s = np.linspace(0.0, e.arc_length[-1], int(e.arc_length[-1] / step) + 2)
     s = np.union1d(s, e.tube_end[(e.tube_end > 0) & (e.tube_end < s[-1])])
     arms = Arms.of(Constants.of(e.robot), [e])
-    return arms.points(np.zeros(len(s), dtype=np.intp), s), arm_radius(e, s)
+    return arms.points(np.zeros(len(s), dtype=np.intp), s), Outline(e).radius(s)
 
 
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.2), SEGMENTED], ids=lambda r: r.name or "etr")

@@ -26,10 +26,12 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from tubeopt.bodies.scene import Scene
 from tubeopt.control.chart import Chart
 from tubeopt.control.clock import Clock
 from tubeopt.control.closed import pocket
 from tubeopt.control.joints import joint_space
+from tubeopt.control.outline import Outline
 from tubeopt.control.posture import posture_of
 from tubeopt.control.task import Task
 from tubeopt.planning import plan
@@ -64,8 +66,7 @@ def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> O
         low = tip + np.array([-0.01, -0.01, x])
         return Box(tuple(low.tolist()), tuple((low + np.array([0.02, 0.02, 5e-3])).tolist()))
 
-    space = joint_space(goal.robot)
-    return made(brentq(lambda x: posture_of(space, goal).clearance(made(x)) - 1e-3 - spare, 1e-3, 0.1, xtol=1e-12))
+    return made(brentq(lambda x: Outline(goal).clearance(Scene((made(x),))) - 1e-3 - spare, 1e-3, 0.1, xtol=1e-12))
 
 
 @pytest.mark.parametrize("spare", [3e-4, 1e-4, 5e-5, 1e-5])
@@ -144,7 +145,7 @@ def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
         np.array([46.8460976408652, 19.99999931598615, 19.999999745138847]) / 1e3,
     )
     start = forward_kinematics(robot, np.zeros(3), [-0.9 * tube.curved_length for tube in tubes])
-    clear = posture_of(joint_space(robot), goal).clearance(vessel)
+    clear = Outline(goal).clearance(Scene((vessel,)))
     assert 1e-5 < clear < 5e-5
     options = PlanOptions(objective="none", clearance=clear - 1e-5, time_limit=60.0)
     found = plan_trajectory(robot, start, goal, obstacles=[vessel], options=options)
@@ -161,10 +162,10 @@ def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
         arms = chart.arms(chart.of(e)[None], 0.0)
         s, line = arms.fine()
         posture = posture_of(space, e)
-        np.testing.assert_allclose(line[0], posture._at(s[0])[1], atol=2e-6)
+        np.testing.assert_allclose(line[0], posture.outline.at(s[0])[0], atol=2e-6)
         place = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
         body = Sphere(tuple(place.tolist()), 2e-4)
-        least = posture.clearance(body)
+        least = posture.outline.clearance(Scene((body,)))
         own = float(Task(chart, (body,), 0.0, max(least, 0.0)).clearances(arms)[0])
         assert own == pytest.approx(least, abs=3e-6 if least > 5e-4 else 5e-5)
 

@@ -83,6 +83,21 @@ def test_every_row_is_the_study_at_its_point(run: Run, tmp_path: Path) -> None:
         assert arrays["rotations_deg[0]"].tolist() == [float(row["rotations_deg[0]"]) for row in table]
 
 
+def test_without_a_directory_the_table_is_printed_and_nothing_is_written(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    outcome = run("sweep", path, "--workers", "1")
+    data = answer(run("sweep", path, "--workers", "1", "--json"))
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (outcome.code, data["table"]) == (0, None)
+    rows = list(csv.DictReader(outcome.out.splitlines()))
+    assert [float(row["margin"]) for row in rows] == [row["margin"] for row in data["rows"]]
+    assert len(rows) == data["points"]
+
+
 def test_other_kinds_of_study_sweep_too(run: Run, tmp_path: Path) -> None:
     study = {"kind": "snap", "robot": THESIS, "to_deg": [360, 0, 0], "from_mm": [0, 0, 0]}
     vary = [{"key": ["from_mm[0]", "from_mm[1]", "from_mm[2]"], "values": [0, -20]}]

@@ -122,9 +122,9 @@ def test_every_key_of_a_mold_file() -> None:
         (("mold", "calibrate", "nowhere.csv"), "nowhere.csv: there is no such file"),
         (
             ("mold", "calibrate", TRIALS, "--model", "cubic"),
-            "model is 'cubic'; it must be one of auto, constant, linear",
+            "--model is 'cubic'; it must be auto, constant or linear",
         ),
-        (("mold", "materials", THESIS, "--tube", "9"), "--tube is 9; it must lie in 1 to 3"),
+        (("mold", "materials", THESIS, "--tube", "9"), "--tube is 9; it must be 1 to 3"),
         (("mold", "materials", "--hold-s", "0"), "--hold-s is 0; it must be greater than 0"),
         (("mold", "materials", "--set-degC", "10"), "set_temperature is 283.15 K; it must be above the ambient"),
     ],

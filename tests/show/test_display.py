@@ -12,7 +12,8 @@ import tubeopt
 from tests.examples import THESIS, TWO_TUBE
 from tubeopt.display import Displayed, brief, in_full
 from tubeopt.show.plots import plot_torsion
-from tubeopt.show.reports import report
+from tubeopt.show.report import report as registered
+from tubeopt.show.reports import report, reports
 
 PNG = b"\x89PNG\r\n\x1a\n"
 LINE = 260
@@ -23,7 +24,8 @@ def classes() -> list[type]:
     """Public classes that hold data, and the answers of commands."""
     public = [getattr(tubeopt, name) for name in tubeopt.__all__]
     data = {kind for kind in public if inspect.isclass(kind) and dataclasses.is_dataclass(kind)}
-    answers = {kind for kind in report.registry if kind is not object and kind.__name__ != "Doctor"}
+    reports()
+    answers = {kind for kind in registered.registry if kind is not object and kind.__name__ != "Doctor"}
     return sorted(data | answers, key=lambda kind: kind.__name__)
 
 

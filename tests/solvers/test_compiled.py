@@ -222,7 +222,7 @@ def test_the_kernel_is_built_once_and_kept(monkeypatch: pytest.MonkeyPatch, tmp_
 def test_a_compiler_that_cannot_tune_for_the_processor_will_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As clang on some ARM machines, which knows no -march=native. Without fused multiplication sines come from the
     library; the answers are the same to round-off."""
-    own = building._compiler()
+    own = building.compiler()
     assert own is not None
     words = f'for word; do [ "$word" = {building.OWN_PROCESSOR} ] && exit 1; done\nexec {shlex.join(own)} "$@"\n'
     plain = tmp_path / "plain-cc"

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
-from tubeopt import SolveError
+from tubeopt import Ipopt, SolveError
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.solvers import ipopt
-from tubeopt.solvers.ipopt import solve_ipopt, start_values
+from tubeopt.solvers.ipopt import _program, solve_ipopt
 from tubeopt.solvers.newton import newton
 from tubeopt.transcription import arm as arms
-from tubeopt.transcription.block import structure_of
 from tubeopt.transcription.mesh import make_mesh
-from tubeopt.transcription.nlp import IPOPT_OPTIONS
+from tubeopt.transcription.program import structure_of
 from tubeopt.transcription.reduced import ReducedProblem, margin, reduce, residual
 from tubeopt.typing import Array
 
@@ -68,36 +65,30 @@ def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_start_values_are_those_of_the_profile(formulation: str) -> None:
-    # Started at the solution, IPOPT has nothing to do: every value is where the program expects it.
+def test_started_at_the_solution_there_is_nothing_to_do(formulation: str) -> None:
+    # Every value is where the program expects it.
     rotations = np.array([0.3, -0.4, 0.8])
     problem = reduced_problem(THESIS, (0.06, 0.03, 0.0), DEFAULT_DISCRETISATION)
     profile = arms.profile(problem, rotations, newton(problem, rotations, np.zeros(problem.size)).state)
-    nlp = ipopt._problem(structure_of(problem), formulation)[0]
-    values = dict(zip(nlp.names, start_values(structure_of(problem), problem, profile, formulation), strict=True))
-    pieces = np.flatnonzero(problem.mesh.section == 2)
-    theta = arms.rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes))[pieces].reshape(-1, 3)
-    assert values["rotation, tube 3, section 3, point 2"] == theta[1, 2]
     assert solve_ipopt(problem, rotations, profile, formulation).iterations <= 1
 
 
-@pytest.fixture
-def hasty() -> Iterator[None]:
-    """IPOPT that gives up after one iteration."""
-    ipopt._problem.cache_clear()
-    allowed = IPOPT_OPTIONS["ipopt.max_iter"]
-    IPOPT_OPTIONS["ipopt.max_iter"] = 1
-    yield
-    IPOPT_OPTIONS["ipopt.max_iter"] = allowed
-    ipopt._problem.cache_clear()
+HASTY = Ipopt(tolerance=1e-12, iterations=1, expand=True)
+"""IPOPT that gives up after one iteration."""
 
 
-@pytest.mark.usefixtures("hasty")
 def test_failure_names_the_verdict_and_the_worst_equations() -> None:
     rotations = np.array([0.0, 1.0, 2.0])
     problem = reduced_problem(THESIS, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
     with pytest.raises(SolveError) as caught:
-        solve_ipopt(problem, rotations, untwisted(problem, rotations))
+        solve_ipopt(problem, rotations, untwisted(problem, rotations), settings=HASTY)
     entry = r"(continuity of torsion|torsion equation), tube \d, section \d(, point \d)?: violated by \d\.\de[+-]\d\d"
     pattern = rf"IPOPT found no equilibrium \(maximum iterations exceeded\): {entry}; {entry}; {entry}"
     assert re.fullmatch(pattern, str(caught.value))
+
+
+def test_unknowns_of_the_energy_are_held_by_named_equations() -> None:
+    program = _program(structure_of(reduced_problem(THESIS, (0.06, 0.03, 0.0), DEFAULT_DISCRETISATION)), "energy")
+    names = [program.entries(name) for name in ("rotation equation", "continuity of rotation", "base rotation")]
+    assert names[0][-1].startswith("rotation equation, tube 3, section 5, point ")
+    assert (names[1][0], names[2][0]) == ("continuity of rotation, tube 1, section 2", "base rotation, tube 1")

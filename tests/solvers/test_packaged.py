@@ -13,7 +13,7 @@ from tubeopt import forward_kinematics
 from tubeopt.solvers.compiled import binding, packaged
 from tubeopt.solvers.compiled import library as building
 
-CONCENTRIC = (3, False, False)
+CONCENTRIC = (3, "concentric")
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_processor_gets_the_best_that_it_runs(generations: tuple[packaged.Gene
     new.touch()
     assert packaged.packaged_kernel(CONCENTRIC, ["wide", "other"]) == new
     assert packaged.packaged_kernel(CONCENTRIC, ["other"]) == old
-    assert packaged.packaged_kernel((3, True, False), ["wide"]) is None
+    assert packaged.packaged_kernel((3, "eccentric"), ["wide"]) is None
 
 
 def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_a_generation_that_the_compiler_does_not_know_is_left_out(tmp_path: Path
 
     kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
     made = packaged.build_kernels(
-        {(1, False, False): "a", (2, True, False): "b", (2, False, True): "c"}, compile_to, tmp_path / "kernels", kinds
+        {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "general"): "c"}, compile_to, tmp_path / "kernels", kinds
     )
     assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "general-2-any.so"]
 
@@ -56,7 +56,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     monkeypatch.delenv("TUBEOPT_COMPILE", raising=False)
     expected = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
     building.compile_to(building.source(3, False), generations[1].kernel(tmp_path, CONCENTRIC), ())
-    monkeypatch.setattr(building, "_compiler", lambda: None)
+    monkeypatch.setattr(building, "compiler", lambda: None)
     kernel = building.library.__wrapped__(3, False)
     assert kernel is not None
     assert kernel.path.parent == tmp_path
@@ -73,7 +73,7 @@ def test_where_there_is_no_kernel_it_is_said_once(
     generations: object, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.delenv("TUBEOPT_COMPILE", raising=False)
-    monkeypatch.setattr(building, "_compiler", lambda: None)
+    monkeypatch.setattr(building, "compiler", lambda: None)
     building._tell_once.cache_clear()
     assert building.library.__wrapped__(3, False) is None
     assert building.library.__wrapped__(2, False) is None

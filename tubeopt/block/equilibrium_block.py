@@ -8,7 +8,7 @@ and IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes ar
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,18 +19,18 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from ..solvers.problem_solution import ProblemSolution
+from ..solvers.violation import Violation, violations_of, worst
 from ..transcription.collocated import Grid
 from ..transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
+from ..transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from ..typing import Array
 from .given import LENGTHS, assembly_at, given_of, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
-from .model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from .outputs import Outputs
-from .problem_solution import ProblemSolution
 from .program import as_program
 from .sensitivity import add_jacobian, answers_of
 from .stability import add_certificate, add_margin
-from .violation import Violation, violations_of, worst
 
 if TYPE_CHECKING:
     from ..equilibrium.result import Equilibrium
@@ -262,9 +262,8 @@ class EquilibriumBlock(Outputs):
                 changes places. Of a `Problem`, which tries that by itself, only where they still press on each other.
         """
         from .answer import confirmed
-        from .reordering import pressing
 
-        tried = isinstance(solution, ProblemSolution) and pressing(self, solution) is None
+        tried = isinstance(solution, ProblemSolution) and self.pressing(solution) is None
         for text in () if tried else self.meetings(solution):
             better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"
             warnings.warn(f"{text}; {better}", OrderWarning, stacklevel=2)
@@ -293,6 +292,17 @@ class EquilibriumBlock(Outputs):
         shifted, stretched = self._given.free("translations"), self._given.free("curved_length")
         free = [shifted or (stretched and any(p.end for p in sides(self.layout.order, row))) for row in rows]
         return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
+
+    def pressing(self, solution: ProblemSolution) -> int | None:
+        """The row of the gaps that is closed and presses most, None where none does."""
+        rows = self.closed(solution)
+        if not rows:
+            return None
+        # In the scale of the solver: at a strict optimum a multiplier is large where its gap is small.
+        gaps = solution.value(self.model.gaps) / self._reach
+        forces = solution.multipliers[f"{self._label}order of breakpoints"] * self._reach
+        pressed = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
+        return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
     def reorder(self, solution: Any, row: int | None = None) -> None:
         """Let breakpoints that meet at a solution change places, and start the next solve there.
@@ -337,6 +347,24 @@ class EquilibriumBlock(Outputs):
         begin = self._start_model(numbers)
         floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self._margins]
         self._begin_with(begin, torsion_of_equilibrium(equilibrium, *points_of(begin)), floors)
+
+    def start_at(self, value: Callable[[Any], Any]) -> None:
+        """Start the next solve at the equilibrium of the numbers that `value` gives to joint values and dimensions.
+
+        Raises:
+            InputError: no tube has these dimensions, or breakpoints an order that the block cannot take.
+            SolveError: there is no stable equilibrium.
+        """
+        from ..equilibrium.kinematics import forward_kinematics
+        from .answer import rebuilt
+
+        numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
+        robot = rebuilt(self.robot, numbers)
+        self.start(forward_kinematics(robot, numbers["rotations"], numbers["translations"]))
+
+    def owns(self, name: str) -> bool:
+        """Whether a variable of the program, by its name, is the block's own."""
+        return bool(self._label) and name.startswith(self._label)
 
     def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:
         """Start all that the block has added to the program at these numbers."""

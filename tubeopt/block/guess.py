@@ -10,8 +10,8 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..transcription import arm as arms
 from ..transcription import functions
+from ..transcription.model import Model
 from ..typing import Array
-from .model import Model
 
 Shape = tuple[Array, Array, Array]
 """theta, w (n, P) and theta inside (n, P K)."""
@@ -60,22 +60,26 @@ def poses_of(model: Model) -> tuple[Array, Array]:
     return np.array([q for q, _ in out]).reshape(-1, 4).T, np.array([p for _, p in out]).reshape(-1, 3).T
 
 
-def fields_of(model: Model, margin: float) -> tuple[Array, Array]:
+def fields_of(model: Model, margin: float) -> tuple[Array, Array, Array]:
     """Jacobi fields of tubes softened by `margin`, every piece from y = 1 where it ends: v / y (n n (P - 1),) where the
     pieces but the first begin, and y (n n K P,) at the points, by columns."""
     n, degree = model.theta.shape[0], model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
+    softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
-    out, points = [], []
+    out, points, ahead = [], [], []
     for k in reversed(range(model.n_pieces)):
-        piece = model.piece(k)
-        forced = np.array(step(fields, np.zeros((n, degree * n)), margin, *piece)[1])
+        given = [model.lengths[k], *(part[k] for part in softness)]
+        forced = np.array(step(fields, np.zeros((n, degree * n)), *given)[1])
         columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
-        own = -np.linalg.solve(np.array(matrix(margin, *piece)), columns)
+        own = -np.linalg.solve(np.array(matrix(*given)), columns)
         inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
-        y, v = np.split(np.array(step(fields, inner, margin, *piece)[0]), 2)
+        y, v = np.split(np.array(step(fields, inner, *given)[0]), 2)
+        ahead.append(y.ravel(order="F"))
         ratio = v @ np.linalg.pinv(y)
         fields = np.concatenate([np.eye(n), ratio])
         out.append(ratio.ravel(order="F"))
         points.append(inner.ravel(order="F"))
-    return np.concatenate([*reversed(out[:-1]), np.zeros(0)]), np.concatenate([*reversed(points)])
+    held = y - model.transmission[:, None] * v
+    ratios = np.concatenate([*reversed(out[:-1]), np.zeros(0)])
+    return ratios, np.concatenate([*reversed(points)]), np.concatenate([*reversed(ahead), held.ravel(order="F")])

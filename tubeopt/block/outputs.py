@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..robots.assembly import Assembly
     from ..robots.robot import Robot
     from ..transcription.layout import Layout
-    from .model import Model
+    from ..transcription.model import Model
 
 POINT = 1e-12
 """A piece shorter than this (m) is a point."""

@@ -1,49 +1,16 @@
-"""What a block needs of the program to which it is added: unknowns, constraints and numbers; two kinds offer it."""
+"""The program to which a block is added: a `casadi.Opti`, or a `tubeopt.Problem`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-
-
-class Program(Protocol):
-    """A nonlinear program under construction."""
-
-    def variable(self, name: str, size: int = 1, *, guess: ArrayLike = 0.0, scale: ArrayLike = 1.0) -> Any:
-        """A column of `size` unknowns."""
-
-    def subject_to(
-        self,
-        name: str,
-        expression: Any,
-        *,
-        lower: ArrayLike = 0.0,
-        upper: ArrayLike = np.inf,
-        scale: ArrayLike = 1.0,
-        entries: Sequence[str] | None = None,
-    ) -> None:
-        """Demand lower <= expression <= upper; `entries` are words for each row."""
-
-    def parameter(self, name: str, value: ArrayLike) -> Any:
-        """A column of numbers that may be changed between solves."""
-
-    def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Give a parameter other numbers."""
-
-    def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Start the next solve there."""
-
-    def rename(self, name: str, entries: Sequence[str]) -> None:
-        """Give the rows of a constraint other words."""
-
-    def enter(self, block: Any) -> str:
-        """Take note of a block, which can be asked about its solution; returns what to call it."""
+from ..transcription.program import Program
 
 
 class OptiProgram:

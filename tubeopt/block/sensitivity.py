@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice
+from ..transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 from .guess import poses_of
-from .model import UNKNOWNS, model_of, numbers_of, sizes
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock

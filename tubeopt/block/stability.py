@@ -30,23 +30,31 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
     where pieces begin and det(y - |beta| v) >= 0 at the plate.
 
     Only the ratio v / y is handed on from piece to piece, and every piece begins with y = 1 anew: fields grow by many
-    orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces.
+    orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces. The
+    matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
     floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
     pieces, reach, degree = model.n_pieces, block._reach, model.grid.degree
     count = f" {len(block._margins) + 1}" if block._margins else ""
     label = f"{block._label}Jacobi fields"
-    flat = block.program.variable(f"{label}{count}", n * n * (pieces - 1), scale=1 / reach)
-    inside = block.program.variable(f"{label} inside{count}", n * n * degree * pieces)
-    ratio = ca.reshape(flat, n, n * (pieces - 1))
-    after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
-    points = ca.reshape(inside, n, n * degree * pieces)
-    before, defect = model.mapped("fields")(after, points, ca.repmat(floor, 1, pieces), *model.arguments)
+    columns = [
+        block.program.variable(f"{label}{what}{count}", size, scale=scale)
+        for what, size, scale in (
+            ("", n * n * (pieces - 1), 1 / reach),
+            (" inside", n * n * degree * pieces, 1.0),
+            (" ahead", n * n * (pieces + 1), 1.0),
+        )
+    ]
     start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
-    for column, value in zip((flat, inside), fields_of(block._begin, start), strict=True):
+    for column, value in zip(columns, fields_of(block._begin, start), strict=True):
         block.program.set_guess(column, value)
-    y, v = (ca.horzsplit(before[rows, :], n) for rows in (slice(0, n), slice(n, 2 * n)))
-    gaps = [own @ y[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
+    ratio, points, ahead = (ca.reshape(column, n, -1) for column in columns)
+    after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
+    before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(floor))
+    y, v = before[:n, :], ca.horzsplit(before[n:, :], n)
+    held = y[:, :n] - ca.repmat(model.transmission, 1, n) * v[0]
+    begins = ca.horzsplit(ahead, n)
+    gaps = [own @ begins[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
     words = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
     block._demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=words)
@@ -55,11 +63,15 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
         for k, c, x, i in np.ndindex(pieces, n, degree, n)
     ]
     block._demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
+    places = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
+    words = [
+        f"Jacobi field {c + 1}, tube {i + 1}, where {place} begins" for place in places for c, i in np.ndindex(n, n)
+    ]
+    block._demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=words)
     det = functions.determinant_function(n)
-    held = y[0] - ca.repmat(model.transmission, 1, n) * v[0]
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
-    block._demand(f"margin{count}", ca.vertcat(*(det(each) for each in y), det(held)), entries=places)
-    block._margins.append(((flat, inside), floor))
+    block._demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
+    block._margins.append((tuple(columns), floor))
 
 
 def add_certificate(block: EquilibriumBlock, margin: Any) -> None:

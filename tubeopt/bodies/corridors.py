@@ -85,7 +85,7 @@ class Corridor:
 
 @dataclass(frozen=True)
 class MeshObstacle:
-    """A body bounded by triangles, which the library trimesh reads, closes and asks for nearest points.
+    """A body bounded by triangles, which the library trimesh reads and closes.
 
     Args:
         vertices: (k, 3) m.
@@ -147,15 +147,24 @@ class MeshObstacle:
         bound[near] = self._exact(points[near])
         return bound
 
+    SOLID = True
+
+    def at_most(self, points: Array) -> Array:
+        """(N,) what the distance of points (N, 3) from the surface is not above, from the table in `grid`."""
+        bound, cell = self._bound(points)
+        low, high = (np.array([axis[k] for axis in self.grid[0]]) for k in (0, -1))
+        return np.asarray(bound + 2 * (cell + np.linalg.norm(points - np.clip(points, low, high), axis=1)))
+
     def _bound(self, points: Array) -> tuple[Array, float]:
         """(N,) lower bounds of the distance of points (N, 3), from the table in `grid`, and the size of its cells."""
         axes, table = self.grid
         low, high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
         inside = np.clip(points, low, high)
         beyond = np.linalg.norm(points - inside, axis=1)
-        cell = float(np.linalg.norm([axis[1] - axis[0] for axis in axes]))
+        size = np.array([axis[1] - axis[0] for axis in axes])
+        cell = float(np.linalg.norm(size))
         # From outside of the grid, which surrounds the body, the way to the grid is a bound as well.
-        near = scipy.interpolate.RegularGridInterpolator(axes, table)(inside) - cell
+        near = scipy.ndimage.map_coordinates(table, ((inside - low) / size).T, order=1, mode="nearest") - cell
         return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
 
     @cached_property
@@ -169,11 +178,10 @@ class MeshObstacle:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
         array = as_points(points)
         flat = array.reshape(-1, 3)
-        nearest, _, face = self._mesh.nearest.on_surface(flat)
-        away = (flat - nearest) * np.where(self.signed_distance(flat) < 0, -1.0, 1.0)[:, None]
-        length = np.linalg.norm(away, axis=1, keepdims=True)
-        normal = self._mesh.face_normals[face]
-        return np.asarray(np.where(length > 1e-12, away / np.maximum(length, 1e-300), normal).reshape(array.shape))
+        distance, nearest, normal = self._surface.nearest(flat)
+        far = np.abs(distance)[:, None] > 1e-12
+        away = np.where(far, (flat - nearest) / np.where(far, distance[:, None], 1.0), normal)
+        return np.asarray(away.reshape(array.shape))
 
     @cached_property
     def grid(self) -> tuple[tuple[Array, Array, Array], Array]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, positive, vector
 from ..typing import Array
-from .scene import FEW, scene_of
+from .scene import scene_of
 
 SMOOTH = 1e-7
 """Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that."""
@@ -98,6 +98,9 @@ class Sphere:
     ROUND = True
     """Whether the ball that covers the body is the body."""
 
+    SOLID = True
+    """Whether `signed_distance` is outside of the body the distance from it, no bound of it."""
+
     def balls(self) -> Balls:
         """Itself."""
         return np.array([self.centre]), np.array([self.radius])
@@ -115,9 +118,14 @@ class Sphere:
         """(...) distance of points (..., 3), m."""
         return self.distances(as_points(points), np.array(self.numbers()))
 
+    @staticmethod
+    def gradients(points: Array, numbers: Array) -> Array:
+        """(..., 3) unit vectors from the centres of spheres of `numbers` (..., 4) to points (..., 3)."""
+        return _unit(points - numbers[..., :3], np.array([0.0, 0.0, 1.0]))
+
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the centre."""
-        return _unit(as_points(points) - self.centre, np.array([0.0, 0.0, 1.0]))
+        return self.gradients(as_points(points), np.array(self.numbers()))
 
 
 @dataclass(frozen=True)
@@ -157,6 +165,8 @@ class Capsule:
         t = -greater(-along, -length) / length
         return _root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
 
+    SOLID = True
+
     def balls(self) -> Balls:
         """Around pieces of the axis, no longer than the capsule is thick, where that does not take too many."""
         length = float(np.sqrt(self._axis()[1]))
@@ -187,13 +197,17 @@ class Capsule:
         """(...) distance of points (..., 3), m."""
         return self.distances(as_points(points), np.array(self.numbers()))
 
+    @staticmethod
+    def gradients(points: Array, numbers: Array) -> Array:
+        """(..., 3) unit vectors from the axes of capsules of `numbers` (..., 7) to points (..., 3); on an axis, one
+        square to it."""
+        axis = numbers[..., 3:6] - numbers[..., :3]
+        aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
+        return _unit(Capsule._from_axis(points, numbers), _unit(aside, np.array([0.0, 0.0, 1.0])))
+
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the axis; on it, one square to it."""
-        axis = np.array(self._axis()[0])
-        aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-        length = float(np.linalg.norm(aside))
-        away = self._from_axis(as_points(points), np.array(self.numbers()))
-        return _unit(away, aside / length if length else np.array([0.0, 0.0, 1.0]))
+        return self.gradients(as_points(points), np.array(self.numbers()))
 
 
 @dataclass(frozen=True)
@@ -223,6 +237,8 @@ class HalfSpace:
         """Signed distance, m."""
         (a, b, c), (u, v, w) = self.point, self.normal
         return (x - a) * u + (y - b) * v + (z - c) * w
+
+    SOLID = True
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(...) distance of points (..., 3), m."""
@@ -264,6 +280,8 @@ class Box:
         inside = greater(greater(beyond[0], beyond[1]), beyond[2])
         return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
 
+    SOLID = True
+
     def balls(self) -> Balls:
         """The one through its corners."""
         low, high = np.array(self.low), np.array(self.high)
@@ -291,20 +309,21 @@ class Box:
         """(...) distance of points (..., 3), m."""
         return self.distances(as_points(points), np.array(self.numbers()))
 
-    def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
-        beyond, side = self._beyond(as_points(points), np.array(self.numbers()))
+    @staticmethod
+    def gradients(points: Array, numbers: Array) -> Array:
+        """(..., 3) unit vectors to points (..., 3) from the nearest place of boxes of `numbers` (..., 6);
+        inside, through the nearest face."""
+        beyond, side = Box._beyond(points, numbers)
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
         return np.where((beyond.max(-1) > 0)[..., None], _unit(outside, np.array([0.0, 0.0, 1.0])), nearest)
+
+    def gradient(self, points: ArrayLike) -> Array:
+        """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""
+        return self.gradients(as_points(points), np.array(self.numbers()))
 
 
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
     """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
     array = as_points(points)
-    if len(obstacles) > FEW:
-        return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
-    distance = np.full(array.shape[:-1], np.inf)
-    for obstacle in obstacles:
-        distance = np.minimum(distance, obstacle.signed_distance(array))
-    return distance
+    return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])

@@ -7,7 +7,7 @@ what is less than that; any other says its distance from all points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -77,11 +77,12 @@ class Crowd:
                 self._ask(layer, out, points, np.repeat(rows, count), np.concatenate(found).astype(int))
         return out
 
-    def close(self, points: Array, reach: float) -> set[int]:
-        """Numbers of all bodies, and maybe of others, that come closer than `reach` to some of points (N, 3)."""
+    def close(self, points: Array, reach: float | Array) -> set[int]:
+        """Numbers of all bodies, and maybe of others, that come closer than `reach`, one number or (N,), to points
+        (N, 3)."""
         found: set[int] = set()
         for layer in self.layers:
-            near = layer.tree.query_ball_point(points, reach + layer.largest)
+            near = layer.tree.query_ball_point(points, np.maximum(reach + layer.largest, 0.0))
             found.update(layer.owner[np.unique(np.concatenate(near).astype(int))].tolist())
         return found
 
@@ -96,52 +97,110 @@ class Crowd:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Bodies with signed distances, as one."""
+    """Bodies with signed distances, as one; `bodies` may be named by their numbers, from 0."""
 
     bodies: tuple[Any, ...]
 
-    def close(self, points: Array, reach: float) -> tuple[Any, ...]:
-        """All bodies, and maybe others, that come closer than `reach` to some of points (N, 3)."""
+    def close(self, points: Array, reach: float | Array) -> list[int]:
+        """Numbers of all bodies, and maybe of others, that come closer than `reach`, one number or (N,), to points
+        (N, 3)."""
         crowds, rest = self._parts
-        known = {id(body) for body in rest if (body.signed_distance(points) < reach).any()}
-        for crowd in crowds:
-            known |= {id(crowd.bodies[k]) for k in crowd.close(points, reach)}
-        return tuple(body for body in self.bodies if id(body) in known)
+        most = np.broadcast_to(reach, len(points))
+        known = {k for k in rest if (_within(self.bodies[k], points, most) < most).any()}
+        for members, crowd in crowds:
+            known.update(members[k] for k in crowd.close(points, reach))
+        return sorted(known)
+
+    def distances(self, chosen: Sequence[int], points: Array) -> Array:
+        """(b, N) signed distances of points (N, 3), or of each its own (b, N, 3), from some bodies, m."""
+        points = np.broadcast_to(points, (len(chosen), *points.shape[-2:]))
+        out = np.empty(points.shape[:2])
+        for kind, rows, numbers in self._by_kind(chosen):
+            if kind is None:
+                out[rows] = [self.bodies[chosen[row]].signed_distance(points[row]) for row in rows]
+            else:
+                out[rows] = kind.distances(points[rows], numbers[:, None])
+        return out
+
+    def gradients(self, chosen: Sequence[int], points: Array) -> Array:
+        """(c, 3) unit vectors along which the distance of each of points (c, 3) from its own body of `chosen` (c,)
+        grows."""
+        out = np.empty((len(chosen), 3))
+        for kind, rows, numbers in self._by_kind(chosen):
+            if kind is None:
+                for row in rows:
+                    out[row] = self.bodies[chosen[row]].gradient(points[row])
+            else:
+                out[rows] = kind.gradients(points[rows], numbers)
+        return out
+
+    def _by_kind(self, chosen: Sequence[int]) -> Iterator[tuple[Any, list[int], Array]]:
+        """Rows of `chosen` whose bodies are of one kind with a table, with their rows of it; None for all others."""
+        kinds: dict[Any, list[int]] = {}
+        for row, k in enumerate(chosen):
+            kinds.setdefault(type(self.bodies[k]) if k in self._numbers else None, []).append(row)
+        for kind, rows in kinds.items():
+            yield kind, rows, np.array([self._numbers[chosen[row]] for row in rows] if kind is not None else [])
 
     @cached_property
-    def _parts(self) -> tuple[list[Crowd], list[Any]]:
-        kinds: dict[type, list[Any]] = {}
+    def _numbers(self) -> dict[int, tuple[float, ...]]:
+        """What tells the distance from a body, of those whose kind tells it so."""
+        return {k: body.numbers() for k, body in enumerate(self.bodies) if hasattr(body, "numbers")}
+
+    @cached_property
+    def _parts(self) -> tuple[list[tuple[list[int], Crowd]], list[int]]:
+        """Crowds, with the numbers of their bodies, and the numbers of all others."""
+        kinds: dict[type, list[int]] = {}
         rest = []
-        for body in self.bodies:
+        for k, body in enumerate(self.bodies):
             if hasattr(body, "balls") and hasattr(body, "numbers"):
-                kinds.setdefault(type(body), []).append(body)
+                kinds.setdefault(type(body), []).append(k)
             else:
-                rest.append(body)
+                rest.append(k)
         crowds = []
         for same in kinds.values():
             if len(same) > FEW:
-                crowds.append(Crowd.of(same))
+                crowds.append((same, Crowd.of([self.bodies[k] for k in same])))
             else:
                 rest += same
         return crowds, rest
 
-    def nearest(self, points: Array, within: float = np.inf) -> Array:
-        """(N,) signed distance of points (N, 3) from the nearest body, m; `within` where it is more than that."""
-        return np.concatenate(
-            [np.zeros(0), *(self._chunk(points[k : k + CHUNK], within) for k in range(0, len(points), CHUNK))]
-        )
+    @cached_property
+    def solid(self) -> bool:
+        """Whether all distances are those of bodies, not bounds of them."""
+        return all(getattr(body, "SOLID", False) for body in self.bodies)
 
-    def _chunk(self, points: Array, within: float) -> Array:
+    def at_most(self, points: Array) -> Array:
+        """(N,) what the distance of points (N, 3) from the nearest body is not above, as far as it is told at once."""
+        told = [body.at_most(points) for body in self._telling]
+        return np.min(told, axis=0) if told else np.full(len(points), np.inf)
+
+    @cached_property
+    def _telling(self) -> list[Any]:
+        return [body for body in self.bodies if hasattr(body, "at_most")]
+
+    def nearest(self, points: Array, within: float | Array = np.inf) -> Array:
+        """(N,) signed distance of points (N, 3) from the nearest body, m; `within`, one number or (N,), where it is
+        more than that."""
+        most = np.broadcast_to(within, len(points))
+        chunks = (slice(k, k + CHUNK) for k in range(0, len(points), CHUNK))
+        return np.concatenate([np.zeros(0), *(self._chunk(points[some], most[some]) for some in chunks)])
+
+    def _chunk(self, points: Array, within: Array) -> Array:
         crowds, rest = self._parts
-        out = np.full(len(points), within)
-        for body in rest:
-            if hasattr(body, "distance_within"):
-                out = np.minimum(out, body.distance_within(points, out))
-            else:
-                out = np.minimum(out, body.signed_distance(points))
-        for crowd in crowds:
+        out = within.copy()
+        for k in rest:
+            out = np.minimum(out, _within(self.bodies[k], points, out))
+        for _, crowd in crowds:
             out = crowd.nearest(points, out)
         return out
+
+
+def _within(body: Any, points: Array, least: Array) -> Array:
+    """(N,) distance of points (N, 3) from a body where it is less than `least` (N,), else no less than it."""
+    if hasattr(body, "distance_within"):
+        return np.asarray(body.distance_within(points, least))
+    return np.asarray(body.signed_distance(points))
 
 
 class _Same:

@@ -1,9 +1,8 @@
 """Signed distance from a closed surface of triangles, for many points at once.
 
-trimesh finds the nearest point of one triangle, to rounding error where the body is of size 1; which triangles to ask
-is found here with a tree of their centres, after the long ones are cut; and on which side a point lies follows from the
-normals of all triangles that are equally near, weighted by their angles there (Baerentzen and Aanaes, 2005): that is
-right at edges and corners too.
+Which triangles to ask is found with a tree of their centres, after the long ones are cut; and on which side a point
+lies follows from the normals of all triangles that are equally near, weighted by their angles there (Baerentzen and
+Aanaes, 2005): that is right at edges and corners too.
 """
 
 from __future__ import annotations
@@ -61,29 +60,55 @@ class Triangles:
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
     @cached_property
-    def _tree(self) -> tuple[Any, float]:
-        """Centres of the triangles, and the largest distance of a corner from its centre."""
+    def _discs(self) -> tuple[Array, Array]:
+        """Centres (f, 3) of the triangles, and the largest distance (f,) of a corner from each."""
         centre = self._cut.mean(1)
-        return scipy.spatial.cKDTree(centre), float(np.linalg.norm(self._cut - centre[:, None], axis=2).max())
+        return centre, np.linalg.norm(self._cut - centre[:, None], axis=2).max(1)
+
+    @cached_property
+    def _tree(self) -> tuple[Any, float]:
+        """The tree of the centres, and the largest disc."""
+        centre, size = self._discs
+        return scipy.spatial.cKDTree(centre), float(size.max())
+
+    @cached_property
+    def _sides(self) -> tuple[Array, Array, Array, Array]:
+        """Of every triangle its sides (f, 3, 3), their squares (f, 3), vectors (f, 3, 3) square to them that point into
+        it, and its angles (f, 3)."""
+        side = np.roll(self._cut, -1, axis=1) - self._cut
+        into = np.cross(self._normals[:, None], side)
+        square = (side**2).sum(-1)
+        cosine = -(side * np.roll(side, 1, axis=1)).sum(-1) / np.sqrt(square * np.roll(square, 1, axis=1))
+        return side, square, into, np.arccos(np.clip(cosine, -1, 1))
 
     def signed_distance(self, points: Array) -> Array:
         """(N,) distance of points (N, 3), m; negative inside."""
-        parts = [self._chunk(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        return self.nearest(points)[0]
 
-    def _chunk(self, points: Array) -> Array:
+    def nearest(self, points: Array) -> tuple[Array, Array, Array]:
+        """(N,) distance of points (N, 3), m, negative inside; their nearest places (N, 3), and normals there (N, 3)."""
+        parts = [self._chunk(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)]
+        empty = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+        distance, place, normal = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
+        return distance, place, normal
+
+    def _chunk(self, points: Array) -> tuple[Array, Array, Array]:
         tree, radius = self._tree
         count = min(FIRST, len(self._cut))
         first = np.asarray(tree.query(points, k=count)[1]).reshape(len(points), count)
-        _, distance = self._nearest(np.repeat(points, count, axis=0), first.ravel())
+        _, distance = self._places(np.repeat(points, count, axis=0), first.ravel())
         bound = distance.reshape(-1, count).min(1)
         tie = TIE * self.size
         asked = tree.query_ball_point(points, bound + radius + tie)
         row = np.repeat(np.arange(len(points)), [len(each) for each in asked])
         face = np.concatenate([np.asarray(each, dtype=int) for each in asked])
-        place, distance = self._nearest(points[row], face)
-        least = np.full(len(points), np.inf)
-        np.minimum.at(least, row, distance)
+        near = self._at_least(points[row], face) <= bound[row] + tie
+        row, face = row[near], face[near]
+        place, distance = self._places(points[row], face)
+        # Rows are in order, and none is without a triangle.
+        least = np.minimum.reduceat(distance, np.searchsorted(row, np.arange(len(points))))
+        near = distance <= least[row] + 8 * tie
+        row, face, place, distance = row[near], face[near], place[near], distance[near]
         # All triangles at a corner count by their angles there, or none: whether it is as near as the nearest place is
         # decided by the distance of the corner itself, which is the same number for all of them.
         corner, angle, there = self._corner(face, place)
@@ -93,13 +118,31 @@ class Triangles:
         angle = np.where(to_corner[tied] <= least[row] + tie, angle, np.pi)
         facing = (self._normals[face] * (points[row] - place)).sum(1) * angle
         side = np.bincount(row, facing, len(points))
-        return np.where(side < 0, -least, least)
+        one = np.searchsorted(row, np.arange(len(points)))
+        return np.where(side < 0, -least, least), place[one], self._normals[face[one]]
 
-    def _nearest(self, points: Array, face: Array) -> tuple[Array, Array]:
-        """Nearest points (K, 3) of triangles (K,) to points (K, 3), and their distance."""
-        from trimesh.triangles import closest_point
+    def _at_least(self, points: Array, face: Array) -> Array:
+        """(K,) lower bounds of the distance of points (K, 3) from triangles (K,): that of the disc around each."""
+        centre, size = self._discs
+        away = points - centre[face]
+        above = (away * self._normals[face]).sum(1) ** 2
+        beside = np.sqrt(np.maximum((away**2).sum(1) - above, 0.0)) - size[face]
+        return np.asarray(np.sqrt(above + np.maximum(beside, 0.0) ** 2))
 
-        place = np.asarray(closest_point(self._cut[face] / self.size, points / self.size)) * self.size  # type: ignore[no-untyped-call]
+    def _places(self, points: Array, face: Array) -> tuple[Array, Array]:
+        """Nearest points (K, 3) of triangles (K,) to points (K, 3), and their distance: on one of the sides, but where
+        the foot of the perpendicular lies between them."""
+        sides, squares, into, _ = self._sides
+        corner, side = self._cut[face], sides[face]
+        away = points[:, None] - corner
+        share = np.clip((away * side).sum(2) / squares[face], 0.0, 1.0)
+        on_sides = corner + share[..., None] * side
+        gap = ((points[:, None] - on_sides) ** 2).sum(2)
+        row = np.arange(len(face))
+        place = on_sides[row, gap.argmin(1)]
+        above = ((away * into[face]).sum(2) >= 0).all(1)
+        normal = self._normals[face[above]]
+        place[above] = points[above] - normal * (away[above, 0] * normal).sum(1)[:, None]
         return place, np.linalg.norm(points - place, axis=1)
 
     def _corner(self, face: Array, place: Array) -> tuple[Array, Array, Array]:
@@ -110,6 +153,4 @@ class Triangles:
         corner = self._cut[face]
         gap = np.linalg.norm(corner - place[:, None], axis=2)
         k, row = gap.argmin(1), np.arange(len(face))
-        one, other = (corner[row, (k + j) % 3] - corner[row, k] for j in (1, 2))
-        cosine = (one * other).sum(1) / (np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1))
-        return corner[row, k], np.arccos(np.clip(cosine, -1, 1)), gap[row, k] <= TIE * self.size
+        return corner[row, k], self._sides[3][face, k], gap[row, k] <= TIE * self.size

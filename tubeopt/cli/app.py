@@ -6,94 +6,56 @@ Exit codes: 0 done, 2 the input makes no sense, 3 no solution was found, 4 a mot
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Sequence
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from .. import __version__
-from ..errors import InputError, NotProvedError, SolveError
-from ..stability import ASSUMING
-from . import (
-    design,
-    doctor,
-    fabricate,
-    heat,
-    inverse,
-    kinematics,
-    measure,
-    mold,
-    plan,
-    robot,
-    stability,
-    study,
-    sweep,
-    validation,
-    view,
-    workspace,
-)
-from .options import App
+from .failures import INTERRUPTED, complain, failure
+from .interruption import interruptible, kept
+from .lazy import LazyCommand, PlanByDefault
+from .messages import LEVELS, listening, log_level
 
-BAD_INPUT, NO_SOLUTION, NOT_PROVED = 2, 3, 4
+COMMANDS = {
+    "fk": "kinematics.fk",
+    "ik": "inverse.ik",
+    "equilibria": "stability.equilibria",
+    "snap": "stability.snap",
+    "follow": "stability.follow",
+    "certify": "stability.certify",
+    "stability-map": "stability.stability_map",
+    "run": "study.run",
+    "validate": "validation.validate",
+    "measure": "validation.measure",
+    "design": "design.design",
+    "sweep": "sweep.sweep",
+    "workspace": "workspace.workspace",
+    "fabricate": "fabrication.fabricate",
+    "heat plan": "heat.plan",
+    "heat calibrate": "heat.calibrate",
+    "view": "view.view",
+    "plan": "plan.plan",
+    "verify": "plan.verify",
+    "doctor": "doctor.doctor",
+    "mold plan": "mold.plan",
+    "mold mandrel": "mold.mandrel",
+    "mold calibrate": "mold.calibrate",
+    "mold materials": "mold.materials",
+    "robot show": "robot.show",
+}
+"""What is typed after `tubeopt` -> module and function; a module is imported when one of its commands is run."""
 
-app = App(
-    help="Concentric tube robots: where they go, whether they snap, how to build them.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_show_locals=False,
-)
-app.command(
-    epilog="Example: tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0"
-)(kinematics.fk)
-app.command(epilog="Example: tubeopt ik configs/robots/thesis_ctr.yaml --target-mm 50,30,150 --all --out results")(
-    inverse.ik
-)
-app.command(epilog="Example: tubeopt equilibria configs/robots/two_tube.yaml --rotations-deg 190,0")(
-    stability.equilibria
-)
-app.command(epilog="Example: tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results")(
-    stability.snap
-)
-app.command(epilog="Example: tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv")(
-    stability.follow
-)
-app.command(
-    epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0"
-)(stability.certify)
-app.command("stability-map", epilog="Example: tubeopt stability-map configs/robots/crl_ctr.yaml --out results")(
-    stability.stability_map
-)
-app.command(epilog="Example: tubeopt run configs/studies/thesis_actuated.yaml --out results")(study.run)
-app.command(
-    epilog="Example: tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv "
-    "--fit curvature"
-)(validation.validate)
-app.command(
-    epilog="Example: tubeopt measure configs/robots/crl_ctr.yaml --fit rotation_2,rotation_3,curvature_1 --count 12 "
-    "--out results"
-)(measure.measure)
-app.command(epilog="Example: tubeopt design configs/studies/design_thesis_snap_free.yaml --out results")(design.design)
-app.command(epilog="Example: tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")(sweep.sweep)
-app.command(epilog="Example: tubeopt workspace configs/robots/crl_ctr.yaml --samples 20000 --out results")(
-    workspace.workspace
-)
-app.command(
-    epilog="Example: tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
-    "--out results"
-)(fabricate.fabricate)
-app.add_typer(heat.app, name="heat")
-app.command(epilog="Example: tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv")(
-    view.view
-)
-app.command(epilog="Example: tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")(plan.plan)
-app.command(epilog=f"All is said {ASSUMING}.\n\nExample: tubeopt verify results/trajectory.csv --min-margin 0.05")(
-    plan.verify
-)
-app.command(epilog="Example: tubeopt doctor")(doctor.doctor)
-app.add_typer(mold.app, name="mold")
-app.add_typer(robot.app, name="robot")
+GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
+    "heat": (PlanByDefault, "Heating schedules for setting the shape of tubes."),
+    "mold": (PlanByDefault, "Molds for setting the shape of tubes."),
+    "robot": (TyperGroup, "What a robot is made of."),
+}
+"""Words that several commands begin with, and what their help says."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -102,34 +64,52 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     show_version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
+    log: Annotated[
+        str, typer.Option(metavar="LEVEL", callback=log_level, help=f"Least that is logged: {', '.join(LEVELS)}.")
+    ] = "warning",
 ) -> None:
     pass
 
 
+@functools.cache
+def program() -> TyperGroup:
+    """The command `tubeopt` with all that are under it."""
+    root = typer.Typer(
+        help="Concentric tube robots: where they go, whether they snap, how to build them.", no_args_is_help=True
+    )
+    root.callback()(_options)
+    group: Any = get_command(root)
+    for words, where in COMMANDS.items():
+        *above, name = words.split()
+        place = group
+        for word in above:
+            kind, help_text = GROUPS[word]
+            if word not in place.commands:
+                place.add_command(kind(name=word, help=help_text, no_args_is_help=True))
+            place = place.commands[word]
+        place.add_command(LazyCommand(name, where))
+    return group  # type: ignore[no-any-return]
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command; `arguments` default to those of the process. Ends with SystemExit."""
-    try:
-        app(arguments, prog_name="tubeopt")
-    except InputError as error:
-        _complain(error, BAD_INPUT)
-    except SolveError as error:
-        _complain(error, NO_SOLUTION)
-    except NotProvedError as error:
-        _complain(error, NOT_PROVED)
-    sys.exit(0)
-
-
-def _complain(error: Exception, code: int) -> NoReturn:
-    console = Console(stderr=True)
-    for line in str(error).splitlines():
-        console.print("[bold red]error:[/]", end=" ")
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    sys.exit(code)
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in typed
+    with listening(quiet=as_json or "--quiet" in typed), interruptible(as_json):
+        try:
+            code = program()(typed, prog_name="tubeopt", standalone_mode=False)
+            if code == INTERRUPTED:
+                complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
+        except Exception as error:
+            told = failure(error)
+            if told is None:
+                raise
+            code = complain(*told, as_json)
+    sys.exit(code if isinstance(code, int) else 0)
 
 
 if __name__ == "__main__":

@@ -1,35 +1,43 @@
 """Commands whose flags are the keys of a study.
 
-    @asks(SnapStudy)
-    def snap(study: SnapStudy, out: OutOption = None, as_json: JsonOption = False) -> None:
+    @asks(SnapStudy, example="tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results")
+    def snap(study: SnapStudy, output: Output) -> None:
         \"\"\"The first snap on the straight way from one set of joint values to another.\"\"\"
+        answer(study, output)
 
 makes of `snap` a command with a flag for every key of the study: its name from the key, its help from the description,
-its default and what it is read as from the field. What the function takes besides the study stays as it is; where it
-takes a key too, it gets that as it was typed.
+its default and what it is read as from the field. `output` stands for the flags that all commands share. What the
+function takes besides stays as it is; where it takes a key too, it gets that as it was typed.
 """
 
 from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import typer
 from pydantic import PlainValidator
 from pydantic.fields import FieldInfo
 
-from ..files.checked import check
+from ..errors import SolveError
+from ..files.checked import Entry, check, check_kind
 from ..files.units import parse_number, plainest, unit_of
+from ..files.yaml_file import load_yaml
+from ..robots.fit import fit_warnings
 from ..runs.base import Study
 from ..show.progress import working
-from ..show.report import can_be_saved
-from .options import numbers
+from ..show.report import PICTURE_FORMATS
+from ..show.reports import report
+from .interruption import keeping
+from .messages import LOGGER
+from .output import Output, can_be_saved, present
 
-S = TypeVar("S", bound=Study)
+S = TypeVar("S", bound=Entry)
+Made = Callable[..., None]
 
 ROBOT = ("ROBOT.yaml", "Robot file.")
 """Metavar and help of the robot as an argument."""
@@ -37,69 +45,204 @@ ROBOT = ("ROBOT.yaml", "Robot file.")
 NONE = "none"
 """Empties a list."""
 
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Save the results into this directory.", show_default=False)
+]
+PlotOption = Annotated[
+    bool, typer.Option("--plot", help="Save pictures (into DIR, or here), and open them where there is a display.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors, and with --json the object.")]
+FormatOption = Annotated[
+    str,
+    typer.Option(
+        "--format", metavar="F,..", help="To save in: png, pdf or svg for pictures; parquet; stl, glb, urdf, mjcf."
+    ),
+]
+WidthOption = Annotated[
+    str | None,
+    typer.Option("--width-mm", metavar="MM", help="Lay pictures out for a page: a column has some 88, a page 180."),
+]
+
+SHARED = {"plot": (PlotOption, False), "out": (OutOption, None), "as_json": (JsonOption, False),
+          "quiet": (QuietOption, False), "formats": (FormatOption, PICTURE_FORMATS[0]),
+          "width_mm": (WidthOption, None)}  # fmt: skip
+"""Flags of every command: field of `Output` -> what it is, and its default."""
+
+
+def command(example: str, *, note: str = "") -> Callable[[Made], Made]:
+    """Make a command of a function that takes an `Output`; `example` and `note` end its help."""
+
+    def made(function: Made) -> Made:
+        taken = inspect.signature(function, eval_str=True).parameters
+        return _command(function, [part for name, part in taken.items() if name != "output"], example, note)
+
+    return made
+
+
+def _command(function: Made, own: Sequence[inspect.Parameter], example: str, note: str) -> Made:
+    """A function with parameters `own`, besides the flags of every command, which it takes as one `Output`."""
+
+    def run(**typed: Any) -> None:
+        output = Output(**{name: typed.pop(name) for name in SHARED})
+        function(**typed, output=output)
+
+    shared = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
+        for name, (kind, default) in SHARED.items()
+    ]
+    signature = inspect.Signature([*own, *shared])
+    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    run.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
+    run.epilog = f"{note}\n\nExample: {example}" if note else f"Example: {example}"  # type: ignore[attr-defined]
+    return run
+
 
 def asks(
     study: type[S],
     *,
+    example: str,
+    note: str = "",
     arguments: Mapping[str, tuple[str, str]] | None = None,
     flags: Mapping[str, str] | None = None,
     defaults: Mapping[str, str] | None = None,
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
+) -> Callable[[Callable[..., None]], Made]:
     """Make a command of a function that takes a study.
 
     Args:
+        example, note: what its help ends with.
         arguments: keys that are arguments, in order -> (metavar, help); by default the robot's file.
         flags: keys whose flag is not their name -> the flag, or several with "/" or "," between.
         defaults: keys whose default on the command line is not that of a study, as they would be typed.
     """
     placed = {"robot": ROBOT} if arguments is None else arguments
+    fields = {key: field for key, field in study.model_fields.items() if key != "kind"}
+    called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
+    names = _names(fields, called, tuple(placed))
+    constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
-    def command_of(function: Callable[..., None]) -> Callable[..., None]:
-        fields = {key: field for key, field in study.model_fields.items() if key != "kind"}
-        called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
-        keyed = [_argument(key, *placed[key]) for key in placed]
+    def command_of(function: Callable[..., None]) -> Made:
+        keyed = [_argument(key, *placed[key], fields[key]) for key in placed]
         keyed += [
             _option(key, field, called[key], (defaults or {}).get(key))
             for key, field in fields.items()
             if key not in placed
         ]
-        taken = inspect.signature(function, eval_str=True).parameters
-        own = [part for name, part in taken.items() if name != "study" and name not in fields]
-        kind = get_args(study.model_fields["kind"].annotation)[0]
-        # What is said of a file begins with its name; of all else, with the flag.
-        names = {key: "" if key in placed or _is_file(fields[key]) else called[key].split(",")[0] for key in fields}
-        names |= {key: name.split("/")[0] for key, name in names.items()}
+        _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
+        taken = {part.name for part in parts}
+        own = [part for part in parts if part.name not in ("output", *fields)]
 
-        def command(**typed: Any) -> None:
-            read = {key: _read(field, typed[key]) for key, field in fields.items()}
-            given = {key: value for key, value in read.items() if value is not None}
-            question = check(study, {"kind": kind} | given, "", names=names)
-            function(question, **{key: value for key, value in typed.items() if key in taken})
+        def run(output: Output, **typed: Any) -> None:
+            given = _given(fields, typed)
+            question = check(study, constant | given, "", names=names)
+            function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
-        command.__name__, command.__doc__ = function.__name__, function.__doc__
-        signature = inspect.Signature([*keyed, *own])
-        command.__signature__ = signature  # type: ignore[attr-defined]
-        command.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
-        return command
+        run.__name__, run.__doc__ = function.__name__, function.__doc__
+        return _command(run, [*keyed, *own], example, note)
 
     return command_of
 
 
-def ask(study: Study, doing: str, out: Path | None = None) -> Any:
+def asks_file(
+    study: type[S], *, example: str, note: str = "", flags: Mapping[str, str] | None = None
+) -> Callable[[Callable[[S, Output], None]], Made]:
+    """Make a command of a function that takes a study: it is read from a file, whose keys the flags override.
+
+    Keys that are mappings, or lists of them, have no flag.
+    """
+    kind = _kind_of(study)
+    fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
+    called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
+    names = _names(fields, called, ())
+    shown = Annotated[str, typer.Argument(metavar="STUDY.yaml", help=f"Study of kind {kind}.", show_default=False)]
+    file = inspect.Parameter("study", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
+
+    def command_of(function: Callable[[S, Output], None]) -> Made:
+        keyed = [_override(key, field, called[key]) for key, field in fields.items()]
+
+        def run(output: Output, **typed: Any) -> None:
+            path = typed.pop("study")
+            given = {
+                # A file that is typed is relative to where one is, not to the study.
+                key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(fields[key]) else value
+                for key, value in _given(fields, typed).items()
+            }
+            data = {**load_yaml(path), **given}
+            function(check_kind({kind: study}, data, path, names={key: names[key] for key in given}), output)
+
+        run.__name__, run.__doc__ = function.__name__, function.__doc__
+        return _command(run, [file, *keyed], example, note)
+
+    return command_of
+
+
+def answer(study: Study, output: Output) -> None:
+    """Ask a study, and show and save its answer."""
+    present(report(ask(study, output)), output)
+
+
+def ask(study: Study, output: Output) -> Any:
     """The answer to a study, with a bar while it is computed; nothing is computed that could not be saved."""
-    can_be_saved(out)
-    with working(doing) as progress:
-        return study.run(progress)
+    can_be_saved(output.out)
+    robot = getattr(study, "robot", None)
+    for words in fit_warnings(robot) if robot is not None else ():
+        LOGGER.warning(words)
+    kept = study.keeps.format(out=output.out) if study.keeps and output.out else "nothing was saved"
+    with working(study.doing, shown=not output.quiet) as progress, keeping(kept):
+        try:
+            return study.run_in(output.out, progress)
+        except SolveError as error:
+            raise _with_what_was_found(error, output.out) from None
 
 
-def _argument(key: str, metavar: str, words: str) -> inspect.Parameter:
-    shown = Annotated[str, typer.Argument(metavar=metavar, help=words, show_default=False)]
-    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
+def _with_what_was_found(error: SolveError, out: Path | None) -> SolveError:
+    """The error, with the best that was found saved: in a directory of its own, not to be taken for the answer."""
+    if out is None or error.solution is None:
+        return error
+    try:
+        found = report(error.solution)
+    except TypeError:
+        return error
+    saved = found.save(out / "partial")
+    return SolveError(f"{error}; as far as it came: {saved[0].parent}", error.solution) if saved else error
+
+
+def _kind_of(study: type[Entry]) -> str:
+    (kind,) = get_args(study.model_fields["kind"].annotation)
+    return str(kind)
+
+
+def _names(fields: Mapping[str, FieldInfo], called: Mapping[str, str], placed: Sequence[str]) -> dict[str, str]:
+    """What messages call a key: nothing where what is said begins with the name of a file; else its flag."""
+    return {
+        key: "" if key in placed or _is_file(field) else called[key].split(",")[0].split("/")[0]
+        for key, field in fields.items()
+    }
+
+
+def _given(fields: Mapping[str, FieldInfo], typed: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys that were typed, as the study's model takes them."""
+    read = {key: _read(field, typed[key]) for key, field in fields.items()}
+    return {key: value for key, value in read.items() if value is not None}
+
+
+def numbers(text: str) -> list[Decimal | str]:
+    """The numbers in text such as "0,1.5,-3"; what is no number stays text, for the check to complain of."""
+    return [parse_number(part) for part in text.split(",")]
+
+
+def _argument(key: str, metavar: str, words: str, field: FieldInfo) -> inspect.Parameter:
+    option = typer.Argument(metavar=metavar, help=words, show_default=False)
+    if field.is_required():
+        shown: Any = Annotated[str, option]
+        return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=shown)
+    shown = Annotated[str | None, option]
+    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=shown)
 
 
 def _option(key: str, field: FieldInfo, flag: str, default: str | None) -> inspect.Parameter:
-    words = field.description or ""
-    sentence = words[:1].upper() + words[1:] + "." * (not words.endswith("."))
+    sentence = _sentence(field)
     kind = _plain(field.annotation)
     if kind is bool:
         flag = f"{flag}/--no-{flag.removeprefix('--')}" if field.default else flag
@@ -113,9 +256,32 @@ def _option(key: str, field: FieldInfo, flag: str, default: str | None) -> inspe
     return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=shown, annotation=annotation)
 
 
+def _override(key: str, field: FieldInfo, flag: str) -> inspect.Parameter:
+    """A flag that, where it is typed, takes the place of a key of a file."""
+    if _plain(field.annotation) is bool:
+        option: Any = typer.Option(f"{flag}/--no-{flag.removeprefix('--')}", help=_sentence(field), show_default=False)
+        shown: Any = Annotated[bool | None, option]
+    else:
+        option = typer.Option(*flag.split(","), metavar=_metavar(key, field), help=_sentence(field))
+        shown = Annotated[str | None, option]
+    return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=shown)
+
+
+def _sentence(field: FieldInfo) -> str:
+    words = field.description or ""
+    return words[:1].upper() + words[1:] + "." * (bool(words) and not words.endswith("."))
+
+
+def _can_be_typed(field: FieldInfo) -> bool:
+    """Whether a key is a number, a word, a file, or a list of numbers or words."""
+    kind = _plain(field.annotation)
+    inner = _plain(get_args(kind)[0]) if get_origin(kind) is list else kind
+    return _is_file(field) or inner in (bool, int, Decimal, str) or get_origin(inner) is Literal
+
+
 def _typed(default: Any) -> str | None:
     """A default as it would be typed; None where there is nothing to be typed."""
-    if default is None or default == []:
+    if default is None or default in ([], ()):
         return None
     if isinstance(default, list):
         return ",".join(_typed(each) or "" for each in default)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from ..runs.study_file import ForwardKinematicsStudy
-from ..show.report import present
-from ..show.reports import report
-from .flags import asks
-from .options import JsonOption, OutOption, PlotOption
+from ..runs.forward_study import ForwardKinematicsStudy
+from .flags import answer, asks
+from .output import Output
 
 
-@asks(ForwardKinematicsStudy, flags={"tolerance_rad": "--tolerance-rad,--tolerance"})
-def fk(
-    study: ForwardKinematicsStudy, plot: PlotOption = False, out: OutOption = None, as_json: JsonOption = False
-) -> None:
+@asks(
+    ForwardKinematicsStudy,
+    flags={"tolerance_rad": "--tolerance-rad,--tolerance"},
+    example="tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0",
+)
+def fk(study: ForwardKinematicsStudy, output: Output) -> None:
     """Forward kinematics: the stable shape at given joint values, with its margin to snapping."""
-    present(report(study.run()), out=out, as_json=as_json, plot=plot)
+    answer(study, output)

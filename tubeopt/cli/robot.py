@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from ..robots.file import load_robot
-from ..show.report import present
 from ..show.reports import report
-from .options import App, JsonOption, OutOption, RobotArgument
+from .flags import ROBOT, command
+from .output import Output, can_be_saved, present
 
-app = App(help="What a robot is made of.", no_args_is_help=True)
 
-
-@app.command(epilog="Example: tubeopt robot show configs/robots/thesis_ctr.yaml")
-def show(robot: RobotArgument, out: OutOption = None, as_json: JsonOption = False) -> None:
+@command("tubeopt robot show configs/robots/thesis_ctr.yaml")
+def show(
+    robot: Annotated[str, typer.Argument(metavar=ROBOT[0], help=ROBOT[1], show_default=False)], output: Output
+) -> None:
     """Stiffness, strain and fit of every tube, with warnings."""
-    present(report(load_robot(robot)), out=out, as_json=as_json)
+    can_be_saved(output.out)
+    present(report(load_robot(robot)), output)

@@ -7,21 +7,13 @@ from typing import Annotated
 import typer
 
 from ..runs.study_file import load_study
-from ..show.progress import working
-from ..show.report import can_be_saved, present
-from ..show.reports import report
-from .options import JsonOption, OutOption, PlotOption
+from .flags import answer, command
+from .output import Output
 
 
+@command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
 def run(
-    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False)],
-    plot: PlotOption = False,
-    out: OutOption = None,
-    as_json: JsonOption = False,
+    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False)], output: Output
 ) -> None:
     """Run the study that a file describes. Ends as the command of its kind does."""
-    question = load_study(study)
-    can_be_saved(out)
-    with working("running the study") as progress:
-        answer = question.run(progress)
-    present(report(answer), out=out, as_json=as_json, plot=plot)
+    answer(load_study(study), output)

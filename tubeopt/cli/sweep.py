@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..runs.sweep_file import load_sweep
+from ..runs.sweeping import Sweep
 from ..runs.sweeping import sweep as run_sweep
-from ..show.progress import counting
-from ..show.report import can_be_saved, present
+from ..show.progress import working
 from ..show.reports import report, to_dict
-from .options import JsonOption
+from .flags import command
+from .interruption import keeping
+from .output import Output, can_be_saved, present
 
 
+@command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")
 def sweep(
     study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study of kind sweep.", show_default=False)],
+    output: Output,
     workers: Annotated[
         int, typer.Option(metavar="N", help="Processes on this machine; 0 is one per core, 1 this one.")
     ] = 0,
@@ -25,25 +30,30 @@ def sweep(
         typer.Option(metavar="ADDRESS", help="A Dask cluster in their place, as tcp://host:8786.", show_default=False),
     ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Compute failed points again.")] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Where the sweep is kept; by default named after the file, here."),
-    ] = None,
-    as_json: JsonOption = False,
 ) -> None:
-    """Run a study over a grid or a sample of its parameters. The same command goes on with a run that was stopped."""
+    """Run a study over a grid or a sample of its parameters: with --out, the same command goes on with a stopped run.
+
+    Without --out the table is printed, as CSV, and nothing is kept.
+    """
     question = load_sweep(study)
-    directory = out or Path(Path(study).stem)
-    can_be_saved(directory)
-    with counting("sweeping") as progress:
-        answer = run_sweep(
-            question.function(to_dict),
-            question.points,
-            directory,
-            fingerprint=question.fingerprint,
-            workers=workers,
-            scheduler=scheduler,
-            retry_failed=retry_failed,
-            progress=progress,
-        )
-    present(report(answer), out=directory, as_json=as_json)
+    can_be_saved(output.out)
+
+    def into(directory: Path) -> Sweep:
+        with working("sweeping", shown=not output.quiet) as progress:
+            return run_sweep(
+                question.function(to_dict),
+                question.points,
+                directory,
+                fingerprint=question.fingerprint,
+                workers=workers,
+                scheduler=scheduler,
+                retry_failed=retry_failed,
+                progress=progress,
+            )
+
+    if output.out is not None:
+        with keeping(f"the points so far are in {output.out}; the same command goes on from there"):
+            present(report(into(output.out)), output)
+        return
+    with tempfile.TemporaryDirectory() as directory:
+        present(report(into(Path(directory)).unkept()), output)

@@ -4,94 +4,96 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from os import PathLike
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
+from pydantic import Field
 
 from ..errors import InputError
-from ..files.units import parse_number
-from ..robots.file import load_robot
+from ..files.checked import Entry, in_file
 from ..robots.path_file import Waypoints as Way
-from ..runs.base import Study, metres, radians
+from ..runs.base import RobotPath, Study, Whole, metres, radians
+from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
-from ..runs.obstacle_file import load_obstacles
+from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
 from ..runs.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
-from ..runs.study_file import ForwardKinematicsStudy, load_study
-from ..show.report import can_be_saved, has_display, to_text
+from ..runs.study_file import load_study
+from ..show.report import to_text
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
 from ..show.viewer.playback import Waypoints, load_waypoints, paced
-from .options import JsonOption, OutOption, RobotArgument
+from .flags import asks
+from .interruption import left_alone
+from .messages import LOGGER, warnings
+from .output import Output, can_be_saved, has_display
 
 
-def view(
-    robot: RobotArgument,
-    study: Annotated[
-        str | None, typer.Option(metavar="STUDY.yaml", help="Begin at the joint values of a study, or play its path.")
-    ] = None,
-    trajectory: Annotated[
-        str | None,
-        typer.Option(metavar="PATH.csv", help="To be played: rotation_1_deg, ..., translation_1_mm, ..., time_s."),
-    ] = None,
-    obstacles: Annotated[
-        str | None, typer.Option(metavar="OBSTACLES.yaml", help="Bodies to draw, and to keep away from when led.")
-    ] = None,
-    port: Annotated[str, typer.Option(metavar="N", help="Where to listen; 0 takes any that is free.")] = "8080",
-    host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Listen on another address: others can then move the robot.")
-    ] = LOCAL,
-    browse: Annotated[bool, typer.Option("--open/--no-open", help="Open the page where there is a display.")] = True,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
+def _named_study(path: str | PathLike[str]) -> tuple[str, Study]:
+    return str(path), load_study(path)
+
+
+class ViewEntry(Entry):
+    """A robot to be shown, with what it begins with."""
+
+    robot: RobotPath
+    study: Annotated[tuple[str, Study], in_file(_named_study, "a study file")] | None = Field(
+        None, description="begin at the joint values of a study, or play its path", examples=["STUDY.yaml"]
+    )
+    trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of_robot=True)] | None = Field(
+        None, description="to be played: rotation_1_deg, ..., translation_1_mm, ..., time_s", examples=["PATH.csv"]
+    )
+    obstacles: Bodies = Field(
+        (), description="bodies to draw, and to keep away from when led", examples=["OBSTACLES.yaml"]
+    )
+    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8080, description="where to listen; 0 takes any that is free")
+    host: str = Field(
+        LOCAL, description="listen on another address: others can then move the robot", examples=["ADDRESS"]
+    )
+    open: bool = Field(True, description="open the page where there is a display")
+
+
+@asks(
+    ViewEntry,
+    example="tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv",
+)
+def view(study: ViewEntry, output: Output, robot: str) -> None:
     """The robot in a browser: turn and slide its tubes, lead its tip, watch it snap, change its design.
 
     Every tab of the browser has a robot of its own. Ends on Ctrl-C. With --json one object with the address of the page
     is printed; with --out whatever is saved in the browser goes into that directory too.
     """
-    number = _port(port)
-    shown = View(load_robot(robot), out=out)
-    if study is not None:
-        shown = _with_study(shown, robot, study)
-    if trajectory is not None:
-        shown = replace(shown, waypoints=load_waypoints(trajectory, shown.robot))
-    if obstacles is not None:
-        shown = replace(shown, obstacles=load_obstacles(obstacles))
-    can_be_saved(out)
-    messages = Console(stderr=True)
-    if host not in LOCAL_NAMES:
-        messages.print(
-            f"[bold yellow]warning:[/] everyone who can reach {host} can move this robot and see what is shown; "
-            "there is no password and no encryption",
-            soft_wrap=True,
+    asked = study
+    shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
+    if asked.study is not None:
+        shown = _with_study(shown, robot, *asked.study)
+    if asked.trajectory is not None:
+        shown = replace(shown, waypoints=asked.trajectory)
+    can_be_saved(output.out)
+    if asked.host not in LOCAL_NAMES:
+        LOGGER.warning(
+            f"everyone who can reach {asked.host} can move this robot and see what is shown; there is no password and "
+            "no encryption"
         )
 
     def ready(address: str) -> None:
-        if as_json:
-            print(to_text({"url": address, "robot": shown.robot.name}), end="", flush=True)
-        else:
-            print(f"showing {shown.robot.name or robot} at {address}   (Ctrl-C to stop)", flush=True)
-        if browse and not as_json and has_display():
+        if output.as_json:
+            print(to_text({"url": address, "robot": shown.robot.name, "warnings": warnings()}), end="", flush=True)
+            return
+        print(f"showing {shown.robot.name or robot} at {address}   (Ctrl-C to stop)", flush=True)
+        if asked.open and has_display():
             typer.launch(address)
 
-    serve(shown, host=host, port=number, ready=ready)
-    if not as_json:
+    with left_alone():
+        serve(shown, host=asked.host, port=asked.port, ready=ready)
+    if not (output.as_json or output.quiet):
         print("stopped", file=sys.stderr)
 
 
-def _port(text: str) -> int:
-    number = parse_number(text)
-    if isinstance(number, str) or not number.is_finite() or not 0 <= number <= 65535 or number != int(number):
-        raise InputError(f"--port is {text}; it must be a whole number from 0 to 65535")
-    return int(number)
-
-
-def _with_study(shown: View, robot: str, path: str) -> View:
+def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
     """The view from where a study asks its question."""
-    study: Any = load_study(path)
     own = getattr(study, "robot", None)
     if own is None:
         raise InputError(f"{path}: a study of kind {study.kind} has no robot to be shown")
@@ -115,7 +117,7 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
         return out | (_joints(*study.start) if study.start is not None else {})
     if isinstance(study, PlanStudy):
         at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
-        out = {"obstacles": study.bodies(), "min_margin": float(study.min_margin)}
+        out = {"obstacles": study.obstacles, "min_margin": float(study.min_margin)}
         return out | _joints(radians(study.start_deg, at_home[0]), metres(study.start_mm, at_home[1]))
     raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
 

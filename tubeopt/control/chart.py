@@ -19,6 +19,7 @@ from ..transcription.buffered import Buffered
 from ..transcription.explicit import explicit_arm, explicit_parameters, explicit_size
 from ..typing import Array, Mask
 from .joints import JointSpace
+from .outline import outer_radius
 
 BATCH = 8
 """Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
@@ -87,9 +88,7 @@ class Chart:
     @cached_property
     def radius(self) -> Array:
         """(n,) radius of the arm where tube i is the outermost, m."""
-        robot = self.space.robot
-        offset = robot.assembly(np.array(self.space.split(self.space.inside())[1])).offset
-        return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
+        return outer_radius(self.space.robot)
 
     @cached_property
     def size(self) -> int:

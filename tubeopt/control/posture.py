@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Scene
 from ..equilibrium.continuation import LARGEST_SHIFT, LARGEST_TURN
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.kinematics import forward_kinematics, one_step
@@ -18,18 +18,10 @@ from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
 from ..typing import Array, Mask
 from .joints import JointSpace
-
-FINE = 400
-"""Points along the arm at which its distance from obstacles is measured."""
-
-FINER = 17
-"""Points between the two neighbours of one at which it is closest."""
+from .outline import Contacts, Outline
 
 SAME_TIP = 1e-7
 """Distance (m) of two tips at the same joint values that are one equilibrium."""
-
-MOST_CONTACTS = 6
-"""Places where the arm comes closest to one obstacle that a step looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,52 +108,15 @@ class Posture:
         return np.nan_to_num(self.jacobian[2])
 
     @cached_property
-    def fine(self) -> tuple[Array, Array, Array]:
-        """Arc length (p,), centreline (p, 3) and radius of the arm (p,) at points close enough for obstacles: evenly
-        spaced, and the ends of the tubes, where the radius falls."""
-        ends = self.equilibrium.tube_end
-        s = np.linspace(0.0, self.equilibrium.arc_length[-1], FINE)
-        return self._at(np.union1d(s, ends[(ends > 0) & (ends < s[-1])]))
+    def outline(self) -> Outline:
+        """The surface of the arm."""
+        return Outline(self.equilibrium)
 
-    def _at(self, s: Array) -> tuple[Array, Array, Array]:
-        arm = self.equilibrium
-        points = _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s)
-        return s, points, arm_radius(arm, s)
-
-    def contacts(self, obstacle: Obstacle) -> tuple[Array, Array, Array]:
-        """Where the arm comes closest to an obstacle: arc lengths (c,), points of the centreline (c, 3), and distances
-        of the surface of the arm from the obstacle (c,) in m, the least first."""
-        s, points, radius = self.fine
-        distance = np.asarray(obstacle.signed_distance(points) - radius)
-        padded = np.concatenate([[np.inf], distance, [np.inf]])
-        least = np.flatnonzero((distance <= padded[:-2]) & (distance <= padded[2:]))
-        chosen = least[np.argsort(distance[least], kind="stable")[:MOST_CONTACTS]]
-        # Near a small obstacle the arm comes closer between two of the points than a clearance may be off.
-        low, high = s[np.maximum(chosen - 1, 0)], s[np.minimum(chosen + 1, len(s) - 1)]
-        finer, points, radius = self._at((low + (high - low) * np.linspace(0.0, 1.0, FINER)[:, None]).T.ravel())
-        finer, points = finer.reshape(-1, FINER), points.reshape(-1, FINER, 3)
-        between = np.asarray(obstacle.signed_distance(points.reshape(-1, 3)) - radius).reshape(-1, FINER)
-        rows, best = np.arange(len(chosen)), between.argmin(1)
-        closer = between[rows, best] < distance[chosen]
-        place = np.where(closer, finer[rows, best], s[chosen])
-        centre = np.where(closer[:, None], points[rows, best], self.fine[1][chosen])
-        value = np.where(closer, between[rows, best], distance[chosen])
-        order = np.argsort(value, kind="stable")
-        return place[order], centre[order], value[order]
-
-    def clearance(self, obstacle: Obstacle) -> float:
-        """Least distance of the surface of the arm from an obstacle, m."""
-        return float(self.contacts(obstacle)[2][0])
-
-    def clearance_rows(self, obstacle: Obstacle, within: float) -> tuple[Array, Array]:
-        """Clearances (r,) where the arm comes closest, if closer than `within`, and their change (r, m) with q."""
-        place, points, distance = self.contacts(obstacle)
-        near = distance <= within
-        rows = [
-            obstacle.gradient(point) @ _between(self.equilibrium.arc_length, self.along, s) @ self.space.spread
-            for s, point in zip(place[near], points[near], strict=True)
-        ]
-        return distance[near], np.reshape(rows, (-1, len(self.q)))
+    def contact_slopes(self, scene: Scene, contacts: Contacts) -> Array:
+        """(c, m) change of the distances of contacts with q."""
+        away = scene.gradients(contacts.body.tolist(), contacts.point)
+        moved = _between(self.equilibrium.arc_length, self.along, contacts.place)
+        return np.asarray((away[:, None] @ moved)[:, 0] @ self.space.spread)
 
     def to(self, q: Array) -> Posture | None:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
@@ -182,34 +137,13 @@ class Posture:
         return Posture(self.space, q, here)
 
 
-def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
-    """(p, 3) cubic interpolation of a curve given with its tangents at arc lengths s (m,)."""
+def _between(s: Array, table: Array, at: Array) -> Array:
+    """(c, ...) linear interpolation in a table (m, ...) at arc lengths (c,)."""
     if len(s) < 2:
-        return np.repeat(value, len(at), axis=0)
+        return np.repeat(table[:1], len(at), axis=0)
     k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
-    h = (s[k + 1] - s[k])[:, None]
-    x = (at - s[k])[:, None] / h
-    ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[k + 1] * x**2 * (3 - 2 * x)
-    return np.asarray(ends + h * (slope[k] * x * (1 - x) ** 2 - slope[k + 1] * x**2 * (1 - x)))
-
-
-def _between(s: Array, table: Array, at: float) -> Array:
-    """Linear interpolation in a table (m, ...) at arc length `at`."""
-    if len(s) < 2:
-        return np.asarray(table[0])
-    k = int(np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2))
-    x = (at - s[k]) / (s[k + 1] - s[k])
+    x = ((at - s[k]) / (s[k + 1] - s[k])).reshape(-1, *[1] * (table.ndim - 1))
     return np.asarray((1 - x) * table[k] + x * table[k + 1])
-
-
-def arm_radius(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """(p,) radius of the arm at arc lengths: of the outermost tube there, for eccentric tubes of what holds them."""
-    robot = equilibrium.robot
-    outer = (
-        np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + robot.assembly(equilibrium.translations).offset
-    )
-    shown = arc_length[:, None] <= equilibrium.tube_end + 1e-12
-    return np.asarray(np.where(shown, outer, 0.0).max(1))
 
 
 def start_at(space: JointSpace, q: Array) -> Posture | None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bodies.obstacles import Obstacle, nearest_distance
+from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
 from .chart import BATCH, Arms, Chart
 
@@ -56,6 +58,11 @@ class Task:
     clearance_room: float = 3e-4
     floor: float = 3e-5
     ends: Array | None = None
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The obstacles as one."""
+        return scene_of(self.obstacles)
 
     @property
     def scale(self) -> Array:
@@ -109,7 +116,8 @@ class Task:
         """(r, p) distances of the surface of arms from obstacles at arc lengths s (r, p), whose centreline is given."""
         shown = s[:, :, None] <= arms.tube_end[rows][:, None, :] + 1e-12
         radius = np.where(shown, self.chart.radius, 0.0).max(2)
-        return np.asarray(nearest_distance(self.obstacles, points) - radius)
+        distance = self.scene.nearest(points.reshape(-1, 3)).reshape(points.shape[:-1])
+        return np.asarray(distance - radius)
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""

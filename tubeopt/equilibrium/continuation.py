@@ -9,23 +9,17 @@ import numpy as np
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton
+from ..solvers.settings import CONTINUATION
 from ..transcription import arm as arms
 from ..transcription.reduced import ReducedProblem, margin, to_unknowns
 from ..typing import Array
 from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
 
-LARGEST_RATIO = 0.3
-"""Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
+LARGEST_RATIO, LARGEST_TWIST = CONTINUATION.largest_ratio, CONTINUATION.largest_twist
 
 LARGEST_TURN = 0.3
 """Largest change (rad) of a joint rotation in one step of the path: small against a turn, after which another branch
 looks like the one that is followed."""
-
-LARGEST_TWIST = 0.6
-"""Largest change (rad) of the twist theta - alpha at a point in one step."""
-
-SOFT_TWIST = 0.1
-"""The same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther apart."""
 
 LARGEST_SHIFT = 0.05
 """Largest change of a translation in one step, as a fraction of the longest tube."""
@@ -40,7 +34,7 @@ def largest_twist(margin: float) -> float:
     The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
     hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
     """
-    return min(max(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
+    return min(max(2 * abs(margin) * LARGEST_TWIST, CONTINUATION.soft_twist), LARGEST_TWIST)
 
 
 @dataclass(frozen=True, eq=False)

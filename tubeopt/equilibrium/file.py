@@ -23,8 +23,8 @@ from .result import ARRAYS, Equilibrium, Status
 ALONG_THE_ARM = ("arc_length", "position", "frame", "curvature", "rotation", "torsion")
 """Arrays with a value per point; the others are short enough to be read in the JSON file."""
 
-LOAD_FIELDS = ("load", "work", "point_curvature")
-"""What a file written without loads does not have."""
+LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
+"""What a file written without loads and friction does not have."""
 
 _IN_JSON = [field.name for field in dataclasses.fields(Equilibrium) if field.name not in ALONG_THE_ARM]
 

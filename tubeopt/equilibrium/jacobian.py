@@ -9,6 +9,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import SolveError
+from ..parallel.blas import small
 from ..robots.robot import is_general
 from ..typing import Array
 from .derivatives import Derivatives
@@ -66,6 +67,7 @@ def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, sid
     )
 
 
+@small
 def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int = 1) -> Jacobian:
     """Derivatives of tip pose, tube tips, margin and energy of an equilibrium, by the implicit function theorem.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, choice, positive, vector
+from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import must_be_plain
@@ -234,6 +235,7 @@ def _small(turn: Array, shift: Array, length: float) -> bool:
     return bool(abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT)
 
 
+@small
 def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[Solution, str]:
     """A stable equilibrium from tubes without torsion, else by way of home."""
     failure = ""
@@ -356,6 +358,7 @@ def _near(
     return Solution(problem, rotations, result, margin(problem, result.state))
 
 
+@small
 def follow_branch(
     robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
 ) -> Solution:

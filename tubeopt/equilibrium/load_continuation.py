@@ -124,14 +124,14 @@ def carry(point: LoadedPoint, there: Member) -> Array:
     bent = problem.softness[:, None] * state.x[split:].reshape(-1, 2)
     table = np.concatenate([twist, bent], axis=1)
     if len(table) != len(there.problem.softness):
-        table = _interpolate(problem, table, there.problem)
+        table = interpolate(problem, table, there.problem)
     n = twist.shape[1]
     x = unknowns(there.problem, there.rotations, there.rotations + table[:, :n])
     x[there.problem.torsion.size :] = (table[:, n:] / there.problem.softness[:, None]).ravel()
     return x
 
 
-def _interpolate(problem: LoadedProblem, table: Array, there: LoadedProblem) -> Array:
+def interpolate(problem: LoadedProblem, table: Array, there: LoadedProblem) -> Array:
     """Values (N, k) at the points of one problem, at those of another."""
     mesh, s = problem.mesh, there.torsion.arc_length
     piece = np.clip(np.searchsorted(mesh.start, s, side="right") - 1, 0, len(mesh.start) - 1)
@@ -143,8 +143,8 @@ def _interpolate(problem: LoadedProblem, table: Array, there: LoadedProblem) -> 
 def _moved(there: Member, near: LoadedPoint, state: LoadedState) -> float:
     """Largest change of a twist at a point, and turn of the arm's frame there, rad."""
     if state.theta.shape != near.state.theta.shape:
-        carried = _interpolate(near.member.problem, near.state.theta - near.member.rotations, there.problem)
-        frames = _interpolate(near.member.problem, near.state.orientation.stage, there.problem)
+        carried = interpolate(near.member.problem, near.state.theta - near.member.rotations, there.problem)
+        frames = interpolate(near.member.problem, near.state.orientation.stage, there.problem)
     else:
         carried, frames = near.state.theta - near.member.rotations, near.state.orientation.stage
     unknown = there.problem.torsion.flat

@@ -22,6 +22,10 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 
 
+EXTRA_POINTS = 2
+"""Collocation points by which the check of the mesh is finer than the solution."""
+
+
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     """Raise InputError where a robot cannot bear a load: tubes beside one another, a force beyond the tip, an arm that
     does not exist, a tube of unknown weight."""
@@ -73,13 +77,28 @@ def loaded_problem(
 ) -> LoadedProblem:
     """The problem of a robot at given translations under a load, built once for all rotations."""
     density = masses(robot, load)
-    assembly = robot.assembly(np.array(translations))
     cuts = load.cuts()
-    assembly = cut(assembly, cuts) if len(cuts) else assembly
-    force, moment = _bounds(assembly, load, density)
-    counts = loaded_counts(assembly, force, moment, discretisation.refinement)
+    assembly = _cut(robot, translations, tuple(cuts.tolist()))
+    counts = loaded_counts(assembly, *_bounds(assembly, load, density), discretisation.refinement)
     torsion = _torsion(robot, translations, tuple(cuts.tolist()), tuple(counts.tolist()), discretisation)
     return load_problem(torsion, load, density)
+
+
+@lru_cache(maxsize=64)
+def loaded_pair(
+    robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0
+) -> tuple[LoadedProblem, LoadedProblem]:
+    """The problem of a robot under a load, and that with more points which tells its error."""
+    family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
+    problem = loaded_problem(robot, translations, load, Discretisation(family, degree, refinement))
+    finer = Discretisation(family, degree + EXTRA_POINTS, refinement)
+    return problem, loaded_problem(robot, translations, load, finer)
+
+
+@lru_cache(maxsize=64)
+def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...]) -> Assembly:
+    assembly = robot.assembly(np.array(translations))
+    return cut(assembly, np.array(cuts)) if cuts else assembly
 
 
 @lru_cache(maxsize=64)
@@ -87,14 +106,16 @@ def _torsion(
     robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...], counts: tuple[int, ...], d: Discretisation
 ) -> ReducedProblem:
     """The problem of the rotations, which the numbers of the load do not change."""
-    assembly = robot.assembly(np.array(translations))
-    assembly = cut(assembly, np.array(cuts)) if cuts else assembly
+    assembly = _cut(robot, translations, cuts)
     return reduce(assembly, loaded_mesh(assembly, np.array(counts), family=d.family, degree=d.degree))
 
 
 def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
     """Bounds of the force on any cross-section, N, and of the moment at the tip, N m."""
-    along = np.linalg.norm(load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1]), axis=-1).max(initial=0.0)
+    along = 0.0
+    if load.distributed is not None:
+        places = np.linspace(0, assembly.total_length, 33)[1:-1]
+        along = float(np.linalg.norm(load.per_length(places), axis=-1).max(initial=0.0))
     weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
     points = sum(float(np.linalg.norm(part.force)) for part in load.points)
     force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length

@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, loaded_residual, turn_of
-from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evaluate, tip_position, tip_slopes, unknowns
-from ..transcription.loaded_arm import loaded_arm
+from ..solvers.compiled.loaded import solve_loaded_compiled
+from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
+from ..transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
 from ..typing import Array
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
-from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, reach
-from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from .result import Equilibrium, Statistics, Status
+from .load_answer import from_answer, mesh_errors, to_loaded
+from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
+from .load_problem import LOADED_DISCRETISATION, check_load, loaded_pair, loaded_problem
+from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_rotation
 
 FINEST = 4
 """Most times that the pieces of the mesh are halved."""
 
 MARGIN_TOLERANCE = 1e-8
-"""Wanted accuracy of margins above HARDLY_SOFTENED; the others are surer than the shape."""
-
-HARDLY_SOFTENED = 0.99
-
-EXTRA_POINTS = 2
-"""Collocation points by which the check of the mesh is finer than the solution."""
-
-LEAST_STIFFNESS = 1e-6
-"""Margin below which errors no longer grow in the estimate."""
+"""Wanted accuracy of margins that need a check."""
 
 
 def ramp(robot: Robot, unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> LoadedPoint:
@@ -123,8 +116,8 @@ def to_tolerance(
     d = discretisation
     for level in range(d.refinement, max(FINEST, d.refinement) + 1):
         errors = mesh_errors(robot, point, d)
-        error = max(errors.theta, errors.tip / point.member.problem.torsion.assembly.total_length)
-        if error <= tolerance and (errors.margin <= MARGIN_TOLERANCE or level >= FINEST):
+        error = max(errors[0], errors[1] / point.member.problem.torsion.assembly.total_length)
+        if error <= tolerance and (errors[2] <= MARGIN_TOLERANCE or level >= FINEST):
             return to_loaded(robot, point, load, d, how, errors)
         d = Discretisation(d.family, d.degree, level + 1)
         shift = point.member.translations
@@ -135,97 +128,6 @@ def to_tolerance(
         point = solved(there, result)
     wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
     raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(robot, point, load, d, how))
-
-
-def to_loaded(
-    robot: Robot,
-    point: LoadedPoint,
-    load: Load,
-    discretisation: Discretisation,
-    how: tuple[str, float] = ("the load before", 0.0),
-    errors: MeshErrors | None = None,
-) -> Equilibrium:
-    """Shape, energy and error estimates of a solved problem under `load`; `how` is the start and when (s) begun."""
-    member, state = point.member, point.state
-    problem, rotations = member.problem, member.rotations
-    assembly, mesh = problem.torsion.assembly, problem.mesh
-    arm = loaded_arm(problem, rotations, state)
-    ends = np.maximum(assembly.end, 0.0)
-    errors = mesh_errors(robot, point, discretisation) if errors is None else errors
-    margin = point.margin
-    start, began = how
-    equilibrium = Equilibrium(
-        robot=robot,
-        rotations=rotations,
-        translations=np.array(member.translations),
-        tip_position=arm.position[-1],
-        tip_rotation=arm.frame[-1],
-        arc_length=arm.arc_length,
-        position=arm.position,
-        frame=arm.frame,
-        curvature=arm.curvature,
-        rotation=arm.rotation,
-        torsion=arm.torsion,
-        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
-        section_start=assembly.start,
-        point=problem.torsion.arc_length,
-        point_rotation=state.theta + assembly.wound(problem.torsion.arc_length),
-        point_curvature=state.curvature,
-        tube_end=ends,
-        margin=margin,
-        index=0 if margin > 0 or np.isnan(margin) else int((np.linalg.eigvalsh(state.hessian) < 0).sum()),
-        energy=state.energy,
-        residual=loaded_residual(problem, state),
-        mesh_error=errors.theta,
-        tip_error=errors.tip,
-        status=Status.NO_MARGIN if np.isnan(margin) else Status.STABLE if margin > 0 else Status.UNSTABLE,
-        statistics=Statistics(
-            method="newton",
-            iterations=point.iterations,
-            elements=len(mesh.length),
-            degree=mesh.tableau.degree,
-            start=start,
-            seconds=time.perf_counter() - began if began else 0.0,
-            family=mesh.tableau.family,
-            refinement=discretisation.refinement,
-        ),
-        load=load,
-        work=state.work if problem.load.has_energy else float("nan"),
-    )
-    # What follows from the solved state at once need not be solved for again.
-    vars(equilibrium)["base_wrench"] = base_wrench(problem, state)
-    if not abs(margin) < LEAST_STIFFNESS:
-        vars(equilibrium)["compliance"] = compliance(problem, state)
-    return equilibrium
-
-
-@dataclass(frozen=True)
-class MeshErrors:
-    """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
-
-    theta: float
-    tip: float
-    margin: float
-
-
-def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> MeshErrors:
-    """What the mesh gets wrong at a point."""
-    member = point.member
-    finer = Discretisation(d.family, d.degree + EXTRA_POINTS, d.refinement)
-    problem = loaded_problem(robot, member.translations, member.problem.load, finer)
-    there = Member(problem, member.rotations, member.translations, member.factor)
-    state = evaluate(problem, member.rotations, carry(point, there), member.factor)
-    # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
-    shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
-    step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
-    split = problem.torsion.size
-    theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
-    moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
-    moved -= tip_position(member.problem, point.state)
-    # Only of arms that loads hardly soften is the margin less sure than the shape.
-    close = point.margin > HARDLY_SOFTENED
-    margin = abs(loaded_margin(problem, state) - point.margin) if close else 0.0
-    return MeshErrors(float(theta), float(np.linalg.norm(moved)), margin)
 
 
 def loaded_kinematics(
@@ -243,6 +145,9 @@ def loaded_kinematics(
     """
     rotations, shift = joints
     d = LOADED_DISCRETISATION
+    quick = compiled(robot, start, joints, load, tolerance, began)
+    if quick is not None:
+        return quick
     point = None if start.load is None else _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
     word = "guess"
     if point is None:
@@ -253,6 +158,70 @@ def loaded_kinematics(
         else:
             point = _along(JointFamily(JointPath(robot, own, there, d), load, start.load), start)
     return to_tolerance(robot, point, load, d, tolerance, (word, began))
+
+
+def compiled(
+    robot: Robot,
+    start: Equilibrium,
+    joints: tuple[Array, tuple[float, ...]],
+    load: Load,
+    tolerance: float,
+    began: float,
+) -> Equilibrium | None:
+    """The stable equilibrium under a dead load by the compiled kernel: grown from `start`, which bears none, or a small
+    change of it, which bears one; None where the kernel declines, or no mesh is fine enough."""
+    rotations, shift = joints
+    if not load.has_energy:
+        return None
+    problem, finer = loaded_pair(robot, shift, load)
+    turn = rotations - start.rotations
+    if not start.margin > 0:
+        return None
+    if start.load is None:
+        if turn.any() or not np.array_equal(start.translations, shift):
+            return None
+        given = (sample_rotation(start, problem.torsion.arc_length), None)
+        word = "the load before, from none"
+    else:
+        if not _small(start, turn, shift):
+            return None
+        given, word = _at_points(start, problem), "guess"
+    found = solve_loaded_compiled(problem, finer, (rotations, turn), given, start.margin)
+    refinement = 0
+    while found is not None and _too_coarse(found, problem, tolerance):
+        refinement += 1
+        if refinement > FINEST:
+            return None
+        coarse, (problem, finer) = problem, loaded_pair(robot, shift, load, refinement)
+        table = interpolate(coarse, np.concatenate([found.theta, found.curvature], axis=1), problem)
+        given = table[:, : len(turn)], table[:, len(turn) :]
+        found = solve_loaded_compiled(problem, finer, (rotations, 0 * turn), given, found.margin)
+    if found is None:
+        return None
+    return from_answer(robot, Member(problem, rotations, shift), load, found, (word, began, refinement, 0))
+
+
+def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float) -> bool:
+    theta, tip, margin = found.errors
+    return margin > MARGIN_TOLERANCE or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
+
+
+def _small(start: Equilibrium, turn: Array, shift: tuple[float, ...]) -> bool:
+    """Whether joints are little apart."""
+    moved = np.abs(np.array(shift) - start.translations).max()
+    return bool(np.abs(turn).max() <= LARGEST_TURN and moved <= LARGEST_SHIFT * start.arc_length[-1])
+
+
+def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
+    """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
+    problem."""
+    theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
+    if len(start.point) == len(problem.softness):
+        return theta, start.point_curvature
+    assert start.load is not None
+    own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
+    table = interpolate(own, np.concatenate([theta, start.point_curvature], axis=1), problem)
+    return table[:, :n], table[:, n:]
 
 
 def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
@@ -273,10 +242,9 @@ def _close(
 ) -> LoadedPoint | None:
     """The equilibrium after a small change of joints or load, by one solve; None where Newton is not at ease."""
     assert guess.load is not None
-    turn, moved = rotations - guess.rotations, np.array(shift) - guess.translations
-    length = problem.torsion.assembly.total_length
-    small = np.abs(turn).max() <= LARGEST_TURN and np.abs(moved).max() <= LARGEST_SHIFT * length
-    if not small or len(guess.point) != len(problem.softness) or np.isnan(guess.margin) == problem.load.has_energy:
+    turn = rotations - guess.rotations
+    same = len(guess.point) == len(problem.softness) and np.isnan(guess.margin) != problem.load.has_energy
+    if not same or not _small(guess, turn, shift):
         return None
     before = loaded_problem(guess.robot, tuple(guess.translations.tolist()), guess.load, discretisation_of(guess))
     if len(before.softness) != len(problem.softness):

@@ -13,9 +13,10 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError
+from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array, Sentence
+from ..typing import Array, Mask, Sentence
 
 if TYPE_CHECKING:
     from .jacobian import Jacobian
@@ -26,6 +27,7 @@ class Status(Sentence):
 
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
+    HELD = "an equilibrium was found that friction alone holds: shaken, the robot leaves it"
     NO_MARGIN = (
         "an equilibrium was found; moments and forces that turn with the tip have no energy, so it has no margin"
     )
@@ -61,6 +63,33 @@ class Verification(Displayed):
     base_rotation: float
 
 
+@dataclass(frozen=True)
+class FrictionState:
+    """What friction does in an equilibrium, at R places where tubes rub, of which the last may be concentrated.
+
+    friction: as given.   arc_length: (R,) m.   pair: (R,) the inner tube, from 0.
+    torque: (R,) N m that the outer tube bears at the place against the inner one.   capacity: (R,) N m, what it can be.
+    held_margin: least eigenvalue of the second variation, relative to its torsional part, along all motions in which
+        what sticks goes on sticking: how stable the equilibrium is while nothing shakes it.
+    heat: what friction has taken since the history began, J.
+    violation: of the laws of friction, as a slip (rad) or a part of the capacity.
+    """
+
+    friction: Friction
+    arc_length: tuple[float, ...]
+    pair: tuple[int, ...]
+    torque: tuple[float, ...]
+    capacity: tuple[float, ...]
+    held_margin: float
+    heat: float
+    violation: float
+
+    @property
+    def sticking(self) -> Mask:
+        """(R,) whether a place bears less than it could."""
+        return np.abs(self.torque) < np.array(self.capacity) * (1 - 1e-12)
+
+
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Displayed):
     """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
@@ -88,6 +117,7 @@ class Equilibrium(Displayed):
         work: int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for
             loads that have no energy.
         point_curvature (N, 2): curvature at the collocation points under load; empty without one.
+        friction: what friction does, and where a motion with friction goes on from; None without friction.
     """
 
     _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
@@ -120,6 +150,7 @@ class Equilibrium(Displayed):
     load: Load | None = None
     work: float = 0.0
     point_curvature: Array = field(default_factory=lambda: np.zeros(0))
+    friction: FrictionState | None = None
 
     @property
     def value(self) -> Array:
@@ -165,9 +196,11 @@ class Equilibrium(Displayed):
 
 
 def refuse_load(equilibrium: Equilibrium) -> None:
-    """Raise InputError for an equilibrium under load, where what is asked knows of no load."""
+    """Raise InputError for an equilibrium under load or friction, where what is asked knows of neither."""
     if equilibrium.load is not None:
         raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
+    if equilibrium.friction is not None:
+        raise InputError("the equilibrium bears friction, which is not supported here; give one without friction")
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Equilibrium) if field.type == "Array")

@@ -44,16 +44,20 @@ DEFAULT_DISCRETISATION = Discretisation()
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved reduced problem at base rotations (n,)."""
+    """A solved reduced problem at base rotations (n,); `rubbed`: torsion along the arm and the error (rad) of the mesh,
+    where friction shapes them too."""
 
     problem: ReducedProblem
     rotations: Array
     result: NewtonResult
     margin: float
+    rubbed: tuple[arms.Profile, float] | None = None
 
     @property
     def arm(self) -> arms.Profile:
         """Torsion along the arm."""
+        if self.rubbed is not None:
+            return self.rubbed[0]
         return arms.profile(self.problem, self.rotations, self.result.state)
 
 
@@ -174,7 +178,8 @@ def to_equilibrium(
     s = arm.arc_length
     ends = np.maximum(assembly.end, 0.0)
     # The inverse of the linearised equation amplifies a defect by at most one over the margin.
-    error = arm.defect / max(min(1.0, abs(solution.margin)), 1e-6)
+    defect = arm.defect if solution.rubbed is None else solution.rubbed[1]
+    error = defect / max(min(1.0, abs(solution.margin)), 1e-6)
     # A wrong theta turns the curvature: |dp| <= int |u| |dtheta| (L - s) ds.
     # |u| itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum kb_i does.
     ahead = mesh.start[-1:] + mesh.length[-1:] - mesh.start - mesh.length / 2

@@ -56,8 +56,8 @@ def in_file(read: Callable[..., Any], what: str, *, kind: Any = None, of_robot: 
         path = info.context["directory"] / value if info.context else value
         if not of_robot:
             return read(path)
-        robot = info.data.get("robot")  # absent where the robot itself has problems
-        return None if robot is None else read(path, robot)
+        # The robot is absent where it has problems itself, and None where it was left out.
+        return read(path, info.data["robot"]) if "robot" in info.data else None
 
     return PlainValidator(load, json_schema_input_type=str)
 
@@ -77,7 +77,7 @@ def check(
     Args:
         where: file or other place that the data are from; it begins every message, and what a path in the data is
             relative to.
-        names: what the caller calls a top-level key, where that is not the key; "" leaves it out.
+        names: what the caller calls a top-level key that is not from there; "" leaves it out.
 
     Raises:
         InputError: one line for every problem.
@@ -86,13 +86,22 @@ def check(
         return model.model_validate(data, context={"directory": Path(where).parent})
     except ValidationError as error:
         problems = error.errors(include_url=False)
-    prefix = f"{where}: " if str(where) else ""
-    sentences = [sentence for problem in problems for sentence in _sentences(model, dict(problem), names or {})]
-    raise InputError("\n".join(prefix + sentence for sentence in sentences))
+    called = names or {}
+    sentences = []
+    for problem in problems:
+        prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in called} else ""
+        sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), called)]
+    raise InputError("\n".join(sentences))
 
 
-def check_kind(kinds: Mapping[str, type[Model]], data: object, where: str | PathLike[str]) -> Model:
-    """`data` as an instance of the model that its key `kind` names; raises InputError as `check` does."""
+def check_kind(
+    kinds: Mapping[str, type[Model]],
+    data: object,
+    where: str | PathLike[str],
+    *,
+    names: Mapping[str, str] | None = None,
+) -> Model:
+    """`data` as an instance of the model that its key `kind` names; `names` and InputError as of `check`."""
     prefix = f"{where}: " if str(where) else ""
     if not isinstance(data, Mapping):
         raise InputError(f"{prefix}the data are {shown(data)}; they must be a mapping of keys to values")
@@ -102,7 +111,7 @@ def check_kind(kinds: Mapping[str, type[Model]], data: object, where: str | Path
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
         raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{_hint(kind, kinds)}")
-    return check(kinds[kind], data, where)
+    return check(kinds[kind], data, where, names=names)
 
 
 def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 from ..block.own import OwnObjective, OwnRequirement
+from ..bodies.scene import Scene
+from ..control.outline import Outline
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, positive
@@ -59,7 +62,8 @@ class InverseSolution(Displayed):
         rotations (n,) rad, translations (n,) m, not wrapped.
         equilibrium: stable; `forward_kinematics(robot, rotations, translations, guess=equilibrium)` agrees.
         position_error: distance of the tip from the target, m.   direction_error: angle, rad; NaN without a direction.
-        margin: of the equilibrium.   clearance: least distance of the arm from any obstacle, m; infinite without.
+        margin: of the equilibrium.   scene: the obstacles.   clearance: least distance of the arm from any of them, m,
+            measured where it is asked for; infinite without.
         cold_start_agrees: whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody
             asked, as in a servo step.
         straight_from_seed: whether the straight way of joint values from the seed is known to lead there without a
@@ -85,7 +89,7 @@ class InverseSolution(Displayed):
     equilibrium: Equilibrium
     position_error: float
     direction_error: float
-    clearance: float
+    scene: Scene
     cold_start_agrees: bool | None
     straight_from_seed: bool | None
     active: tuple[str, ...]
@@ -94,6 +98,11 @@ class InverseSolution(Displayed):
     reachable: bool | None = None
     way: JointWay | None = None
     leaps: str = ""
+
+    @cached_property
+    def clearance(self) -> float:
+        """Least distance of the surface of the arm from any obstacle, m; infinite without."""
+        return Outline(self.equilibrium).clearance(self.scene)
 
     @property
     def margin(self) -> float:

@@ -16,7 +16,8 @@ import numpy as np
 import scipy
 
 from ..control.least_squares import constrained_least_squares
-from ..control.posture import MOST_CONTACTS, Posture
+from ..control.outline import MOST_CONTACTS, Index
+from ..control.posture import Posture
 from ..typing import Array, Mask
 from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
@@ -112,7 +113,7 @@ def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | 
         if goal.allowed(at, SLACK):
             return at
         chosen = constrained_least_squares(
-            np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *boxed(goal, *_demands(goal, at), FIRST_STEP)
+            np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *boxed(goal, *_demands(goal, at)[:2], FIRST_STEP)
         )
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
@@ -121,28 +122,29 @@ def restored(goal: Goal, at: Posture, *, most: int = MOST_RETURNS) -> Posture | 
     return at if goal.allowed(at, SLACK) else None
 
 
-def _demands(goal: Goal, at: Posture) -> tuple[Array, Array]:
-    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, and clearances, of every
-    obstacle as many rows, so that those of two postures can be compared."""
+def _demands(goal: Goal, at: Posture) -> tuple[Array, Array, Index]:
+    """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
+    clearances; and (c,) numbers that name them, by which the rows of two postures can be compared."""
     rows, bounds = goal.space.inequalities(at.q)
     slope = at.margin_slope()
     rows = np.vstack([rows, slope])
     bounds = np.append(bounds, goal.floor + ROOM - at.margin if slope.any() else -np.inf)
-    for obstacle in goal.obstacles:
-        values, changes = at.clearance_rows(obstacle, goal.gap + NEAR * goal.space.length)
-        idle = MOST_CONTACTS - len(values)
-        rows = np.vstack([rows, changes, np.zeros((idle, len(at.q)))])
-        bounds = np.concatenate([bounds, goal.gap - values, np.full(idle, -np.inf)])
     if goal.extras.constraints:
         rows = np.vstack([rows, goal.extras.slopes(at)])
         bounds = np.concatenate([bounds, -goal.extras.room(at)])
-    return rows, bounds
+    names = -1 - np.arange(len(rows))
+    if goal.scene.bodies:
+        contacts = at.outline.contacts(goal.scene, goal.gap + NEAR * goal.space.length)
+        rows = np.vstack([rows, at.contact_slopes(goal.scene, contacts)])
+        bounds = np.concatenate([bounds, goal.gap - contacts.distance])
+        names = np.concatenate([names, contacts.body * MOST_CONTACTS + contacts.rank])
+    return rows, bounds, names
 
 
 @dataclass(frozen=True, eq=False)
 class _Model:
     """An allowed posture with derivatives in units of the joints' scales: `slope` (m,) of half the square of what is
-    left; rows, bounds (c, m), (c,) of what is to be kept, in joint values: `demands` of them, then those of the order
+    left; rows, bounds (c, m), (c,) of what is to be kept, in joint values: demands, with their `names`, then the order
     of breakpoints."""
 
     at: Posture
@@ -151,7 +153,7 @@ class _Model:
     square: Array
     rows: Array
     bounds: Array
-    demands: int
+    names: Index
 
 
 class _Descent:
@@ -185,13 +187,12 @@ class _Descent:
     def _model(self, at: Posture, side: int = 1) -> _Model:
         goal = self.goal
         residual, slope = goal.residual(at), goal.slope(at, side=side) * goal.space.scale
-        rows, bounds = _demands(goal, at)
+        rows, bounds, names = _demands(goal, at)
         kept, gap = breakpoint_order(goal, at).steps(at.q)
-        demands = len(rows)
         rows, bounds = np.vstack([rows, kept]), np.concatenate([np.minimum(bounds, 0.0), gap])
         square = slope.T @ slope
         square += (SMALLEST + 1e-3 * float(residual @ residual)) * np.eye(len(square))
-        return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, demands)
+        return _Model(at, 0.5 * float(residual @ residual), slope.T @ residual, square, rows, bounds, names)
 
     def _step(self, here: _Model, hessian: Array, size: float) -> tuple[Posture | None, float, Array]:
         """The posture after a step that brings the tip closer, None without one; the size that the next may have; and
@@ -250,8 +251,8 @@ def _forces(here: _Model, gradient: Array, active: Mask, scale: Array) -> Array:
 def _updated(hessian: Array, before: _Model, after: _Model, force: Array, scale: Array) -> Array:
     """Powell's damped BFGS update with the change of the Lagrangian's gradient."""
     step = (after.at.q - before.at.q) / scale
-    count = before.demands
-    change = after.slope - before.slope - force[:count] @ ((after.rows[:count] - before.rows[:count]) * scale)
+    _, mine, other = np.intersect1d(before.names, after.names, return_indices=True)
+    change = after.slope - before.slope - force[mine] @ ((after.rows[other] - before.rows[mine]) * scale)
     bent = hessian @ step
     curved, own = float(step @ bent), float(step @ change)
     if curved <= 1e-16:

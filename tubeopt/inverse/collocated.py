@@ -1,6 +1,6 @@
-"""Inverse kinematics as one nonlinear program: an equilibrium block whose joint values are free.
+"""Inverse kinematics as one nonlinear program: the torsion of an arm whose joint values are free.
 
-Beside the block's own unknowns and equations there are the joint values, in which base rotations, transmissions and
+Beside the unknowns and equations of the torsion there are the joint values, in which base rotations, transmissions and
 the lengths of the pieces are linear as long as the breakpoints keep their order; the pose of the tip, integrated along
 the pieces; and the margin as a smooth constraint. The last is Jacobi's: with all torsional stiffnesses reduced by the
 fraction mu, the fields
@@ -9,12 +9,12 @@ fraction mu, the fields
 
 keep det Y > 0 along the arm and det(Y(0) - |beta| Y'(0)) > 0 if and only if the margin is above mu. The determinants
 are smooth in all unknowns; the smallest eigenvalue is not where two of them cross, and is capped at 1 where nothing
-couples.
+couples. Shape and fields are marched and not lifted into unknowns, as in an `EquilibriumBlock`: a solve of this small
+program, with first derivatives, then takes a tenth of the time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -24,12 +24,14 @@ import numpy as np
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
-from ..physics.matrix import determinant
 from ..physics.shape import GAUSS_POINTS, magnus_step
-from ..transcription.block import Block, BlockInput, Structure, add_equilibrium
+from ..solvers.problem import Problem
+from ..solvers.settings import Ipopt
+from ..transcription.collocated import Grid, symbols, torsion_of
 from ..transcription.fields import marched_fields
-from ..transcription.nlp import Builder, Nlp
-from ..typing import Array
+from ..transcription.functions import determinant_function
+from ..transcription.model import TorsionModel
+from ..transcription.program import Structure, add_torsion
 
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
@@ -39,6 +41,10 @@ JACOBI_STEPS = 2
 
 SHARPNESS = 30.0
 """Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
+
+SETTINGS = Ipopt(tolerance=1e-7, constraint_tolerance=1e-10, iterations=150, hessian="limited-memory", expand=True)
+"""Second derivatives of shape and Jacobi fields take seconds to build for every order of breakpoints; IPOPT's
+quasi-Newton approximation needs no more iterations with them than without."""
 
 
 @dataclass(frozen=True)
@@ -58,174 +64,63 @@ class Question:
     length: float
     closings: int
 
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """The program, its solver, and what reads a solution.
-
-    `joints` (slice) are the joint values among the unknowns; `closing` (slice) the constraints that keep the order of
-    breakpoints; `tip` (x, p) -> position, direction; `margin` (x, p) -> the Jacobi determinants;
-    `theta` (x, p) -> rotations (n, N) at the collocation points; `jacobian` (x, p) -> that of the constraints. All for
-    scaled x.
-    """
-
-    nlp: Nlp
-    solver: Any
-    joints: slice
-    closing: slice
-    tip: Any
-    margin: Any
-    theta: Any
-    jacobian: Any
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """Parameters of the program, as symbols.
-
-    length, length_slope: (P,), (P, G) of the pieces, transmission (n,) at translations 0, kt (n,); stiffness, moment
-    (n, P); place: offset and angle of eccentric tubes; target: position, direction, weight of the direction, least
-    margin, clearance, radius (P,), reference and weights of the joints, order (closings, G) and its bounds.
-    """
-
-    length: Any
-    length_slope: Any
-    transmission: Any
-    torsional: Any
-    stiffness: Any
-    moment: Any
-    place: tuple[Any, Any]
-    position: Any
-    direction: Any
-    direction_weight: Any
-    min_margin: Any
-    clearance: Any
-    radius: Any
-    reference: Any
-    weights: Any
-    order: Any
-    bound: Any
+    @property
+    def overdetermined(self) -> bool:
+        """Whether the target asks for more than the joints can choose."""
+        free = self.structure.grid.n_tubes + len(self.carriages) + (self.objective == "margin")
+        return not self.structure.section or 3 + 2 * self.pointed > free
 
 
 @lru_cache(maxsize=64)
-def inverse_program(question: Question) -> Program:
-    """The program of a question, with its derivatives; built once."""
-    structure = question.structure
-    n, groups = structure.n_tubes, len(question.carriages)
-    builder = Builder()
-    names = [f"rotation of tube {i + 1}" for i in range(n)]
-    names += [f"translation of carriage {k + 1}" for k in range(groups)]
-    scale = np.concatenate([np.ones(n), np.full(groups, question.length / 2)])
-    q = builder.variable(names, scale=scale)
-    best = builder.variable(["margin"], lower=0.0, upper=0.999) if question.objective == "margin" else None
-    given = _given(builder, question)
-    shift = ca.vertcat(*(q[n + k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
-    length = given.length + given.length_slope @ q[n:]
-    lengths = BlockInput(
-        q[:n], given.transmission - shift, given.torsional, length, given.stiffness, given.moment, *given.place
-    )
-    block = add_equilibrium(builder, structure, lengths)
-    tip, direction, points, bend = _shape(block)
-    builder.constrain([f"tip position, {axis}" for axis in "xyz"], (tip - given.position) / question.length)
+def inverse_program(question: Question) -> Problem:
+    """The program of a question; built once.
+
+    Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
+    Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
+    (n,) at translations 0; `position`, `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,);
+    `reference` and `weights` of the joints; `order` (closings, G) and its `bound`.
+    """
+    structure, length = question.structure, question.length
+    n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
+    problem = Problem("inverse kinematics")
+
+    def given(name: str, rows: int = 1, columns: int = 1) -> Any:
+        return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
+
+    turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
+    floor = least = given("least margin")
+    if question.objective == "margin":
+        floor = problem.variable("margin", lower=0.0, upper=0.999)
+        problem.subject_to("margin above its bound", floor - least)
+        problem.maximize(floor)
+    moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
+    own = {
+        "transmission": given("transmission at 0", n) - moved,
+        "lengths": given("lengths at 0", pieces) + given("lengths per translation", pieces, groups) @ shift,
+    }
+    arm = add_torsion(problem, structure, turn, own)
+    frame, tip, points, bend = _shape(arm)
+    direction, wanted, weight = frame[:, 2], given("direction", 3), given("direction weight")
+    problem.subject_to("tip position", tip - given("position", 3), upper=0.0, scale=length)
     if question.pointed:
-        builder.constrain([f"tip direction, {axis}" for axis in "xy"], _aside(direction, given.direction))
-        builder.constrain(["tip direction, sense"], ca.dot(direction, given.direction), lower=0.0, upper=np.inf)
-    floor = given.min_margin if best is None else best
-    fields = _jacobi(block, structure.collocated, lengths.transmission, floor)
-    names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(fields.numel() - 1)] + ["margin"]
-    builder.constrain(names, fields, lower=0.0, upper=np.inf)
-    if best is not None:
-        builder.constrain(["margin above its bound"], best - given.min_margin, lower=0.0, upper=np.inf)
+        problem.subject_to("tip direction", _aside(direction, wanted), upper=0.0)
+        problem.subject_to("tip direction, sense", ca.dot(direction, wanted))
+    fields = _jacobi(arm, structure.coupled, floor)
+    names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
+    problem.subject_to("Jacobi fields", fields, entries=names)
+    order, bound = given("order", question.closings, groups), given("bound", question.closings)
     if question.closings:
-        closing = given.order @ q[n:] - given.bound
-        names = [f"order of breakpoints {k + 1}" for k in range(question.closings)]
-        builder.constrain(names, closing / question.length, lower=0.0, upper=np.inf)
+        problem.subject_to("order of breakpoints", order @ shift - bound, scale=length)
+    clearance, radius = given("clearance"), given("radius", pieces)
     for k, obstacle in enumerate(question.obstacles):
-        clear = _soft_distance(obstacle, points, given.radius, question.length) - given.clearance
-        builder.constrain([f"clearance of obstacle {k + 1}"], clear / question.length, lower=0.0, upper=np.inf)
-    distance = given.weights * (q - given.reference)
-    if question.objective == "nearest":
-        builder.minimise(ca.sumsqr(distance) / 2)
-    elif best is not None:
-        builder.minimise(-best)
-    else:
-        builder.minimise(bend * question.length / 2)
-    if question.aimed:
-        builder.minimise(given.direction_weight * ca.sumsqr(direction - given.direction) / 2)
-    return _close(builder, question, (block.rotation, tip, direction, fields))
-
-
-def _close(builder: Builder, question: Question, parts: tuple[Any, ...]) -> Program:
-    """Build the program with derivatives: the Jacobian in two parts, since its few dense rows are cheap in reverse."""
-    theta, tip, direction, fields = parts
-    nlp = builder.build()
-    first = question.structure.n_tubes
-    options: dict[str, Any] = {"ipopt.max_iter": 150, "ipopt.tol": 1e-7, "ipopt.constr_viol_tol": 1e-10}
-    sparse = [k for k, name in enumerate(nlp.constraint_names) if _local(name)]
-    dense = [k for k, name in enumerate(nlp.constraint_names) if not _local(name)]
-    table = ca.SX(len(nlp.constraint_names), len(nlp.names))
-    table[sparse, :] = ca.jacobian(nlp.constraints[sparse], nlp.x)
-    for k in dense:
-        table[k, :] = ca.gradient(nlp.constraints[k], nlp.x).T
-    options["jac_g"] = ca.Function("jac_g", [nlp.x, nlp.p], [nlp.constraints, table], ["x", "p"], ["g", "jac_g_x"])
-    # Second derivatives of shape and Jacobi fields take seconds to build for every order of breakpoints; IPOPT's
-    # quasi-Newton approximation needs no more iterations with them than without.
-    options["ipopt.hessian_approximation"] = "limited-memory"
-    order = [k for k, name in enumerate(nlp.constraint_names) if name.startswith("order of breakpoints")]
-    closing = slice(order[0], order[-1] + 1) if order else slice(0, 0)
-    count = first + len(question.carriages)
-    return Program(
-        nlp=nlp,
-        solver=nlp.ipopt("inverse", **options),
-        joints=slice(0, count),
-        closing=closing,
-        tip=ca.Function("tip", [nlp.x, nlp.p], [tip, direction]),
-        margin=ca.Function("margin", [nlp.x, nlp.p], [fields]),
-        jacobian=ca.Function("jacobian", [nlp.x, nlp.p], [table]),
-        theta=ca.Function("theta", [nlp.x, nlp.p], [ca.densify(theta)]),
-    )
-
-
-DENSE = ("tip", "margin", "clearance")
-
-
-def _local(name: str) -> bool:
-    """Whether a constraint depends on few unknowns only."""
-    return not name.startswith(DENSE)
-
-
-def _given(builder: Builder, question: Question) -> Given:
-    """Parameters, in the order of the fields of `Given`."""
-    structure = question.structure
-    n, pieces, groups = structure.n_tubes, structure.n_pieces, len(question.carriages)
-    matrix = {"length_slope": (pieces, groups), "stiffness": (n, pieces), "moment": (n, pieces)}
-    size = {"length": pieces, "transmission": n, "torsional": n, "position": 3, "direction": 3, "radius": pieces}
-    size |= dict.fromkeys(("direction_weight", "min_margin", "clearance"), 1)
-    size |= dict.fromkeys(("reference", "weights"), n + groups) | {"bound": question.closings}
-    matrix["order"] = (question.closings, groups)
-    values: dict[str, Any] = {}
-    for name in Given.__dataclass_fields__:
-        if name == "place":
-            eccentric = structure.eccentric
-            values[name] = (builder.parameter(n), builder.parameter(n)) if eccentric else (None, None)
-        elif name in matrix:
-            rows, columns = matrix[name]
-            values[name] = ca.reshape(builder.parameter(rows * columns), rows, columns)
-        else:
-            values[name] = builder.parameter(size[name])
-    return Given(**values)
-
-
-def given_values(**values: Any) -> Array:
-    """Numbers for the parameters: a value for every field of `Given`, `place` a pair or None."""
-    parts = []
-    for name in Given.__dataclass_fields__:
-        value = values[name]
-        if name == "place":
-            parts += [np.ravel(each) for each in value or ()]
-        else:
-            parts.append(np.ravel(np.asarray(value, dtype=float), order="F"))
-    return np.concatenate(parts)
+        far = _soft_distance(obstacle, points.shape[1], length)
+        thick = ca.reshape(ca.repmat(radius.T, 2 * STEPS, 1), 1, -1)
+        clear = far(points, ca.horzcat(radius[0], thick))
+        problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
+    off = given("weights", n + groups) * (ca.vertcat(turn, shift) - given("reference", n + groups))
+    cost = {"nearest": ca.sumsqr(off) / 2, "margin": -floor, "curvature": bend * length / 2}[question.objective]
+    problem.minimize(cost + weight * ca.sumsqr(direction - wanted) / 2 if question.aimed else cost)
+    return problem
 
 
 def _aside(direction: Any, target: Any) -> Any:
@@ -250,46 +145,65 @@ def has_formula(obstacle: Obstacle) -> bool:
     return True
 
 
-def _soft_distance(obstacle: Obstacle, points: Sequence[tuple[int, Any]], radius: Any, length: float) -> Any:
-    """A smooth number at most the least distance of the arm from an obstacle: -log(sum exp(-k d)) / k."""
-    sharp = SHARPNESS * 10 / length
-    distance = ca.vertcat(*(obstacle.distance(p[0], p[1], p[2]) - radius[piece] for piece, p in points))
-    return -ca.logsumexp(-sharp * distance) / sharp
+def _soft_distance(obstacle: Obstacle, count: int, length: float) -> ca.Function:
+    """(points (3, count), radii (1, count)) -> a smooth number at most the least distance from an obstacle:
+    -log(sum exp(-k d)) / k."""
+    sharp, points, radius = SHARPNESS * 10 / length, ca.SX.sym("p", 3, count), ca.SX.sym("r", 1, count)
+    distance = [obstacle.distance(*ca.vertsplit(points[:, k])) - radius[k] for k in range(count)]
+    return ca.Function("soft", [points, radius], [-ca.logsumexp(-sharp * ca.vertcat(*distance)) / sharp])
 
 
-def _shape(block: Block) -> tuple[Any, Any, list[tuple[int, Any]], Any]:
-    """Tip, its direction, points along the arm with their pieces, and int |u|^2 ds."""
-    frame, position, bend = ca.SX.eye(3), ca.SX.zeros(3), ca.SX(0)
-    points: list[tuple[int, Any]] = [(0, position)]
-    x = ((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel()
-    for piece, torsion in enumerate(block.torsion):
-        h, u = torsion.piece.length / STEPS, torsion.curvature(x)
-        for k in range(STEPS):
-            own = u[:, 3 * k : 3 * k + 3]
-            before, ahead = position, frame[:, 2]
-            frame, position = magnus_step(frame, position, own, h)
-            points += [(piece, p) for p in _cubic(before, position, h * ahead, h * frame[:, 2])]
-            bend += h * ca.dot(ca.DM([5, 8, 5]) / 18, ca.sum1(own**2).T)
-    return position, frame[:, 2], points, bend
+def _shape(arm: TorsionModel) -> tuple[Any, Any, Any, Any]:
+    """Frame and position of the tip, points along the arm (3, 1 + 2 STEPS P), and int |u|^2 ds."""
+    frame, position, bend = ca.MX(ca.DM.eye(3)), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+    points = [position]
+    for k in range(arm.n_pieces):
+        frame, position, inside, part = _piece_shape(arm.grid)(frame, position, *arm.piece(k))
+        points.append(inside)
+        bend = bend + part
+    return frame, position, ca.horzcat(*points), bend
 
 
-def _jacobi(block: Block, collocated: tuple[bool, ...], transmission: Any, margin: Any) -> Any:
+@lru_cache(maxsize=16)
+def _piece_shape(grid: Grid) -> ca.Function:
+    """(R, p, arguments of a piece) -> R, p where it ends, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
+    torsion = torsion_of(symbols(grid))
+    first = frame, position = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
+    h, bend, points = torsion.piece.length / STEPS, ca.SX(0), []
+    u = torsion.curvature(((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel())
+    for k in range(STEPS):
+        own = u[:, 3 * k : 3 * k + 3]
+        before, ahead = position, frame[:, 2]
+        frame, position = magnus_step(frame, position, own, h)
+        # Halfway on the cubic with the tangents at both ends.
+        points += [(before + position) / 2 + h * (ahead - frame[:, 2]) / 8, position]
+        bend += h * ca.dot(ca.DM([5, 8, 5]) / 18, ca.sum1(own**2).T)
+    outputs = [frame, position, ca.horzcat(*points), bend]
+    return ca.Function("shape", [*first, *torsion.piece.arguments], outputs, {"cse": True})
+
+
+def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
     """Determinants of the Jacobi fields of tubes softened by `margin`: where pieces begin, tip to base, then of the
     base with the transmissions."""
-    n = transmission.numel()
-    fields = ca.vertcat(ca.SX.eye(n), ca.SX.zeros(n, n))
+    n = arm.grid.n_tubes
+    determinant = determinant_function(n)
+    y, v = ca.MX(ca.DM.eye(n)), ca.MX(ca.DM.zeros(n, n))
     out = []
-    for piece, torsion in reversed(list(enumerate(block.torsion))):
-        if collocated[piece]:
-            fields = marched_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+    for k in reversed(range(arm.n_pieces)):
+        if coupled[k]:
+            y, v = ca.vertsplit(_piece_fields(arm.grid)(ca.vertcat(y, v), margin, *arm.piece(k)), n)
         else:
-            fields = ca.vertcat(fields[:n, :] - torsion.piece.length * fields[n:, :], fields[n:, :])
-        if piece:
-            out.append(determinant(fields[:n, :]))
-    out.append(determinant(fields[:n, :] - ca.diag(transmission) @ fields[n:, :]))
+            y = y - arm.lengths[k] * v
+        if k:
+            out.append(determinant(y))
+    out.append(determinant(y - ca.repmat(arm.transmission, 1, n) * v))
     return ca.vertcat(*out)
 
 
-def _cubic(start: Any, end: Any, ahead: Any, behind: Any) -> list[Any]:
-    """Points at the middle and the end of a step with tangents (times its length) at both ends."""
-    return [(start + end) / 2 + (ahead - behind) / 8, end]
+@lru_cache(maxsize=16)
+def _piece_fields(grid: Grid) -> ca.Function:
+    """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
+    torsion, n = torsion_of(symbols(grid)), grid.n_tubes
+    fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
+    marched = marched_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})

@@ -44,6 +44,9 @@ POSITION_TOLERANCE = 1e-8
 DIRECTION_TOLERANCE = 1e-7
 """Angle (rad) at which it counts as pointing there."""
 
+AT_BODY = 1e-5
+"""Clearance (m) beyond what is kept at which an obstacle counts as holding the arm."""
+
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
 
@@ -283,7 +286,6 @@ def held_by(goal: Goal, at: Posture) -> list[str]:
     words = goal.space.active(at.q)
     if at.margin - goal.floor < 1e-3:
         words.append(f"margin at its bound ({goal.min_margin:g})")
-    for k, obstacle in enumerate(goal.obstacles):
-        if at.clearance(obstacle) - goal.gap < 1e-5:
-            words.append(f"arm at obstacle {k + 1} ({type(obstacle).__name__.lower()})")
+    for k in np.unique(goal.contacts(at, goal.gap + AT_BODY).body).tolist():
+        words.append(f"arm at obstacle {k + 1} ({type(goal.scene.bodies[k]).__name__.lower()})")
     return words + goal.extras.broken(at)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Scene
 from ..control.joints import JointSpace
+from ..control.outline import Contacts
 from ..control.posture import Posture
 from ..typing import Array
 from .extra import NOTHING, Extras
@@ -32,7 +32,7 @@ class Goal:
 
     position (3,) m; direction (3,) unit vector or None; direction_weight: None holds the tip to the direction, a number
     makes |t - direction|^2 a cost of that weight.
-    min_margin, clearance (m), obstacles: what must hold.
+    min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
     """
 
@@ -41,7 +41,7 @@ class Goal:
     direction: Array | None
     direction_weight: float | None
     min_margin: float
-    obstacles: Sequence[Obstacle]
+    scene: Scene
     clearance: float
     objective: str | None
     reference: Array
@@ -62,7 +62,7 @@ class Goal:
     @property
     def hindered(self) -> bool:
         """Whether obstacles or own constraints are in the way."""
-        return bool(self.obstacles) or bool(self.extras.constraints)
+        return bool(self.scene.bodies) or bool(self.extras.constraints)
 
     @property
     def overdetermined(self) -> bool:
@@ -126,7 +126,7 @@ class Goal:
         """By how much the arm is too close to the obstacle that it violates most, m, or steps of an own constraint are
         missing, as lengths of the robot; 0 where it is clear."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
-        return max(0.0, self.gap - self.least_clearance(at), missing)
+        return max(0.0, self.gap - at.outline.clearance(self.scene, self.gap), missing)
 
     def collisions(self, at: Posture) -> tuple[Array, Array]:
         """(v,) clearances that are missing, over length, steps of own constraints that are, and their slopes (v, m):
@@ -136,15 +136,17 @@ class Goal:
             room = self.extras.room(at)
             values.append(-room[room < 0])
             rows.append(-self.extras.slopes(at)[room < 0])
-        for obstacle in self.obstacles:
-            distance, changes = at.clearance_rows(obstacle, self.gap)
-            values.append((self.gap - distance) / self.space.length)
-            rows.append(-changes / self.space.length)
+        contacts = self.contacts(at, self.gap)
+        if len(contacts.body):
+            values.append((self.gap - contacts.distance) / self.space.length)
+            rows.append(-at.contact_slopes(self.scene, contacts) / self.space.length)
         return np.concatenate(values), np.vstack(rows)
 
-    def least_clearance(self, at: Posture) -> float:
-        """Least distance of the arm from any obstacle, m; infinite without obstacles."""
-        return min((at.clearance(each) for each in self.obstacles), default=float("inf"))
+    def contacts(self, at: Posture, within: float) -> Contacts:
+        """Where the arm comes closer than `within`, m, to obstacles."""
+        if at.outline.clearance(self.scene, within) > within:
+            within = -np.inf
+        return at.outline.contacts(self.scene, within)
 
     def inequalities(self, at: Posture) -> tuple[Array, Array]:
         """Rows and bounds of a step from `at` that keeps the joints' order, the margin, and what is clear now."""
@@ -152,11 +154,11 @@ class Goal:
         slope = at.margin_slope()
         rows = np.vstack([rows, slope])
         bounds = np.append(np.minimum(bounds, 0.0), min(self.floor - at.margin, 0.0) if slope.any() else -np.inf)
-        for obstacle in self.obstacles:
-            values, changes = at.clearance_rows(obstacle, self.gap + NEAR * self.space.length)
-            clear = values >= self.gap
-            rows = np.vstack([rows, changes[clear]])
-            bounds = np.concatenate([bounds, (self.gap - values)[clear]])
+        if self.scene.bodies:
+            contacts = at.outline.contacts(self.scene, self.gap + NEAR * self.space.length)
+            clear = contacts.chosen(contacts.distance >= self.gap)
+            rows = np.vstack([rows, at.contact_slopes(self.scene, clear)])
+            bounds = np.concatenate([bounds, self.gap - clear.distance])
         if self.extras.constraints:
             room = self.extras.room(at)
             rows = np.vstack([rows, self.extras.slopes(at)[room >= 0]])

@@ -329,7 +329,7 @@ class Hunt:
             equilibrium=equilibrium,
             position_error=goal.position_error(at),
             direction_error=goal.direction_error(at),
-            clearance=goal.least_clearance(at),
+            scene=goal.scene,
             cold_start_agrees=same_place(start_at(goal.space, at.q), at),
             straight_from_seed=straight,
             active=tuple(held_by(goal, at)),
@@ -376,7 +376,7 @@ class Hunt:
                 f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}, "
                 f"the largest is {best:.4g}"
             )
-        if goal.obstacles:
+        if goal.scene.bodies:
             return (
                 f"no start was found: no search of {self.tries} ended clear of the obstacles by {goal.clearance:g} m, "
                 f"with a margin of at least {goal.min_margin:g}"

@@ -50,7 +50,7 @@ def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
     if margin < min(goal.floor, before.margin, after.margin) - MARGIN_ROOM:
         words.append(f"the margin falls to {margin:.4g}")
     if gap > SLACK + max(goal.gap - goal.clearance, 0.0):
-        words.append("the arm comes too close to an obstacle" if goal.obstacles else "an own constraint is not kept")
+        words.append("the arm comes too close to an obstacle" if goal.scene.bodies else "an own constraint is not kept")
     return ", ".join(words), True
 
 

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.posture import Posture, arm_radius
+from ..control.posture import Posture
 from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
-from ..solvers.ipopt import start_values
+from ..solvers.ipopt import inside_points
 from ..solvers.newton import newton
-from ..transcription.block import structure_of
+from ..solvers.problem import Problem
+from ..solvers.problem_solution import ProblemSolution
+from ..solvers.problem_status import ProblemStatus
+from ..transcription.program import structure_of, torsion_guess, torsion_numbers
 from ..transcription.reduced import margin, to_unknowns
 from ..typing import Array
-from .collocated import Program, Question, given_values, has_formula, inverse_program
+from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .descent import Search
 from .goal import Goal
 from .order import CLOSED, Order, apart, beyond, breakpoint_order
@@ -25,15 +28,20 @@ from .order import CLOSED, Order, apart, beyond, breakpoint_order
 MOST_SWITCHES = 6
 """Changes of the order of breakpoints on the way."""
 
+MOST_BODIES = 16
+"""Obstacles at most: every one costs as much as all of the arm."""
+
 MARGIN_ROOM = 1e-4
 """Margin kept above the bound: more than the steps of the Jacobi fields are off."""
 
 
 def programmable(goal: Goal) -> bool:
-    """Whether the program can be written: enough joints for the target, a formula for every obstacle, nothing own."""
+    """Whether the program can be written: enough joints for the target, few obstacles, a formula for every one, nothing
+    own."""
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
-    return not goal.overdetermined and all(has_formula(obstacle) for obstacle in goal.obstacles)
+    bodies = goal.scene.bodies
+    return not goal.overdetermined and len(bodies) <= MOST_BODIES and all(has_formula(body) for body in bodies)
 
 
 def solve_program(goal: Goal, start: Posture) -> Search:
@@ -62,95 +70,82 @@ def _score(goal: Goal, at: Posture) -> tuple[float, float]:
     return (0.0 if missing < 1e-6 else missing), goal.cost(at)
 
 
+USABLE = (ProblemStatus.SOLVED, ProblemStatus.TOO_MANY_ITERATIONS, ProblemStatus.INFEASIBLE)
+"""Stopped short of the optimum, an iterate may still be a better answer than none, and where this order of breakpoints
+does not reach the target, the next may: what follows checks."""
+
+
 def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tuple[Array, float]]]:
     """Solve with the order of breakpoints of `at`; the posture reached, iterations, what to cross."""
-    space, problem = goal.space, at.solution.problem
     order = breakpoint_order(goal, at)
-    program, question = _program(goal, at, order)
-    nlp = program.nlp
-    if np.count_nonzero(nlp.bounds["lbg"] == nlp.bounds["ubg"]) > len(nlp.names):
+    question = _question(goal, at, order)
+    if question.overdetermined:
         return None, 0, []  # as where all tubes are withdrawn, and nothing is left to turn
-    x = start_values(question.structure, problem, at.solution.arm, "equations")
-    free = [min(max(at.margin - 0.01, goal.floor), 0.998)] if question.objective == "margin" else []
-    x = np.concatenate([at.q, free, x])
-    bounds = _bounds(goal, program)
-    parameters = _parameters(goal, at, order, question)
-    result = program.solver(x0=x / nlp.scale, p=parameters, **bounds)
-    stats = program.solver.stats()
-    values = np.asarray(result["x"].full()).ravel() * nlp.scale
-    if not np.isfinite(values).all():
+    program = posed(goal, at, order)
+    found = program.attempt(SETTINGS)
+    if not all(np.isfinite(value).all() for value in found.values.values()):
         return None, 0, []
-    iterations = int(stats["iter_count"])
-    # Stopped short of the optimum, an iterate may still be a better answer than none, and where this order of
-    # breakpoints does not reach the target, the next may: what follows checks.
-    usable = stats["success"] or stats["return_status"] in (
-        "Maximum_Iterations_Exceeded",
-        "Infeasible_Problem_Detected",
-    )
-    posture = _read(goal, at, program, values, parameters, order) if usable else None
+    posture = _read(goal, at, found, order) if found.status in USABLE else None
     if posture is None:
-        return None, iterations, []
-    gap = order.rows @ values[program.joints][space.robot.n_tubes :] - order.bound
-    force = np.asarray(result["lam_g"].full()).ravel()[program.closing]
+        return None, found.statistics.iterations, []
+    gap = order.rows @ found.values["translations"] - order.bound
+    force = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
     pressed = ((gap <= 10 * CLOSED) & (np.abs(force) > 1e-7))[: order.changeable]
-    return posture, iterations, [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
+    crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
+    return posture, found.statistics.iterations, crossed
 
 
-def _program(goal: Goal, at: Posture, order: Order) -> tuple[Program, Question]:
-    question = Question(
+def _question(goal: Goal, at: Posture, order: Order) -> Question:
+    return Question(
         structure=structure_of(at.solution.problem),
         carriages=goal.space.carriages,
         pointed=goal.pointed,
         aimed=goal.direction is not None and goal.direction_weight is not None,
         objective=goal.objective or "nearest",
-        obstacles=tuple(goal.obstacles),
+        obstacles=goal.scene.bodies,
         length=goal.space.length,
         closings=len(order.bound),
     )
-    return inverse_program(question), question
 
 
-def _bounds(goal: Goal, program: Program) -> dict[str, Array]:
-    """Bounds of the scaled program with the ranges of the joints."""
-    bounds = {key: value.copy() for key, value in program.nlp.bounds.items()}
-    scale = program.nlp.scale[program.joints]
-    bounds["lbx"][program.joints] = goal.space.lower / scale
-    bounds["ubx"][program.joints] = goal.space.upper / scale
-    return bounds
+def posed(goal: Goal, at: Posture, order: Order) -> Problem:
+    """The program of a goal, with its numbers, that starts at a posture."""
+    program, space, problem = inverse_program(_question(goal, at, order)), goal.space, at.solution.problem
+    n, mesh = space.robot.n_tubes, problem.mesh
+    numbers = torsion_numbers(problem)
+    numbers["transmission at 0"] = numbers.pop("transmission") + (space.spread @ at.q)[n:]
+    del numbers["lengths"]
+    numbers |= {
+        "lengths at 0": order.length,
+        "lengths per translation": order.length_slope,
+        "position": goal.position,
+        "direction": np.zeros(3) if goal.direction is None else goal.direction,
+        "direction weight": np.array(goal.direction_weight or 0.0),
+        "least margin": np.array(goal.min_margin + MARGIN_ROOM),
+        "clearance": np.array(goal.gap),
+        "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
+        "reference": at.q if goal.objective is None else goal.reference,
+        "weights": 1 / space.scale if goal.objective is None else goal.weights,
+        "order": order.rows,
+        "bound": order.bound,
+    }
+    for name, value in numbers.items():
+        program.set_value(name, np.ravel(value, order="F"))
+    for name, value in torsion_guess(problem, at.solution.arm).items():
+        program.set_guess(name, value)
+    for name, part in (("rotations", slice(0, n)), ("translations", slice(n, None))):
+        program.set_guess(name, at.q[part])
+        program.set_bounds(name, space.lower[part], space.upper[part])
+    if goal.objective == "margin":
+        program.set_guess("margin", min(max(at.margin - 0.01, goal.floor), 0.998))
+    return program
 
 
-def _parameters(goal: Goal, at: Posture, order: Order, question: Question) -> Array:
-    space, problem = goal.space, at.solution.problem
-    assembly, mesh = problem.assembly, problem.mesh
-    n = space.robot.n_tubes
-    shift = (space.spread @ at.q)[n:]
-    middle = mesh.start + 0.5 * mesh.length
-    return given_values(
-        length=order.length,
-        length_slope=order.length_slope,
-        transmission=assembly.transmission + shift,
-        torsional=assembly.torsional_stiffness,
-        stiffness=problem.piece_stiffness.T,
-        moment=problem.piece_moment.T,
-        place=(assembly.offset, assembly.offset_angle) if question.structure.eccentric else None,
-        position=goal.position,
-        direction=np.zeros(3) if goal.direction is None else goal.direction,
-        direction_weight=goal.direction_weight or 0.0,
-        min_margin=goal.min_margin + MARGIN_ROOM,
-        clearance=goal.gap,
-        radius=arm_radius(at.equilibrium, middle),
-        reference=at.q if goal.objective is None else goal.reference,
-        weights=1 / space.scale if goal.objective is None else goal.weights,
-        order=order.rows,
-        bound=order.bound,
-    )
-
-
-def _read(goal: Goal, at: Posture, program: Program, values: Array, parameters: Array, order: Order) -> Posture | None:
+def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Posture | None:
     """The posture at a solution of the program: solved by Newton's method from its rotations."""
-    q = goal.space.clip(values[program.joints])
+    q = goal.space.clip(np.concatenate([found.values["rotations"], found.values["translations"]]))
     rotations, shift = goal.space.split(q)
-    theta = program.theta(values / program.nlp.scale, parameters).full().T
+    theta = inside_points(at.solution.problem, found.values["rotation inside"])
     try:
         problem = reduced_problem(goal.space.robot, shift, DEFAULT_DISCRETISATION)
     except InputError:

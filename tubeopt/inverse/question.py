@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import scene_of
 from ..control.joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
 from ..control.posture import Posture, posture_of
 from ..equilibrium.kinematics import forward_kinematics
@@ -65,7 +66,7 @@ def pose_question(
         direction=None if direction is None else unit_vector("direction", direction),
         direction_weight=options.direction_weight,
         min_margin=floor,
-        obstacles=bodies,
+        scene=scene_of(bodies),
         clearance=options.clearance,
         objective=options.objective or ("nearest" if named else None),
         reference=centre,

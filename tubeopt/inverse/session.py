@@ -14,6 +14,7 @@ from ..control.joints import Configuration
 from ..control.least_squares import constrained_least_squares
 from ..control.posture import Posture, same_place
 from ..errors import InputError, SolveError, vector
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -44,6 +45,9 @@ PUSH = 0.5
 
 CAREFUL = 0.15
 """Margin above its bound below which the derivatives are computed anew for every step."""
+
+ROOM, ROOM_AT_LEAST = 4.0, 2e-4
+"""Clearance (m) to spare for a step that does not look at bodies: per way of the tip, and at least."""
 
 MOST_CHORDS = 4
 """Equilibria that a step may cost before its derivatives count as stale."""
@@ -114,6 +118,7 @@ class IkSession:
         """The last answer, None before the first."""
         return self._solution
 
+    @small
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
         """The answer for the next target, near the last one.
 
@@ -142,6 +147,7 @@ class IkSession:
         )
         return self._solution
 
+    @small
     def lead(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
         """The answer for the next target, and before it answers for targets on the straight line from the last one,
         as many as it takes that no straight way of joint values between two of them leaps.
@@ -226,11 +232,11 @@ class IkSession:
         """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
         the equilibria solved."""
         goal, last = goals
-        if here.margin < goal.floor + CAREFUL or goal.hindered or (near is not None and near.age >= MOST_STEPS):
+        if here.margin < goal.floor + CAREFUL or (near is not None and near.age >= MOST_STEPS):
             near = None
         solves = 0
-        for start, slopes, order in _attempts(goal, here, near):
-            moved, after, count = _servo(goal, start, slopes, order)
+        for start, slopes, order, guarded in _attempts(goal, here, near):
+            moved, after, count = _servo(goal, start, slopes, order, guarded=guarded)
             solves += count
             if moved is not None:
                 return moved, after if count <= MOST_CHORDS else None, solves
@@ -260,7 +266,7 @@ class IkSession:
             equilibrium=equilibrium,
             position_error=goal.position_error(at),
             direction_error=goal.direction_error(at),
-            clearance=goal.least_clearance(at),
+            scene=goal.scene,
             cold_start_agrees=None,
             straight_from_seed=safe,
             active=tuple(held_by(goal, at)),
@@ -303,30 +309,47 @@ def _blend(start: Array, goal: Goal, share: float) -> Array:
     return np.asarray(between / np.linalg.norm(between))
 
 
-def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None]]:
-    """Where to step from, and with which derivatives: those of earlier steps; new ones; then, since derivatives change
-    with the order of breakpoints, without a change of order, and from beyond each change that is close."""
-    if near is not None:
-        yield here, near, None
+def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None, bool]]:
+    """Where to step from, with which derivatives, and whether the step is guarded by obstacles and own constraints:
+    with derivatives of earlier steps, unguarded; with new ones, guarded if there is nothing to spare or else it failed;
+    then, since derivatives change with the order of breakpoints, without a change of order, and from beyond each change
+    that is close."""
+    room = _roomy(goal, here)
+    if near is not None and room:
+        yield here, near, None, False
     fresh = _Slopes(goal.slope(here), here.margin_slope(), 0)
-    yield here, fresh, None
+    if room:
+        yield here, fresh, None, False
+    if goal.hindered:
+        yield here, fresh, None, True
     order = breakpoint_order(goal, here)
-    yield here, fresh, order
+    yield here, fresh, order, True
     shift = here.q[goal.space.robot.n_tubes :]
     gap = (order.rows @ shift - order.bound)[: order.changeable]
     for k in np.flatnonzero(gap <= CLOSE_TO_A_CHANGE):
         other = beyond(goal, here, [(order.rows[k], float(order.bound[k]))])
         if other is not None:
-            yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other)
+            yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
 
 
-def _servo(goal: Goal, here: Posture, near: _Slopes, order: Order | None) -> tuple[Posture | None, _Slopes, int]:
-    """One step towards the target and, in what it leaves free, towards larger margin; then corrections."""
+def _roomy(goal: Goal, here: Posture) -> bool:
+    """Whether the arm is so far from all bodies that a step to the target will not bring it to them, as a rule."""
+    if goal.extras.constraints:
+        return False
+    enough = goal.gap + ROOM_AT_LEAST + ROOM * goal.position_error(here)
+    return here.outline.clearance(goal.scene, enough) >= enough
+
+
+def _servo(
+    goal: Goal, here: Posture, near: _Slopes, order: Order | None, *, guarded: bool
+) -> tuple[Posture | None, _Slopes, int]:
+    """One step towards the target and, in what it leaves free, towards larger margin; then corrections. The posture is
+    None where it is not allowed."""
     residual = goal.residual(here)
     if goal.reached(here, ON_TARGET, ON_TARGET):
         return here, near, 0
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + CAREFUL or goal.hindered:
+    if here.margin < goal.floor + CAREFUL or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
         kept, gap = order.steps(here.q)

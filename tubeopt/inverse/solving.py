@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ..bodies.obstacles import Obstacle
 from ..control.joints import Configuration
 from ..errors import InputError, choice
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
@@ -57,6 +58,7 @@ def inverse_kinematics(
 ) -> list[InverseSolution]: ...
 
 
+@small
 def inverse_kinematics(
     robot: Robot,
     position: ArrayLike,

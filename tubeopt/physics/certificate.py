@@ -40,6 +40,20 @@ def laplacian(stiffness: Any, moment: Any) -> Any:
 
 
 @lru_cache(maxsize=16)
+def coupling_rate_function(n: int) -> ca.Function:
+    """(kb, m, kt (n,)) -> bound sqrt(c) of the fastest growth or oscillation of torsion, 1/m; 0 where no tube is.
+
+    For two tubes c = (1 + nu) kappa_1 kappa_2 when their nu are equal (Dupont et al. 2010); for more, the row sums of
+    the Jacobi matrix, and what is behind them, sum_j |c_ij| (1 / kt_i + 1 / kt_j), bound its eigenvalues.
+    """
+    stiffness, moment, kt = (ca.SX.sym(s, n) for s in ("kb", "m", "kt"))
+    there = ca.if_else(ca.sum1(stiffness) > 0, stiffness, ca.DM.ones(n))
+    pairs = pair_couplings(there, moment)
+    rate = ca.sqrt(ca.mmax(pairs @ (1 / kt) + ca.sum2(pairs) / kt))
+    return ca.Function("coupling_rate", [stiffness, moment, kt], [rate], {"cse": True})
+
+
+@lru_cache(maxsize=16)
 def worst_function(n: int) -> ca.Function:
     """(kb, m, y) -> -C (n, n), -y' C y, its gradient with respect to kb and m (2 n), |c_ij| (n, n)."""
     stiffness, moment, y = (ca.SX.sym(s, n) for s in ("kb", "m", "y"))

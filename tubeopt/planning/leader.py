@@ -18,6 +18,7 @@ from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -46,6 +47,7 @@ LONGEST = 0.15
 """Largest change of a coordinate per step of Gauss-Newton, in units of the scales."""
 
 
+@small
 def follow_the_leader(
     robot: Robot,
     goal: Any,

@@ -14,6 +14,7 @@ from ..control.search import Way, find_way, shorten
 from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -53,6 +54,7 @@ SHARE_OF_SMOOTHING = 0.5
 Faults = tuple[str, ...]
 
 
+@small
 def plan_trajectory(
     robot: Robot,
     start: Any,

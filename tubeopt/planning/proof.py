@@ -26,6 +26,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..stability.following import _waypoints
@@ -91,6 +92,7 @@ class Proof(Displayed):
         return self.least_clearance
 
 
+@small
 def verify_trajectory(
     robot: Robot,
     time: ArrayLike,

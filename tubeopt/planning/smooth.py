@@ -10,7 +10,6 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..bodies.corridors import MeshObstacle
-from ..bodies.scene import scene_of
 from ..control.clock import Clock
 from ..control.task import Task
 from ..equilibrium.result import Equilibrium
@@ -157,7 +156,8 @@ def _near(task: Task, z: Array) -> Task:
         return task
     reach = NEAR * task.chart.space.length + task.clearance + float(task.chart.radius.max())
     points = task.chart.arms(z, 0.0).fine()[1]
-    return replace(task, obstacles=scene_of(task.obstacles).close(points.reshape(-1, 3), reach))
+    near = task.scene.close(points.reshape(-1, 3), reach)
+    return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
 
 
 def path_cost(extra: OwnObjective, n: int) -> Expression:

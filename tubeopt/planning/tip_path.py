@@ -16,6 +16,7 @@ from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
+from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -43,6 +44,7 @@ DENSE = 40
 """Points per piece at which a curve is sampled."""
 
 
+@small
 def follow_tip_path(
     robot: Robot,
     path: ArrayLike,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..control.clock import Clock
-from ..control.posture import posture_of
+from ..control.outline import Outline
 from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -73,12 +73,4 @@ def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -
 
 def clearance_of(task: Task, equilibrium: Equilibrium) -> float:
     """Least distance of the arm from obstacles, m; infinite without."""
-    if not task.obstacles:
-        return float("inf")
-    posture = posture_of(task.chart.space, equilibrium)
-    s, points, radius = posture.fine
-    coarse = [float((obstacle.signed_distance(points) - radius).min()) for obstacle in task.obstacles]
-    # Between two points a distance falls by no more than half of theirs: others cannot be the nearest.
-    within = min(coarse) + float(np.diff(s).max(initial=0.0)) / 2
-    near = [obstacle for obstacle, least in zip(task.obstacles, coarse, strict=True) if least <= within]
-    return min(posture.clearance(obstacle) for obstacle in near)
+    return Outline(equilibrium).clearance(task.scene)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
@@ -42,6 +44,13 @@ TURNED = Field(None, description="rotation of every tube, inner to outer; by def
 SHIFTED = Field(None, description="translation of every tube, inner to outer; by default home")
 
 
+def _of_the_robot(tube: int, info: ValidationInfo) -> int:
+    robot = info.data.get("robot")
+    if robot is not None and tube > robot.n_tubes:
+        raise ValueError(f"is {tube}; it must be 1 to {robot.n_tubes}")
+    return tube
+
+
 def _whole(value: object) -> int:
     number = decimal(value)
     if number != number.to_integral_value():
@@ -52,15 +61,49 @@ def _whole(value: object) -> int:
 Whole = Annotated[int, BeforeValidator(_whole)]
 """A whole number."""
 
+Count = Annotated[Whole, Field(ge=1)]
+"""A whole number, at least 1."""
+
+
+TubeNumber = Annotated[Count, AfterValidator(_of_the_robot), Field(description="which tube of the robot, from 1")]
+"""One of the tubes of the study's robot."""
+
+
+class Kinds(Mapping[str, type[Entry]]):
+    """Kinds of a file -> the entry that reads it, from "module.Class" of this package: imported when asked for."""
+
+    def __init__(self, where: Mapping[str, str]) -> None:
+        self._where = where
+
+    def __getitem__(self, kind: str) -> Any:
+        module, name = self._where[kind].split(".")
+        return getattr(importlib.import_module(f".{module}", __package__), name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._where)
+
+    def __len__(self) -> int:
+        return len(self._where)
+
 
 class Study(Entry):
     """What all kinds of study have in common."""
+
+    doing: ClassVar[str] = "running the study"
+    """What is told while its answer is computed."""
+
+    keeps: ClassVar[str] = ""
+    """What `run_in` has saved into {out} where it is interrupted."""
 
     kind: str
 
     def run(self, progress: Progress | None = None) -> Any:
         """The answer to the question that the study asks."""
         raise NotImplementedError
+
+    def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
+        """The answer, as `run` gives it; what can be kept of it on the way is kept in `out`, to go on from there."""
+        return self.run(progress)
 
 
 def radians(values: Sequence[Decimal] | None, otherwise: Array) -> Array:

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..design import (
     Avoid,
     Corridor,
@@ -33,9 +32,7 @@ from ..files.fields import Part
 from ..files.units import DEG, MM, PER_M, PERCENT, to_si
 from ..robots.file import Range
 from .base import Whole
-
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
-"""x, y and z."""
+from .obstacle_file import Bodies, Triple, point
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""
@@ -44,12 +41,6 @@ Row = Annotated[list[Number], Field(min_length=1)]
 def metres(values: Sequence[Decimal]) -> tuple[float, ...]:
     """Numbers in mm as SI."""
     return tuple(to_si(value, MM) for value in values)
-
-
-def point(values: Sequence[Decimal]) -> tuple[float, float, float]:
-    """Three numbers in mm as SI."""
-    x, y, z = metres(values)
-    return x, y, z
 
 
 RANGES = {
@@ -196,47 +187,15 @@ class CorridorEntry(Part):
         return Corridor(tuple(point(row) for row in self.centreline_mm), to_si(self.radius_mm, MM))
 
 
-class ObstacleEntry(Part):
-    """A body: a sphere (centre_mm, radius_mm), a capsule (from_mm, to_mm, radius_mm), a box (low_mm, high_mm) or a
-    half-space (point_mm, normal)."""
-
-    centre_mm: Triple | None = None
-    radius_mm: Positive | None = None
-    from_mm: Triple | None = None
-    to_mm: Triple | None = None
-    low_mm: Triple | None = None
-    high_mm: Triple | None = None
-    point_mm: Triple | None = None
-    normal: Triple | None = None
-
-    def build(self) -> Obstacle:
-        """The body in SI."""
-        match self:
-            case ObstacleEntry(centre_mm=list() as centre, radius_mm=Decimal() as radius):
-                return Sphere(point(centre), to_si(radius, MM))
-            case ObstacleEntry(from_mm=list() as start, to_mm=list() as end, radius_mm=Decimal() as radius):
-                return Capsule(point(start), point(end), to_si(radius, MM))
-            case ObstacleEntry(low_mm=list() as low, high_mm=list() as high):
-                return Box(point(low), point(high))
-            case ObstacleEntry(point_mm=list() as place, normal=list() as normal):
-                x, y, z = (float(value) for value in normal)
-                return HalfSpace(point(place), (x, y, z))
-            case _:
-                raise ValueError(
-                    "must give centre_mm and radius_mm; from_mm, to_mm and radius_mm; low_mm and high_mm; or point_mm "
-                    "and normal"
-                )
-
-
 class AvoidEntry(Part):
     """Bodies that the whole arm must keep away from."""
 
-    obstacles: Annotated[list[ObstacleEntry], Field(min_length=1)]
+    obstacles: Bodies
     clearance_mm: NotNegative = Decimal(0)
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid(tuple(body.build() for body in self.obstacles), to_si(self.clearance_mm, MM))
+        return Avoid(self.obstacles, to_si(self.clearance_mm, MM))
 
 
 class Requirements(Part):

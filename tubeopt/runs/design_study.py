@@ -28,7 +28,7 @@ from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, in_file
 from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
-from .base import Progress, RobotPath, Study, Whole
+from .base import Count, Progress, RobotPath, Study, Whole
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
 from .stock_file import load_stock
 
@@ -39,9 +39,6 @@ StockPath = Annotated[
 ]
 """Sizes of tubes, given as the path of their file."""
 
-
-Count = Annotated[Whole, Field(ge=1)]
-"""A whole number, at least 1."""
 
 Aims = Annotated[
     Annotated[ObjectiveEntry, Tag("<one>")] | Annotated[list[ObjectiveEntry], Field(min_length=1), Tag("<several>")],
@@ -71,6 +68,8 @@ class DesignAnswer(Displayed):
 class DesignStudy(Study):
     """The best robot that keeps a list of requirements."""
 
+    doing = "designing"
+
     kind: Literal["design"]
     name: str = ""
     robot: RobotPath
@@ -90,6 +89,7 @@ class DesignStudy(Study):
         None, description="margins of the points of the Pareto front"
     )
     stock: StockStudy | None = None
+    workers: Count = Field(1, description="processes for starts, stock and tolerances")
 
     @model_validator(mode="after")
     def _makes_a_task(self) -> Self:
@@ -114,30 +114,34 @@ class DesignStudy(Study):
             self.ordered,
         )
 
-    def run(
-        self,
-        progress: Progress | None = None,
-        *,
-        report: Callable[[str, float], object] | None = None,
-        starts: int | None = None,
-        workers: int = 1,
-    ) -> DesignAnswer:
-        """The design; `starts` overrides those of the file.
+    def run(self, progress: Progress | None = None) -> DesignAnswer:
+        """The design; `progress.iteration`, where there is such, is called after every iteration of a solve.
 
         Raises:
             SolveError: no design meets all requirements, or the one found does not keep them.
         """
+        watch: Callable[[str, float], object] | None = getattr(progress, "iteration", None)
         task, choice = self.task(), None
-        count = self.starts if starts is None else starts
         if self.stock is not None:
             clearance = to_si(self.stock.clearance_mm, MM)
             choice = choose_from_stock(
-                task, self.stock.file, clearance=clearance, keep=self.stock.keep, workers=workers, progress=progress
+                task,
+                self.stock.file,
+                clearance=clearance,
+                keep=self.stock.keep,
+                workers=self.workers,
+                progress=progress,
             )
             assert choice.best is not None
             task = with_sizes(task, choice.best.sizes)
         solution = optimize_design(
-            task, starts=count, seed=self.seed, workers=workers, turns=self.turns, progress=progress, report=report
+            task,
+            starts=self.starts,
+            seed=self.seed,
+            workers=self.workers,
+            turns=self.turns,
+            progress=progress,
+            report=watch,
         )
         tolerance = None
         if self.tolerances is not None:
@@ -147,7 +151,7 @@ class DesignStudy(Study):
                 translations=certified_at(solution.attempt.program, solution.robot) or None,
                 poses=[(e.rotations, e.translations) for e in solution.equilibria],
                 samples=self.tolerances.samples,
-                workers=workers,
+                workers=self.workers,
                 progress=progress,
             )
         front = None

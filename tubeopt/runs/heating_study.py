@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import NotNegative, Positive, in_file
@@ -20,7 +20,7 @@ from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import Band, Uncertainty, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.mold.materials import mold_material
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study, TubeNumber, Whole
 from .rig_file import load_rig
 
 
@@ -82,25 +82,37 @@ RigPath = Annotated[
 """A rig, given as the path of its file."""
 
 
-def _of_the_robot(tube: int, info: ValidationInfo) -> int:
-    robot = info.data.get("robot")
-    if robot is not None and tube > robot.n_tubes:
-        raise ValueError(f"is {tube}; it must be 1 to {robot.n_tubes}")
-    return tube
+class TubeOnRig(Study):
+    """What studies of heatings share: a rig, and the tube on it."""
 
-
-@asking(HeatingSpec)
-class HeatingStudy(Study):
-    """The schedule that holds the curved part of a tube within a window of temperature."""
-
-    kind: Literal["heating"]
     rig: RigPath
     robot: RobotPath | None = Field(
         None, description="robot whose tube is heated; by default the rig's own tube", examples=["ROBOT.yaml"]
     )
-    tube: Annotated[Whole, Field(ge=1), AfterValidator(_of_the_robot)] = Field(
-        1, description="which tube of the robot, from 1"
-    )
+    tube: TubeNumber = 1
+
+    @model_validator(mode="after")
+    def _has_a_tube(self) -> Self:
+        self.heated()
+        return self
+
+    def heated(self) -> Tube:
+        """The tube that is heated; raises ValueError where neither rig nor robot has it."""
+        if self.robot is None:
+            if self.rig.tube is None:
+                raise ValueError("robot is missing; the rig file names no tube")
+            return self.rig.tube
+        chosen: Tube = self.robot.tubes[self.tube - 1]
+        return chosen
+
+
+@asking(HeatingSpec)
+class HeatingStudy(TubeOnRig):
+    """The schedule that holds the curved part of a tube within a window of temperature."""
+
+    doing = "planning the heating"
+
+    kind: Literal["heating"]
     material: str | None = Field(None, description="mold material in place of the rig's")
     battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
     charges_percent: list[Positive] = Field(
@@ -114,18 +126,9 @@ class HeatingStudy(Study):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        self._tube()
         self._rig()
         slot_milliseconds(self._spec().slot)
         return self
-
-    def _tube(self) -> Tube:
-        if self.robot is None:
-            if self.rig.tube is None:
-                raise ValueError("robot is missing; the rig file names no tube")
-            return self.rig.tube
-        chosen: Any = self.robot.tubes[self.tube - 1]
-        return chosen  # type: ignore[no-any-return]
 
     def _rig(self) -> Rig:
         """The rig with the material and the voltage that are given."""
@@ -148,4 +151,4 @@ class HeatingStudy(Study):
             ensemble = Ensemble(uncertainty, self.samples, scaled=self.robust)
         if progress is not None:
             progress(0, 1 + len(charges) + (ensemble is not None))
-        return heating_of(plan_heating(self._tube(), self._rig(), self._spec()), charges, ensemble, progress)
+        return heating_of(plan_heating(self.heated(), self._rig(), self._spec()), charges, ensemble, progress)

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, in_file
@@ -20,7 +19,7 @@ from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Triple, load_obstacles, point
+from .obstacle_file import Bodies, Triple, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -67,6 +66,8 @@ class TargetTable(Displayed):
 class InverseStudy(Study):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
+    doing = "solving targets"
+
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
     target_mm: Triple | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
@@ -92,9 +93,9 @@ class InverseStudy(Study):
     direction_weight: Positive | None = Field(
         None, description="make the direction a cost of this weight", examples=["W"]
     )
-    obstacles: Annotated[tuple[Obstacle, ...], in_file(load_obstacles, "a YAML file of obstacles")] | None = Field(
+    obstacles: Bodies | None = Field(
         None,
-        description="bodies that the whole arm keeps away from: a YAML file",
+        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
         examples=["OBSTACLES.yaml"],
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")

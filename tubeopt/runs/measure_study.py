@@ -16,6 +16,8 @@ from .base import Progress, RobotPath, Study, Whole
 class MeasureStudy(Study):
     """Configurations that determine chosen parameters of a robot best, joined without a snap."""
 
+    doing = "choosing configurations"
+
     kind: Literal["measure"]
     robot: RobotPath
     fit: list[str] = Field(

@@ -1,23 +1,26 @@
-"""The study of a mold: the grooves that set the shape of a robot's tubes."""
+"""Studies of molds: the grooves or the mandrel that set the shape of tubes, and what they are made of."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from ..display import Displayed
-from ..files.checked import NotNegative, in_file
+from ..files.checked import NotNegative, Number, Positive, in_file
 from ..files.units import MM, to_si
+from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
 from ..shaping.mold.heat import HeatSpec
+from ..shaping.mold.mandrel import Mandrel, plan_mandrel
 from ..shaping.mold.materials import mold_material
-from ..shaping.mold.ranking import MaterialRating
+from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Springback
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study, TubeNumber, Whole
 from .mold_file import load_mold_spec, load_springback
 
 
@@ -40,6 +43,8 @@ MoldPath = Annotated[
 
 class MoldStudy(Study):
     """The mold for the tubes of a robot."""
+
+    doing = "planning the mold"
 
     kind: Literal["mold_plan"]
     robot: RobotPath
@@ -78,3 +83,54 @@ class MoldStudy(Study):
     def run(self, progress: Progress | None = None) -> RobotMold:
         """The mold; raises InputError where none can be made."""
         return plan_robot_mold(self.robot, self._spec(), self._numbers())
+
+
+class MandrelStudy(Study):
+    """The mandrel for a tube that is a helix or another space curve."""
+
+    doing = "planning the mandrel"
+
+    kind: Literal["mandrel"]
+    robot: RobotPath
+    tube: TubeNumber = 1
+    mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
+
+    def run(self, progress: Progress | None = None) -> Mandrel:
+        """The mandrel; raises InputError where none can be made."""
+        return plan_mandrel(self.robot.tubes[self.tube - 1], self.mold, number=self.tube)
+
+
+class MaterialsStudy(Study):
+    """What the mold for a tube should be made of: a tube of a robot, or one of these sizes."""
+
+    kind: Literal["mold_materials"]
+    robot: RobotPath | None = Field(None, description="robot whose tube it is")
+    tube: TubeNumber = 1
+    outer_diameter_mm: Positive = Field(
+        Decimal("1.92"), description="without a robot: of the tube; by default the thesis'"
+    )
+    inner_diameter_mm: NotNegative = Field(Decimal("1.57"), description="without a robot: of the tube")
+    curved_length_mm: Positive = Field(Decimal(94), description="without a robot: the length to be heated")
+    set_degC: Number = Field(Decimal(525), description="temperature of the tube")
+    hold_s: Positive = Field(Decimal(60), description="for how long it is held")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        self._tube()
+        self._heat()
+        return self
+
+    def _tube(self) -> Tube:
+        if self.robot is not None:
+            chosen: Tube = self.robot.tubes[self.tube - 1]
+            return chosen
+        outer, inner = to_si(self.outer_diameter_mm, MM), to_si(self.inner_diameter_mm, MM)
+        length = to_si(self.curved_length_mm, MM)
+        return Tube(outer, inner, straight_length=0.0, curved_length=length, curvature=0.0)
+
+    def _heat(self) -> HeatSpec:
+        return HeatSpec(set_temperature=float(self.set_degC) + ZERO_CELSIUS, hold_time=float(self.hold_s))
+
+    def run(self, progress: Progress | None = None) -> Ranking:
+        """The materials, best first."""
+        return Ranking(rank_mold_materials(self._tube(), self._heat()), self._tube(), self._heat())

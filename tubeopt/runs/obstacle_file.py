@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from decimal import Decimal
-from typing import Annotated, Any, Literal
+from os import PathLike
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ..errors import nearest
 from ..files.checked import Entry, Number, Positive, check, in_file
 from ..files.fields import Part
 from ..files.units import MM, shown, to_si
@@ -99,12 +102,26 @@ class MeshEntry(Part):
 
 KINDS = ("sphere", "capsule", "half_space", "box", "corridor", "mesh")
 
+BY_KEYS = {"centre_mm": "sphere", "from_mm": "capsule", "start_mm": "capsule", "low_mm": "box", "normal": "half_space"}
+"""A key that only one kind has -> that kind, which need not be said then."""
+
+ALIASES = {"from_mm": "start_mm", "to_mm": "end_mm"}
+"""Other names of keys of a capsule."""
+
 
 def _known(value: Any) -> Any:
-    kind = value.get("kind") if isinstance(value, dict) else value
-    if not isinstance(value, dict) or kind not in KINDS:
-        raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}")
-    return value
+    """A body with its kind, and its keys as the entry of that kind calls them."""
+    if not isinstance(value, dict):
+        raise ValueError(f"is {shown(value)}; it must be a mapping with the kind of a body, one of {', '.join(KINDS)}")
+    kind = value.get("kind", next((kind for key, kind in BY_KEYS.items() if key in value), None))
+    if kind not in KINDS:
+        raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}{_hint(kind)}")
+    named = ALIASES if kind == "capsule" else {}
+    return {"kind": kind} | {named.get(key, key): part for key, part in value.items()}
+
+
+def _hint(kind: object) -> str:
+    return nearest(kind, KINDS) if isinstance(kind, str) else ""
 
 
 ObstacleEntry = Annotated[
@@ -117,7 +134,7 @@ ObstacleEntry = Annotated[
     Discriminator(lambda value: f"<{value['kind']}>"),
     BeforeValidator(_known),
 ]
-"""Any obstacle, told apart by its kind."""
+"""Any body, told apart by its kind, which may be left out where its keys tell it."""
 
 
 class ObstacleFile(Entry):
@@ -126,10 +143,25 @@ class ObstacleFile(Entry):
     obstacles: list[ObstacleEntry]
 
 
-def load_obstacles(path: str) -> tuple[Obstacle, ...]:
+def load_obstacles(path: str | PathLike[str]) -> tuple[Obstacle, ...]:
     """The obstacles in a YAML file with the key `obstacles`.
 
     Raises:
         InputError: no such file, not YAML, or keys or values that make no obstacles: one line for every problem.
     """
-    return tuple(entry.build() for entry in check(ObstacleFile, load_yaml(path), path).obstacles)
+    return _built(check(ObstacleFile, load_yaml(path), path).obstacles)
+
+
+def _built(entries: Sequence[Part]) -> tuple[Obstacle, ...]:
+    return tuple(entry.build() for entry in entries)
+
+
+if TYPE_CHECKING:
+    Bodies = tuple[Obstacle, ...]
+else:
+    Bodies = Annotated[
+        Annotated[tuple[Obstacle, ...], in_file(load_obstacles, "a YAML file of obstacles"), Tag("<file>")]
+        | Annotated[list[ObstacleEntry], AfterValidator(_built), Tag("<bodies>")],
+        Discriminator(lambda value: "<bodies>" if isinstance(value, list) else "<file>"),
+    ]
+"""Bodies in whatever file: a list of them, or the path of a file with the key `obstacles`. Read as obstacles in SI."""

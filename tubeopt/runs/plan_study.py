@@ -1,25 +1,21 @@
-"""Studies of plans: a motion to a goal, along a curve of the tip, or a deployment; and whether a trajectory holds."""
+"""The study of a plan: a motion to a goal, along a curve of the tip, or a deployment."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..bodies.obstacles import Obstacle
-from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Positive
 from ..files.units import DEG, MM, to_si
-from ..planning import PlanOptions, Proof, RateLimits, TipGoal, Trajectory, plan_trajectory
-from ..planning.file import TimedJoints
+from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import ObstacleEntry, Triple, point
+from .obstacle_file import Bodies, Triple, point
 
 Default = PlanOptions()
 
@@ -45,6 +41,8 @@ class RatesEntry(Entry):
 class PlanStudy(Study):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
+    doing = "planning"
+
     kind: Literal["plan"]
     robot: RobotPath
     start_deg: OnePerTube | None = Field(None, description="rotations at the start; all 0 where not given")
@@ -61,14 +59,18 @@ class PlanStudy(Study):
     tolerance_mm: Positive = Field(Decimal("0.5"), description="largest distance of the tip from the curve")
     leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
-    obstacles: list[ObstacleEntry] = Field(default_factory=list)
-    clearance_mm: NotNegative = Decimal(0)
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1)
+    obstacles: Bodies = Field(
+        (), description="bodies that the whole arm keeps away from: a list of them, or a YAML file"
+    )
+    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     rates: RatesEntry = Field(default_factory=RatesEntry)
-    search: Literal["auto", "rrt_connect", "optimal"] = "auto"
-    objective: Literal["length", "time", "effort", "margin", "none"] = "length"
-    time_limit_s: Positive = Decimal(60)
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    search: Literal["auto", "rrt_connect", "optimal"] = Field("auto", description="auto, rrt_connect or optimal")
+    objective: Literal["length", "time", "effort", "margin", "none"] = Field(
+        "length", description="of the smoothing: length, time, effort, margin or none"
+    )
+    time_limit_s: Positive = Field(Decimal(60), description="for search and smoothing")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the search", examples=["K"])
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
@@ -80,10 +82,6 @@ class PlanStudy(Study):
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
         return self
-
-    def bodies(self) -> tuple[Obstacle, ...]:
-        """The obstacles in SI."""
-        return tuple(entry.build() for entry in self.obstacles)
 
     def _ends(self) -> tuple[tuple[Array, Array], Any]:
         alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
@@ -106,7 +104,7 @@ class PlanStudy(Study):
             seed=self.seed,
         )
         common: dict[str, Any] = {
-            "obstacles": self.bodies(),
+            "obstacles": self.obstacles,
             "min_margin": float(self.min_margin),
             "rate_limits": self.rates.build(),
             "options": options,
@@ -120,12 +118,3 @@ class PlanStudy(Study):
         if self.leader:
             return follow_the_leader(self.robot, goal, begin=float(self.begin_percent) / 100, **common)
         return plan_trajectory(self.robot, start, goal, **common)
-
-
-@dataclass(frozen=True, eq=False)
-class Checked(Displayed):
-    """A trajectory of whatever origin, and what was found on it."""
-
-    file: str
-    joints: TimedJoints
-    proof: Proof

@@ -32,7 +32,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
 from .load_file import LoadedStudy
 
 
@@ -49,11 +49,11 @@ class Equilibria(Displayed):
 class EquilibriaStudy(LoadedStudy):
     """Every equilibrium of a robot at given joint values, stable and unstable."""
 
+    doing = "searching equilibria"
+
     kind: Literal["equilibria"]
     robot: RobotPath
-    rotations_deg: OnePerTube | None = Field(
-        None, description="rotation of every tube, inner to outer; by default all 0"
-    )
+    rotations_deg: OnePerTube | None = TURNED
     translations_mm: OnePerTube | None = SHIFTED
 
     def run(self, progress: Progress | None = None) -> Equilibria:
@@ -82,6 +82,8 @@ class Way(Displayed):
 
 class SnapStudy(LoadedStudy):
     """The first snap on the straight way between two sets of joint values."""
+
+    doing = "looking for the snap"
 
     kind: Literal["snap"]
     robot: RobotPath
@@ -125,6 +127,8 @@ class Motion(Displayed):
 
 class FollowStudy(LoadedStudy):
     """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
+
+    doing = "following the path"
 
     kind: Literal["follow"]
     robot: RobotPath
@@ -171,6 +175,8 @@ class Certification(Displayed):
 
 class CertifyStudy(Study):
     """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
+
+    doing = "looking for snaps"
 
     kind: Literal["certify"]
     robot: RobotPath
@@ -235,6 +241,8 @@ class RobotMap(Displayed):
 
 class StabilityMapStudy(Study):
     """The margin and the snap boundary over two rotations."""
+
+    doing = "mapping the margin"
 
     kind: Literal["stability_map"]
     robot: RobotPath

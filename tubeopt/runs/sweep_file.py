@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -130,7 +130,7 @@ class StudyAt:
 
     def _study(self, data: Data) -> Study:
         try:
-            return check_kind(STUDY_KINDS, data, self.where)
+            return cast(Study, check_kind(STUDY_KINDS, data, self.where))
         except InputError as error:  # of this point, not of the file, which is as it should be
             raise InputError(str(error).replace(f"{self.where}: ", "")) from None
 

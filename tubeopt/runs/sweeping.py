@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,6 +39,7 @@ class Sweep(Displayed):
 
     points: how many there are.   computed: by this run; the others were there before.   failures: (index, reason).
     table, arrays, journal: paths of table.csv, table.npz and journal.jsonl.
+    rows: the table itself, where the files are not kept.
     """
 
     points: int
@@ -46,6 +48,23 @@ class Sweep(Displayed):
     table: Path
     arrays: Path
     journal: Path
+    rows: tuple[Mapping[str, float | str], ...] | None = None
+
+    def unkept(self) -> Sweep:
+        """The sweep with its table in it, for files that go."""
+        with self.table.open(encoding="utf-8", newline="") as lines:
+            rows = csv.DictReader(lines)
+            return replace(self, rows=tuple({key: _read(cell) for key, cell in row.items()} for row in rows))
+
+
+def _read(cell: str) -> float | str:
+    """A cell of the table: a number, or text."""
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
+    return cell
 
 
 def sweep(

@@ -38,6 +38,8 @@ Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 class ValidationStudy(Study):
     """How far measured tips are from the model's, and which parameters bring them closest."""
 
+    doing = "solving shapes"
+
     kind: Literal["validation"]
     robot: RobotPath
     measurements: MeasurementsPath

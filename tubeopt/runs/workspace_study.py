@@ -18,6 +18,9 @@ from .base import Progress, RobotPath, Study, Whole
 class WorkspaceStudy(Study):
     """Tips at many joint values within a robot's limits."""
 
+    doing = "solving"
+    keeps = "the samples so far are in {out}; the same command goes on from there"
+
     kind: Literal["workspace"]
     robot: RobotPath
     samples: Annotated[Whole, Field(ge=1)] = Field(10_000, description="joint values")
@@ -40,11 +43,12 @@ class WorkspaceStudy(Study):
             require_centred(self.robot)
         return self
 
-    def run(self, progress: Progress | None = None, *, out: Path | None = None) -> Findings:
-        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough.
+    def run(self, progress: Progress | None = None) -> Findings:
+        """The workspace with its voxels and volumes; raises InputError where no sample is stable enough."""
+        return self.run_in(None, progress)
 
-        With `out` the samples are saved there as they come, and a run that was stopped goes on.
-        """
+    def run_in(self, out: Path | None, progress: Progress | None = None) -> Findings:
+        """The workspace; with `out` the samples are saved there as they come, and a run that was stopped goes on."""
         found = workspace(
             self.robot,
             self.samples,

@@ -14,6 +14,7 @@ import numpy as np
 from .. import __version__
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
+from ..errors import SolveError
 from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
@@ -82,7 +83,9 @@ DOCTOR: tuple[Quantity[Doctor], ...] = (
         "threads",
         "variables that set threads",
         label="threads",
-        words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose",
+        words=lambda a: (
+            ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose, one for small problems"
+        ),
     ),
     Quantity("cache", "cache", lambda a: str(a.cache), words="{cache}, {cache_bytes} bytes"),
     Quantity("cache_bytes", "size of the cache, bytes"),
@@ -105,10 +108,17 @@ class DoctorReport(Report[Doctor]):
 
     command = "doctor"
     quantities = DOCTOR
+    file = "doctor.json"
 
     def title(self) -> str:
         """What the table is headed by."""
         return f"tubeopt {__version__}"
+
+    def conclude(self) -> None:
+        """Raise SolveError where the self-test failed."""
+        if not self.answer.test.passed:
+            off = self.answer.test.difference
+            raise SolveError(f"the self-test failed: re-integration moves the tip by {off:.1e} m")
 
 
 report.register(Doctor, DoctorReport)

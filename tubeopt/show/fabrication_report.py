@@ -10,7 +10,7 @@ from rich.console import Group
 from ..errors import SolveError
 from ..files.units import TO_MM
 from ..robots.file import save_robot
-from ..runs.fabrication import Fabrication, TubeParts
+from ..runs.fabrication_study import Fabrication, TubeParts
 from ..runs.rig_file import save_rig
 from .heat_report import HEATING, HeatingReport, held_duties, missed
 from .mold_report import MOLD, MoldReport

@@ -18,7 +18,7 @@ from ..display import brief
 from ..errors import SolveError
 from ..robots.file import AnyRobot
 from .quantities import rows
-from .report import Drawing, drawing, two_columns
+from .report import Drawing, Report, drawing, two_columns
 from .reports import report
 from .summaries import SUMMARIES, Summary
 
@@ -48,13 +48,18 @@ def png(answer: Any) -> bytes | None:
     return None if draw is None else draw()._repr_png_()
 
 
-def _reported(answer: Any) -> bool:
-    return report.dispatch(type(answer)) is not report.dispatch(object)
+def _report(answer: Any) -> Report[Any] | None:
+    """The report on an answer, None for what no command answers with."""
+    try:
+        return report(answer)
+    except TypeError:
+        return None
 
 
 def _table(answer: Any) -> RenderableType:
-    if _reported(answer):
-        return report(answer).table()
+    told = _report(answer)
+    if told is not None:
+        return told.table()
     name, summary = type(answer).__name__, _summary(answer)
     if summary is None:
         return two_columns(f"{name} (SI)", _fields(answer))
@@ -74,8 +79,9 @@ def _summary(answer: Any) -> Summary | None:
 def _picture(answer: Any) -> Drawing | None:
     if isinstance(answer, AnyRobot):
         return _at_home(answer)
-    if _reported(answer):
-        stills = [draw for name, draw in report(answer).pictures().items() if "." not in name]
+    told = _report(answer)
+    if told is not None:
+        stills = [draw for name, draw in told.pictures().items() if "." not in name]
         return stills[0] if stills else None
     summary = _summary(answer)
     return None if summary is None else summary.picture(answer)

@@ -18,7 +18,7 @@ from ..files.units import TO_MM
 from ..planning import Proof, Trajectory
 from ..planning.file import save_trajectory
 from ..robots.file import save_robot
-from ..runs.plan_study import Checked
+from ..runs.verify_study import Checked
 from ..stability import ASSUMING
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, report, two_columns

@@ -4,78 +4,96 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
-    ProgressColumn,
     SpinnerColumn,
     Task,
     TaskID,
     TextColumn,
-    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.text import Text
 
-from ..runs.base import Progress as Report
-from ..runs.sweeping import Progress as Counter
+STAGES = {"feasibility": "towards feasibility, largest violation", "optimum": "towards the optimum, minimised"}
+"""Stages of a solve, and what their measure is."""
+
+MANY = 100
+"""Steps from which on their rate is told."""
 
 
-@contextmanager
-def working(what: str) -> Iterator[Report]:
-    """Yield the callback of a computation; it shows a bar from its first call to the end of the block."""
-    with _bar(what, TimeElapsedColumn(), TimeRemainingColumn()) as show:
-        yield lambda done, total: show(done, total, 0)
+class Bar:
+    """The callback of a computation: a bar from its first call on, where somebody looks.
 
+    Not shown before: the bar has a thread of its own, and processes are best started without.
+    """
 
-@contextmanager
-def counting(what: str) -> Iterator[Counter]:
-    """Yield the callback of a sweep; it shows a bar with its rate and the time left."""
-    with _bar(what, MofNCompleteColumn(), _Rate(), TimeRemainingColumn()) as show:
-        yield lambda done, total, failed: show(done, total, failed)
+    def __init__(self, what: str, shown: bool) -> None:
+        self._what = what
+        self._console = Console(stderr=True)
+        self._shown = shown and self._console.is_terminal
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            _Count(),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+            speed_estimate_period=30.0,
+        )
+        self._task: TaskID | None = None
+        self._stage, self._iteration = "", 0
 
+    def __call__(self, done: int, total: int, failed: int = 0) -> None:
+        """Show how much is done, of how much, 0 where nobody knows, and how much of it has failed."""
+        self._show(completed=done, total=total or None, failed=failed)
 
-@contextmanager
-def _bar(what: str, *columns: ProgressColumn) -> Iterator[Counter]:
-    """Not shown before its first call: the bar has a thread of its own, and processes are best started without."""
-    console = Console(stderr=True)
-    bar = Progress(
-        SpinnerColumn(),
-        TextColumn(what),
-        BarColumn(),
-        *columns,
-        console=console,
-        transient=True,
-        speed_estimate_period=30.0,
-    )
-    tasks: list[TaskID] = []
+    def iteration(self, stage: str, value: float) -> None:
+        """Show the measure of a solve after one more iteration; `stage` is one of `STAGES`."""
+        self._iteration = self._iteration + 1 if stage == self._stage else 1
+        self._stage = stage
+        self._show(description=f"{self._what}: {STAGES[stage]} {value:.6g} (iteration {self._iteration})")
 
-    def show(done: int, total: int, failed: int) -> None:
-        if not console.is_terminal:
+    def _show(self, **known: Any) -> None:
+        if not self._shown:
             return
-        if not tasks:
-            tasks.append(bar.add_task(what, total=total or None, completed=done, failed=failed))
-            bar.start()
-        bar.update(tasks[0], completed=done, total=total or None, failed=failed)
+        if self._task is None:
+            self._task = self._bar.add_task(self._what, total=None)
+            self._bar.start()
+        self._bar.update(self._task, **known)
 
+    def stop(self) -> None:
+        """Take the bar away."""
+        if self._task is not None:
+            self._bar.stop()
+
+
+@contextmanager
+def working(what: str, *, shown: bool = True) -> Iterator[Bar]:
+    """Yield the callback of a computation; its bar is there until the end of the block."""
+    bar = Bar(what, shown)
     try:
-        yield show
+        yield bar
     finally:
-        if tasks:
-            bar.stop()
+        bar.stop()
 
 
-class _Rate(TextColumn):
-    """Points per second."""
+class _Count(TextColumn):
+    """How many of how many, how many a second, and how many of them have failed."""
 
     def __init__(self) -> None:
         super().__init__("")
 
     def render(self, task: Task) -> Text:
+        if task.total is None:
+            return Text("")
+        words = [f"{task.completed:.0f}/{task.total:.0f}"]
         speed = task.finished_speed or task.speed
+        if speed and task.total >= MANY:
+            words.append(f"{speed:.3g}/s")
         failed = task.fields.get("failed", 0)
-        words = [f"{speed:.3g}/s"] if speed else []
         return Text("  ".join([*words, *([f"{failed} failed"] if failed else [])]))

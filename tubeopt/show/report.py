@@ -1,27 +1,25 @@
-"""How an answer leaves the program: a table or a JSON object on stdout, files in a directory."""
+"""What is said about an answer: a list of quantities, a table, a JSON object, files in a directory, pictures."""
 
 from __future__ import annotations
 
 import functools
-import os
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
-import typer
 from pydantic_core import to_json
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ..equilibrium.result import Equilibrium
-from ..errors import InputError
 from ..files.files import write_text
 from . import quantities
 from .quantities import Quantity
+
+if TYPE_CHECKING:
+    from ..equilibrium.result import Equilibrium
 
 A = TypeVar("A")
 
@@ -136,39 +134,6 @@ def report(answer: object) -> Report[Any]:
     raise TypeError(f"there is no report on a {type(answer).__name__}")
 
 
-def present(answer: Report[Any], *, out: Path | None, as_json: bool, plot: bool = False) -> None:
-    """Save `answer` into `out` where that is given, print it, and end as it says.
-
-    With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
-    """
-    files = answer.save(out) if out else []
-    pictures = answer.draw(out or Path()) if out or plot else []
-    files += pictures
-    if out and FORMATS.get() != ("png",):
-        files += answer.convert(out)
-    if as_json:
-        print(to_text(answer.record() | {"files": [str(path) for path in files]}), end="")
-    else:
-        console = Console()
-        console.print(answer.table(), crop=False)
-        for path in files:
-            console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
-        if plot and has_display():
-            for path in pictures:
-                typer.launch(str(path))
-    answer.conclude()
-
-
-def can_be_saved(out: Path | None) -> None:
-    """Raise InputError, before any work is done, where nothing can be written into `out`; None passes."""
-    place = out
-    while place is not None and not place.exists() and place != place.parent:
-        place = place.parent
-    if place is not None and not (place.is_dir() and os.access(place, os.W_OK)):
-        why = "it is a file" if place.is_file() else f"{place} is no directory that can be written to"
-        raise InputError(f"{out}: nothing can be saved there: {why if place == out else f'{place} is in the way'}")
-
-
 def to_text(data: dict[str, Any]) -> str:
     """`data` as one JSON object; numbers that are not finite become null."""
     return to_json(data, indent=2, inf_nan_mode="null").decode() + "\n"
@@ -199,8 +164,3 @@ def grid(columns: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = 
 def remarks(lines: Iterable[str], *, what: str = "", style: str = "yellow") -> list[Text]:
     """Lines below a table, each after the word that says what it is."""
     return [Text(f"{what}: {words}" if what else words, style=style) for words in lines]
-
-
-def has_display() -> bool:
-    """Whether a picture can be opened in a window."""
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

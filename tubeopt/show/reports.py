@@ -1,4 +1,4 @@
-"""The report on every kind of answer: importing this module registers them all.
+"""The report on every kind of answer.
 
     python -m tubeopt.show.reports
 
@@ -7,31 +7,35 @@ writes the page of the docs that says what `--json` prints, from the lists of qu
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ..files.files import write_text
-from . import (  # noqa: F401  (each registers its reports)
-    certify_report,
-    design_report,
-    doctor,
-    equilibrium_report,
-    fabrication_report,
-    heat_report,
-    inverse_report,
-    mandrel_report,
-    map_report,
-    measure_report,
-    mold_report,
-    plan_report,
-    robot_report,
-    snap_report,
-    sweep_report,
-    validation_report,
-    workspace_report,
-)
 from .quantities import Quantity
-from .report import Report, report
+from .report import Report
+from .report import report as registered
+
+MODULES = {
+    "certify_report": ("Certification",),
+    "design_report": ("DesignAnswer",),
+    "doctor": ("Doctor",),
+    "equilibrium_report": ("Equilibrium",),
+    "fabrication_report": ("Fabrication",),
+    "heat_report": ("Heating", "RigFit", "TrialFit"),
+    "inverse_report": ("Postures", "TargetTable"),
+    "mandrel_report": ("Mandrel",),
+    "map_report": ("RobotMap",),
+    "measure_report": ("Placement",),
+    "mold_report": ("RobotMold", "Calibration", "Ranking"),
+    "plan_report": ("Trajectory", "Checked"),
+    "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
+    "snap_report": ("Equilibria", "Way", "Motion"),
+    "sweep_report": ("Sweep",),
+    "validation_report": ("Comparison", "Validation", "Fit"),
+    "workspace_report": ("Findings",),
+}
+"""Modules that register reports -> the classes of their answers: each is imported when there is such an answer."""
 
 PAGE = "docs/json.md"
 
@@ -39,11 +43,27 @@ INTRODUCTION = """# What `--json` prints
 
 Every command prints one JSON object with `--json`, and saves the same where it is given `--out`. Keys end in the unit
 of their numbers. `a.b` is the key b of the object a, or of each object of the list a; a key is null where there is
-nothing to say. Numbers that are not finite are null. Every object also has `files`, the paths that were written.
+nothing to say. Numbers that are not finite are null. Every object also has `files`, the paths that were written, and
+`warnings`, sentences that are shown on stderr without `--json`. What fails has `error`: its `kind` (`input`, `usage`,
+`no_solution`, `not_proved` or `interrupted`), its `exit_code` (2, 2, 3, 4 or 130), and `messages`; beside the answer
+where there is one, else alone with `warnings`.
 `tubeopt run` prints what the command of its study prints; a sweep has a column for every number of these objects.
 
 This page is written by `python -m tubeopt.show.reports` from the lists of quantities that the answers are printed from.
 """
+
+
+def report(answer: object) -> Report[Any]:
+    """The report on an answer of any kind.
+
+    Raises:
+        TypeError: nothing is said about such an object.
+    """
+    names = {kind.__name__ for kind in type(answer).__mro__}
+    for module, known in MODULES.items():
+        if names & set(known):
+            importlib.import_module(f".{module}", __package__)
+    return registered(answer)
 
 
 def to_dict(answer: object) -> Mapping[str, Any]:
@@ -57,7 +77,9 @@ def to_dict(answer: object) -> Mapping[str, Any]:
 
 def reports() -> dict[str, type[Report[Any]]]:
     """Command -> the report on its answer."""
-    known: Mapping[Any, Any] = report.registry
+    for module in MODULES:
+        importlib.import_module(f".{module}", __package__)
+    known: Mapping[Any, Any] = registered.registry
     kinds = {kind.command: kind for kind in known.values() if isinstance(kind, type) and issubclass(kind, Report)}
     return dict(sorted(kinds.items()))
 

@@ -9,16 +9,11 @@ from rich.text import Text
 
 from ..files.units import TO_MM
 from ..robots.file import AnyRobot
+from ..robots.fit import clearances, fit_warnings
 from ..robots.robot import Robot
 from ..robots.tubes import OfCrossSection, Tube
 from .quantities import Quantity, within
 from .report import Report, grid, remarks, report
-
-TIGHT_MM = 0.01
-"""Radial clearance below which tubes bind: what drawn tubing and its ovality already use up."""
-
-LOOSE_MM = 0.1
-"""Radial clearance above which the inner tube lies visibly off the centreline that the model gives both."""
 
 TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("outer_diameter_mm", "outer diameter", digits=9),
@@ -56,40 +51,13 @@ NESTED: tuple[Quantity[Nested], ...] = (
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _nested(robot), of=NESTED),
-    Quantity("warnings", "what may go wrong when it is built and used", lambda robot: warnings(robot)),
+    Quantity("warnings", "what may go wrong when it is built and used", lambda robot: fit_warnings(robot)),
 )
-
-
-def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
-    """Tube -> the tube around it, if any, and the radial clearance (mm) between them; tubes counted from 0."""
-    return {
-        i: (o, round((robot.tubes[o].inner_diameter - robot.tubes[i].outer_diameter) * TO_MM, 9) / 2)
-        for i, o in robot.nested_pairs
-    }
 
 
 def _nested(robot: Robot) -> list[Nested]:
     gaps = clearances(robot)
     return [Nested(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
-
-
-def warnings(robot: Robot) -> list[str]:
-    """What may go wrong when this robot is built and used: tubes strained too far, tubes too tight or too loose."""
-    found = []
-    for i, tube in enumerate(robot.tubes, start=1):
-        strain, name = tube.straightened_strain, tube.material.name
-        reached = f"tube {i} is strained {strain * 100:.2f} % when held straight, beyond the"
-        if strain > tube.material.superelastic_strain:
-            found.append(f"{reached} {tube.material.superelastic_strain * 100:.3g} % from which {name} springs back")
-        elif strain > tube.material.working_strain:
-            found.append(f"{reached} {tube.material.working_strain * 100:.3g} % to which {name} may be cycled")
-    for i, (around, clearance) in clearances(robot).items():
-        fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"
-        if clearance < TIGHT_MM:
-            found.append(f"{fit} less than the {TIGHT_MM:g} mm that sliding needs: friction will wind the tubes up")
-        elif clearance > LOOSE_MM:
-            found.append(f"{fit} more than {LOOSE_MM:g} mm: its axis may lie beside the outer tube's")
-    return found
 
 
 class RobotReport(Report[Robot]):
@@ -111,7 +79,7 @@ class RobotReport(Report[Robot]):
             name = f"{quantity.about} ({quantity.sign})" if quantity.unit else quantity.about
             cells.append([name, *(_cell(tube[quantity.key]) for tube in tubes)])
         numbers = [f"{i} >" for i in range(1, len(tubes) + 1)]
-        lines = remarks(warnings(self.answer), what="warning")
+        lines = remarks(fit_warnings(self.answer), what="warning")
         found = grid(("tube", *numbers), cells, title=self.title(), key=True)
         return Group(found, *(lines or [Text("no warnings", style="green")]))
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.problem_solution import ProblemSolution
 from ..design.optimize import DesignSolution, Dimension
 from ..equilibrium.batch import EquilibriumBatch
 from ..equilibrium.jacobian import Jacobian
@@ -20,6 +19,7 @@ from ..planning import Proof
 from ..robots.tubes import Tube
 from ..shaping import Mold
 from ..shaping.heating.plan import HeatingPlan
+from ..solvers.problem_solution import ProblemSolution
 from ..stability import (
     Branch,
     Certificate,

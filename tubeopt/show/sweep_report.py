@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from pathlib import Path
 from typing import Any
+
+from rich.console import RenderableType
 
 from ..errors import SolveError
 from ..runs.sweeping import Sweep
@@ -18,10 +23,17 @@ SWEEP: tuple[Quantity[Sweep], ...] = (
     Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
     Quantity("failures", "points that failed, from 1, and why",
              lambda a: [{"point": index + 1, "reason": reason} for index, reason in a.failures]),
-    Quantity("table", "table", lambda a: str(a.table)),
-    Quantity("arrays", "the same as arrays", lambda a: str(a.arrays)),
-    Quantity("journal", "a line per point, as they were computed", lambda a: str(a.journal)),
+    Quantity("table", "table", lambda a: _kept(a, a.table)),
+    Quantity("arrays", "the same as arrays", lambda a: _kept(a, a.arrays)),
+    Quantity("journal", "a line per point, as they were computed", lambda a: _kept(a, a.journal)),
+    Quantity("rows", "without a directory: the table itself", lambda a: None if a.rows is None else list(a.rows),
+             optional=True),
 )  # fmt: skip
+
+
+def _kept(a: Sweep, path: Path) -> str | None:
+    """The path of what is kept."""
+    return str(path) if a.rows is None else None
 
 
 def _points(a: Sweep) -> str:
@@ -34,6 +46,17 @@ class SweepReport(Report[Sweep]):
 
     command = "sweep"
     quantities = SWEEP
+
+    def table(self) -> RenderableType:
+        """What there is to know about it; the table itself, as CSV, where it is not kept."""
+        a = self.answer
+        if a.rows is None:
+            return super().table()
+        written = io.StringIO()
+        table = csv.DictWriter(written, list(a.rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(a.rows)
+        return written.getvalue().rstrip()
 
     def title(self) -> str:
         """That it is one."""

@@ -9,28 +9,64 @@ import casadi as ca
 import numpy as np
 
 from ..errors import SolveError
-from ..transcription.arm import Profile, rotations_at, torsion_at
-from ..transcription.block import Structure, add_energy, add_equilibrium, parameter_values, parameters, structure_of
-from ..transcription.nlp import Builder, Nlp
+from ..transcription.arm import Profile, torsion_at
+from ..transcription.model import equation, mapped, places_in_words
+from ..transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 from .newton import NewtonResult
+from .problem import Problem
+from .problem_status import ProblemStatus
 from .settings import Ipopt
+
+EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
+"""How an equilibrium is solved for unless told otherwise."""
 
 
 @lru_cache(maxsize=64)
-def _problem(structure: Structure, formulation: str, settings: Ipopt | None = None) -> tuple[Nlp, Any, Any]:
-    """The program, its IPOPT solver, and the functions from a guess to x and from x to theta at the points."""
-    builder = Builder()
-    given = parameters(builder, structure)
+def _program(structure: Structure, formulation: str) -> Problem:
+    """The program of one equilibrium, all that is given of it parameters."""
+    problem = Problem(formulation)
+    rotations = problem.parameter("rotations", np.zeros(structure.grid.n_tubes))
     if formulation == "equations":
-        rotation = add_equilibrium(builder, structure, given).rotation
+        add_torsion(problem, structure, rotations, {})
     else:
-        rotation = add_energy(builder, structure, given)
-    nlp = builder.build()
-    solver = nlp.ipopt(formulation, **(settings.options(warm=False) if settings else {}))
-    read = ca.Function("read", [nlp.x, nlp.p], [ca.densify(rotation)])
-    return nlp, solver, read
+        _add_energy(problem, structure, rotations)
+    return problem
+
+
+def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
+    """The optimal control problem behind an equilibrium: least energy over theta with control w = theta'.
+
+    Only for concentric tubes, whose equilibria are its stationary points. A transmission without length stores no
+    energy, so its idle twist is given the cost of a whole arm.
+    """
+    grid, pieces = structure.grid, len(structure.section)
+    n, degree = grid.n_tubes, grid.degree
+    given = {
+        name: ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
+        for name, (rows, columns) in structure.shapes.items()
+    }
+    base = problem.variable("torsion of the transmissions", n)
+    theta = ca.reshape(problem.variable("rotation", n * pieces), n, pieces)
+    inner, twist = (
+        ca.reshape(problem.variable(f"{what} inside", n * pieces * degree), n, pieces * degree)
+        for what in ("rotation", "torsion")
+    )
+    kt, lengths, transmission = given["torsional_stiffness"], given["lengths"], given["transmission"]
+    row = [given["stiffness"], given["moment"], kt, lengths.T]
+    defect, end, energy = mapped("motion", grid, pieces)(theta, inner, twist, *row)
+    tubes = [f"tube {i + 1}" for i in range(n)]
+    after, points = places_in_words(pieces, degree, structure.section)
+    for each in (
+        equation("rotation equation", tubes, points, defect, 1.0),
+        equation("continuity of rotation", tubes, after, theta[:, 1:] - end[:, :-1], 1.0),
+        equation("base rotation", tubes, None, theta[:, 0] - rotations - transmission * base, 1.0),
+    ):
+        problem.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
+    idle = ca.if_else(transmission > 0, transmission, ca.sum1(lengths))
+    stored = ca.sum2(energy) + ca.dot(kt[:, 0] * idle, base**2) / 2
+    problem.minimize(stored * ca.sum1(lengths) / ca.sum1(kt[:, 0]))
 
 
 def solve_ipopt(
@@ -44,43 +80,34 @@ def solve_ipopt(
 
     Args:
         formulation: "equations" (no objective, the equations as constraints) or "energy" (least elastic energy).
-        settings: None are those of `transcription.nlp`.
+        settings: None are those of `EQUILIBRIUM`.
 
     Raises:
         SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
     """
-    structure = structure_of(problem)
-    nlp, solver, read = _problem(structure, formulation, settings)
-    p = parameter_values(problem, rotations)
-    x = start_values(structure, problem, guess, formulation)
-    result = solver(x0=x / nlp.scale, p=p, **nlp.bounds)
-    stats = solver.stats()
-    if not stats["success"]:
-        worst = "; ".join(f"{name}: violated by {size:.1e}" for name, size in nlp.worst(result["g"].full().ravel()))
-        verdict = stats["return_status"].replace("_", " ").lower()
-        raise SolveError(f"IPOPT found no equilibrium ({verdict}): {worst or 'all constraints hold'}")
-    theta = read(result["x"], p).full().T
-    state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
-    return NewtonResult(state, True, int(stats["iter_count"]), 0.0)
-
-
-def start_values(structure: Structure, problem: ReducedProblem, guess: Profile, formulation: str) -> Array:
-    """The unknowns of the program, in its order, at a torsion profile on the same mesh."""
-    nodes = tuple(problem.mesh.tableau.nodes.tolist())
-    theta, slope = rotations_at(problem, guess, nodes), torsion_at(problem, guess, nodes)
-    parts: list[Array] = []
+    if not len(problem.mesh.length):
+        return NewtonResult(evaluate(problem, rotations, np.zeros(0)), True, 0, 0.0)
+    program = _program(structure_of(problem), formulation)
+    for name, numbers in {"rotations": rotations, **torsion_numbers(problem)}.items():
+        program.set_value(name, numbers)
+    start = torsion_guess(problem, guess)
     if formulation == "energy":
-        parts.append(guess.twist[0] if len(guess.twist) else np.zeros(problem.assembly.n_tubes))
-    for piece, collocated in enumerate(structure.collocated):
-        if formulation == "equations":
-            parts += [guess.rotation[piece], guess.twist[piece]]
-            if collocated:
-                parts.append(theta[piece].ravel())
-            continue
-        if collocated:
-            parts += [theta[piece].ravel(), slope[piece].ravel()]
-        else:
-            parts.append(guess.twist[piece])
-        if piece + 1 < structure.n_pieces:
-            parts.append(guess.rotation[piece + 1])
-    return np.concatenate([*parts, np.zeros(0)])
+        twist = start.pop("torsion")
+        start["torsion of the transmissions"] = twist[: len(rotations)]
+        start["torsion inside"] = torsion_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist())).ravel()
+    for name, numbers in start.items():
+        program.set_guess(name, numbers)
+    found = program.attempt(settings or EQUILIBRIUM)
+    if found.status is not ProblemStatus.SOLVED:
+        worst = "; ".join(map(str, found.violations[:3]))
+        verdict = found.statistics.verdict.replace("_", " ").lower()
+        raise SolveError(f"IPOPT found no equilibrium ({verdict}): {worst or 'all constraints hold'}")
+    theta = inside_points(problem, found.values["rotation inside"])
+    state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
+    return NewtonResult(state, True, found.statistics.iterations, 0.0)
+
+
+def inside_points(problem: ReducedProblem, inside: Array) -> Array:
+    """theta (N, n) at the points of a reduced problem, of the column "rotation inside" of all pieces."""
+    mesh, n = problem.mesh, problem.assembly.n_tubes
+    return inside.reshape(len(mesh.length), mesh.tableau.degree, n)[mesh.collocated].reshape(-1, n)

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
+from ..transcription.loaded_arm import LoadedArm
 from ..typing import Array
 from .settings import NEWTON
 
@@ -20,6 +21,30 @@ class LoadedResult:
     converged: bool
     iterations: int
     contraction: float
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedAnswer:
+    """An equilibrium under load at N points and along its arm; n tubes.
+
+    Attributes:
+        theta (N, n), curvature (N, 2): at the points.
+        margin, residual, energy, work, iterations: as of an equilibrium.
+        errors: of theta (rad), the tip (m) and the margin, by a Newton step on a finer rule.
+        compliance: (6, 6) of the tip; None at a fold.   base_wrench: (6,).
+    """
+
+    theta: Array
+    curvature: Array
+    margin: float
+    residual: float
+    energy: float
+    work: float
+    iterations: int
+    errors: tuple[float, float, float]
+    compliance: Array | None
+    base_wrench: Array
+    arm: LoadedArm
 
 
 def loaded_newton(

@@ -42,6 +42,30 @@ class Newton(Displayed):
 NEWTON = Newton()
 """What solvers do unless they are told otherwise."""
 
+
+@dataclass(frozen=True)
+class Continuation:
+    """How a branch of equilibria is followed.
+
+    largest_ratio: Newton must shrink its steps at least so much: beyond that it may be on its way to another branch.
+    largest_twist: largest change (rad) of the twist theta - alpha at a point in one step.
+    soft_twist: the same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther
+        apart.
+    compiled_step: fraction of a load below which the compiled kernel leaves a step that fails to the general solver.
+    least_stiffness: margin below which errors no longer grow in the estimate.
+    hardly_softened: margins above need the check of their accuracy; the others are surer than the shape.
+    """
+
+    largest_ratio: float = 0.3
+    largest_twist: float = 0.6
+    soft_twist: float = 0.1
+    compiled_step: float = 1e-3
+    least_stiffness: float = 1e-6
+    hardly_softened: float = 0.99
+
+
+CONTINUATION = Continuation()
+
 HESSIANS = ("exact", "limited-memory")
 
 
@@ -52,6 +76,7 @@ class Ipopt(Displayed):
     Args:
         tolerance: of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT
             counts as a failure.
+        constraint_tolerance: of constraints over their scales; None is `tolerance`.
         iterations: after how many it gives up.
         linear_solver: of the Newton steps; "mumps" comes with CasADi.
         expand: write the program out in scalars first: a solve is faster, the building slower. For one to three blocks.
@@ -64,6 +89,7 @@ class Ipopt(Displayed):
     """
 
     tolerance: float = 1e-10
+    constraint_tolerance: float | None = None
     iterations: int = 500
     linear_solver: str = "mumps"
     expand: bool = False
@@ -73,6 +99,8 @@ class Ipopt(Displayed):
 
     def __post_init__(self) -> None:
         positive("tolerance", self.tolerance)
+        if self.constraint_tolerance is not None:
+            positive("constraint_tolerance", self.constraint_tolerance)
         positive("barrier", self.barrier)
         choice("hessian", self.hessian, HESSIANS)
         if self.iterations < 1:
@@ -84,7 +112,7 @@ class Ipopt(Displayed):
         """Options of `casadi.nlpsol`; `warm` for a start with multipliers."""
         own: dict[str, Any] = {
             "tol": self.tolerance,
-            "constr_viol_tol": self.tolerance,
+            "constr_viol_tol": self.constraint_tolerance or self.tolerance,
             "max_iter": self.iterations,
             "linear_solver": self.linear_solver,
             "hessian_approximation": self.hessian,
@@ -103,6 +131,5 @@ class Ipopt(Displayed):
         return {
             "print_time": False,
             "show_eval_warnings": False,
-            "expand": self.expand,
             **{f"ipopt.{key}": value for key, value in own.items()},
         }

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..display import Displayed
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, positive, vector
+from ..parallel.blas import small
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
@@ -52,6 +53,7 @@ class Certificate(Displayed):
         return self.margin > ROUNDING
 
 
+@small
 def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
     """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
 
@@ -130,6 +132,7 @@ def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
 
 
+@small
 def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     """`snap_free_certificate` with its gradient, and the pair of tubes and the section that limit it.
 

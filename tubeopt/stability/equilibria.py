@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError, vector
+from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import descend, newton
@@ -31,6 +32,7 @@ CONVEX_OF_PIECES = 1e-3
 """The same of tubes made of pieces, whose couplings vary between the points of the mesh."""
 
 
+@small
 def find_equilibria(
     robot: Robot, rotations: ArrayLike, translations: ArrayLike | None = None, *, load: Load | None = None
 ) -> list[Equilibrium]:

@@ -10,10 +10,13 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
+from ..parallel.blas import small
+from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..transcription.reduced import softest
@@ -21,6 +24,7 @@ from ..typing import Array
 from .folds import Fold, polish_fold
 from .landing import distance, land
 from .loaded_following import LoadedSnap, loaded_legs
+from .rubbing_following import rubbing_legs
 
 SMOOTH_TURN = 0.05
 """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring branch,
@@ -69,6 +73,7 @@ class Event:
     landed: Point
 
 
+@small
 def follow(
     robot: Robot,
     rotations: ArrayLike,
@@ -76,6 +81,7 @@ def follow(
     *,
     start: Equilibrium | None = None,
     load: Load | None = None,
+    friction: Friction | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
     """Move a robot slowly through waypoints of joint values, along straight lines between them.
@@ -85,15 +91,19 @@ def follow(
         start: stable equilibrium at the first waypoint; by default the one of `forward_kinematics`. If its joint
             values are others, the robot is first moved from there, and snaps on that way are not recorded.
         load: forces that keep their direction and stay on the robot; a start without it is first loaded.
+        friction: between the tubes, which makes every state depend on the way to it. A start that bears it goes on with
+            its history; one without it has none, as if it had been shaken.
         progress: called with the number of each waypoint that is reached.
 
     Raises:
         InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
-            start.
-        SolveError: descent from a fold found no stable equilibrium.
+            start; a friction for another number of tubes, of an eccentric robot, or beside a load.
+        SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
     """
     alpha, shift = _waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
+    if friction is not None and not friction.trivial:
+        return _follow_rubbing(robot, joints, (friction, load), start, progress)
     if load is not None:
         return _follow_loaded(robot, joints, load, start, progress)
     first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
@@ -135,17 +145,43 @@ def _follow_loaded(
     return Path(tuple(equilibria), tuple(snaps))
 
 
+def _follow_rubbing(
+    robot: Robot,
+    joints: Array,
+    acting: tuple[Friction, Load | None],
+    start: Equilibrium | None,
+    progress: Callable[[int], object] | None,
+) -> Path:
+    friction, load = acting
+    if load is not None:
+        raise InputError("friction and a load are given; a motion is followed with one of them")
+    equilibria, snaps = [], []
+    for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
+        equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
+        for each in found if k else ():
+            ends = [
+                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
+            ]
+            snaps.append(_snap_between(k - 1, each.fraction, *ends))
+        if progress is not None and k:
+            progress(k)
+    return Path(tuple(equilibria), tuple(snaps))
+
+
 def snap_of(found: LoadedSnap, index: int) -> Snap:
     """A snap under load as any other snap."""
-    before, after = found.before, found.after
+    return _snap_between(index, found.fraction, found.before, found.after)
+
+
+def _snap_between(index: int, fraction: float, before: Equilibrium, after: Equilibrium) -> Snap:
     return Snap(
         index=index,
-        fraction=found.fraction,
+        fraction=fraction,
         rotations=before.rotations,
         translations=before.translations,
         before=before,
         after=after,
-        energy_released=found.energy_released,
+        energy_released=before.potential - after.potential,
         tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
     )
 
@@ -228,13 +264,4 @@ def to_snap(path: JointPath, event: Event, index: int) -> Snap:
     joint = np.concatenate([rotations, translations])
     before = _finish(path.robot, event.fold.solution, joint, "fold")
     after = _finish(path.robot, event.landed.solution, joint, "energy descent")
-    return Snap(
-        index=index,
-        fraction=event.fold.t,
-        rotations=rotations,
-        translations=translations,
-        before=before,
-        after=after,
-        energy_released=before.energy - after.energy,
-        tip_jump=float(np.linalg.norm(after.tip_position - before.tip_position)),
-    )
+    return _snap_between(index, event.fold.t, before, after)

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.loaded import solved, to_loaded, unloaded_point
+from ..equilibrium.loaded import solved, unloaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,12 +12,14 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish
 from ..errors import InputError, vector
+from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.ipopt import start_values
+from ..solvers.ipopt import EQUILIBRIUM, inside_points
 from ..solvers.newton import NewtonResult
-from ..transcription.block import BlockInput, Structure, add_equilibrium, structure_of
-from ..transcription.nlp import Builder, Nlp
+from ..solvers.problem import Problem
+from ..solvers.problem_status import ProblemStatus
+from ..transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
 from ..transcription.reduced import evaluate, margin, to_unknowns
 from ..typing import Array
 from .following import Event, Snap, lose, snap_of, to_snap
@@ -28,6 +28,7 @@ from .loaded_following import loaded_legs
 Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
+@small
 def find_snap(
     robot: Robot,
     start: Configuration,
@@ -87,26 +88,24 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
     return np.concatenate([alpha, shift])
 
 
+MOVING = ("rotations", "transmission", "lengths")
+"""What is linear in the fraction of the path, as long as breakpoints keep their order."""
+
+
 @lru_cache(maxsize=32)
-def _program(structure: Structure) -> tuple[Nlp, Any, Any]:
+def _program(structure: Structure) -> Problem:
     """max t subject to the equilibrium equations at joint values and lengths that are linear in t."""
-    builder = Builder()
-    n, pieces = structure.n_tubes, structure.n_pieces
-    t = builder.variable(["fraction of the path"])
-
-    def linear(size: int) -> Any:
-        return builder.parameter(size) + t * builder.parameter(size)
-
-    rotations, transmission, length = linear(n), linear(n), linear(pieces)
-    torsional = builder.parameter(n)
-    stiffness, moment = (ca.reshape(builder.parameter(n * pieces), n, pieces) for _ in range(2))
-    place = tuple(builder.parameter(n) for _ in range(2)) if structure.eccentric else (None, None)
-    block = add_equilibrium(
-        builder, structure, BlockInput(rotations, transmission, torsional, length, stiffness, moment, *place)
+    problem = Problem("snap")
+    t = problem.variable("fraction of the path")
+    sizes = {"rotations": structure.grid.n_tubes, **{name: shape[0] for name, shape in structure.shapes.items()}}
+    rotations, *own = (
+        problem.parameter(f"{name} at 0", np.zeros(sizes[name]))
+        + t * problem.parameter(f"{name} per path", np.zeros(sizes[name]))
+        for name in MOVING
     )
-    builder.minimise(-t)
-    nlp = builder.build()
-    return nlp, nlp.ipopt("snap"), ca.Function("read", [nlp.x, nlp.p], [ca.densify(block.rotation)])
+    add_torsion(problem, structure, rotations, dict(zip(MOVING[1:], own, strict=True)))
+    problem.maximize(t)
+    return problem
 
 
 def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
@@ -118,35 +117,33 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
     if problem.here is not None:
         # No program of tubes made of pieces: the point is next to the fold as it is.
         return here
-    structure = structure_of(problem)
-    nlp, solver, read = _program(structure)
     assembly, mesh = problem.assembly, problem.mesh
     ahead = path.robot.assembly(path.at(min(goal, here.t + 0.5 * (goal - here.t)))[1])
     if ahead.n_sections != assembly.n_sections or not goal > here.t:
         return here
     span = 0.5 * (goal - here.t)
     counts = np.bincount(mesh.section, minlength=assembly.n_sections)
-    rates = (
-        np.split(path.end - path.start, 2)[0],
-        (ahead.transmission - assembly.transmission) / span,
-        ((ahead.length - assembly.length) / counts / span)[mesh.section],
-    )
-    values = []
-    for value, rate in zip((here.solution.rotations, assembly.transmission, mesh.length), rates, strict=True):
-        values += [value - here.t * rate, rate]
-    values += [assembly.torsional_stiffness, problem.piece_stiffness.ravel(), problem.piece_moment.ravel()]
-    values += [assembly.offset, assembly.offset_angle] if assembly.eccentric else []
-    p = np.concatenate(values)
-    x = np.concatenate([[here.t], start_values(structure, problem, here.solution.arm, "equations")])
-    bounds = nlp.bounds
-    bounds["lbx"], bounds["ubx"] = bounds["lbx"].copy(), bounds["ubx"].copy()
-    bounds["lbx"][0], bounds["ubx"][0] = here.t, goal
-    result = solver(x0=x, p=p, **bounds)
-    t = float(result["x"][0])
-    if not solver.stats()["success"] or t - here.t > 1e-2:
+    program = _program(structure_of(problem))
+    rates = {
+        "rotations": np.split(path.end - path.start, 2)[0],
+        "transmission": (ahead.transmission - assembly.transmission) / span,
+        "lengths": ((ahead.length - assembly.length) / counts / span)[mesh.section],
+    }
+    for name, value in {"rotations": here.solution.rotations, **torsion_numbers(problem)}.items():
+        if name in rates:
+            program.set_value(f"{name} at 0", value - here.t * rates[name])
+            program.set_value(f"{name} per path", rates[name])
+        else:
+            program.set_value(name, value)
+    for name, value in torsion_guess(problem, here.solution.arm).items():
+        program.set_guess(name, value)
+    program.set_guess("fraction of the path", here.t)
+    program.set_bounds("fraction of the path", here.t, goal)
+    found = program.attempt(EQUILIBRIUM)
+    t = float(found.values["fraction of the path"][0])
+    if found.status is not ProblemStatus.SOLVED or t - here.t > 1e-2:
         return here
-    theta = read(result["x"], p).full().T
-    return _at_fold(path, here, t, theta)
+    return _at_fold(path, here, t, inside_points(problem, found.values["rotation inside"]))
 
 
 def _at_fold(path: JointPath, here: Point, t: float, theta: Array) -> Point:

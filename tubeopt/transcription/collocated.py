@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from ..physics.shape import GAUSS_POINTS, magnus_quaternion
-from ..physics.torsion import CrossSection, cross_section, section_functions
+from ..physics.torsion import CrossSection, cross_section
 from ..typing import Array
 from .tableau import Tableau, tableau
 
@@ -155,6 +155,15 @@ def energy_of(torsion: Torsion) -> Any:
     return piece.length * total
 
 
+def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
+    """A piece of concentric tubes whose torsion `twist` (n, K) at its points is a control: defect (n, K) of theta,
+    theta (n,) where it ends, elastic energy, J."""
+    t, h = piece.grid.tableau, piece.length
+    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * twist @ t.matrix.T
+    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), ca.SX.zeros(*twist.shape), defect, (piece.theta, twist))
+    return defect, piece.theta + h * twist @ t.weights, energy_of(free)
+
+
 def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:
     """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each step up to `fraction`
     of it, which may be a symbol."""
@@ -169,38 +178,36 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]
     return out
 
 
-def softened_fields(torsion: Torsion, end: Any, inner: Any, margin: Any) -> tuple[Any, Any]:
-    """Jacobi fields of a piece whose tubes are softened by the fraction `margin`, collocated as its torsion is.
+def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
+    """A Jacobi field of a piece of softened tubes, collocated as its torsion is.
 
     The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
     where w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
     det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
-        end: (2n, c) y above v where the piece ends.  inner: (n, K c) y at its points, field by field.
+        softness: (n, n K) (dM/dtheta) / ((1 - margin) kt) at the points; of eccentric tubes also (n, n K) w dg/dtheta
+            and (n, K) g.
+        end: (2n,) y above v where the piece ends.  inner: (n, K) y at its points.
 
     Returns:
-        (2n, c) y above v where the piece begins; (n, K c) defect of the collocated equations.
+        (2n,) y above v where the piece begins; (n, K) defect of the collocated equations.
     """
-    piece, t = torsion.piece, torsion.piece.grid.tableau
-    n, count, h = piece.grid.n_tubes, piece.grid.degree, piece.length
-    balance = section_functions(n, bool(piece.place))["balance"]
-    sections = [balance(piece.inner[:, k], piece.stiffness, piece.moment, *piece.place) for k in range(count)]
-    gains = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ here[1] for here in sections]
-    ahead, ahead_twist = t.weights - t.matrix, t.weights - t.adjoint
-    before, defects = [], []
-    for c in range(end.shape[1]):
-        y, v, own = end[:n, c], end[n:, c], inner[:, c * count : (c + 1) * count]
-        gained = ca.horzcat(*(gains[k] @ own[:, k] for k in range(count)))
-        slope = ca.repmat(v, 1, count) - h * gained @ ahead_twist.T
-        if piece.place:
-            turned = [
-                here[3] * slope[:, k] + torsion.twist[:, k] * (here[4] @ own[:, k]) for k, here in enumerate(sections)
-            ]
-            slope = ca.horzcat(*turned)
-        defects.append(own - ca.repmat(y, 1, count) + h * slope @ ahead.T)
-        before.append(ca.vertcat(y - h * slope @ t.weights, v - h * gained @ t.weights))
-    return ca.horzcat(*before), ca.horzcat(*defects)
+    t, n, count = grid.tableau, grid.n_tubes, grid.degree
+    gain, *stretching = softness
+    y, v = end[:n], end[n:]
+    gained = _at_points(gain, inner)
+    slope = ca.repmat(v, 1, count) - length * gained @ (t.weights - t.adjoint).T
+    if stretching:
+        slope = stretching[1] * slope + _at_points(stretching[0], inner)
+    defect = inner - ca.repmat(y, 1, count) + length * slope @ (t.weights - t.matrix).T
+    return ca.vertcat(y - length * slope @ t.weights, v - length * gained @ t.weights), defect
+
+
+def _at_points(matrices: Any, columns: Any) -> Any:
+    """(n, K) products of matrices (n, n K), side by side, with columns (n, K)."""
+    n = columns.shape[0]
+    return ca.horzcat(*(matrices[:, k * n : (k + 1) * n] @ columns[:, k] for k in range(columns.shape[1])))
 
 
 def quaternion_of(frame: Array) -> Array:

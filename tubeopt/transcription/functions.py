@@ -10,7 +10,8 @@ import casadi as ca
 from ..physics.matrix import determinant
 from ..physics.shape import quaternion_product, rotation_matrix
 from ..physics.strain import bend_from_own
-from .collocated import Grid, energy_of, shape_of, softened_fields, symbols, torsion_of
+from ..physics.torsion import section_functions
+from .collocated import Grid, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
 
@@ -62,6 +63,15 @@ def energy_function(grid: Grid) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
+def motion_function(grid: Grid) -> ca.Function:
+    """(theta (n,) where a piece begins, theta and theta' (n, K) at its points, kb, m, kt (n,), length) -> `motion_of`
+    concentric tubes."""
+    piece, twist = symbols(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
+    inputs = [piece.theta, piece.inner, twist, piece.stiffness, piece.moment, piece.torsional_stiffness, piece.length]
+    return ca.Function("motion", inputs, list(motion_of(piece, twist)), OPTIONS)
+
+
+@lru_cache(maxsize=64)
 def bend_function(grid: Grid) -> ca.Function:
     """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
     at the points, |u / g - u*|, 1/m."""
@@ -75,24 +85,51 @@ def bend_function(grid: Grid) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def fields_function(grid: Grid) -> ca.Function:
-    """(Jacobi fields (2n, n) at the end, (n, K n) at the points, margin, arguments of a piece) -> fields (2n, n) at its
-    beginning, defect (n, K n)."""
+def twist_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> w (n, K) at its points."""
     torsion = torsion_of(symbols(grid))
-    n = grid.n_tubes
-    fields, inner, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("inside", n, grid.degree * n), ca.SX.sym("margin")
-    out = softened_fields(torsion, fields, inner, margin)
-    return ca.Function("fields", [fields, inner, margin, *torsion.piece.arguments], list(out), OPTIONS)
+    return ca.Function("twist", torsion.piece.arguments, [torsion.twist], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def softness_function(grid: Grid) -> ca.Function:
+    """(margin, theta, w, kb, m, kt (n,)[, offset, angle (n,)]) of one point -> what `softened_fields` needs of it."""
+    piece = symbols(grid)
+    margin, w = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes)
+    balance = section_functions(grid.n_tubes, grid.eccentric)["balance"]
+    _, stiff, _, *stretching = balance(piece.theta, piece.stiffness, piece.moment, *piece.place)
+    outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
+    if stretching:
+        outputs += [ca.diag(w) @ stretching[1], stretching[0]]
+    given = [piece.theta, w, piece.stiffness, piece.moment, piece.torsional_stiffness, *piece.place]
+    return ca.Function("softness", [margin, *given], [ca.densify(part) for part in outputs], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def fields_function(grid: Grid) -> ca.Function:
+    """(n Jacobi fields (2n, n) at the end, (n, K n) at the points, field by field, length, softness) of a piece ->
+    fields (2n, n) at its beginning, defect (n, K n). Every field is the same function, of few operations: of nine tubes
+    the second derivatives of all at once would take minutes to write out."""
+    n, count = grid.n_tubes, grid.degree
+    end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", n, count), ca.SX.sym("h")
+    softness = _softness(grid)
+    one = ca.Function("field", [end, inner, h, *softness], list(softened_fields(grid, h, softness, end, inner)))
+    return one.map("fields", "serial", n, list(range(2, one.n_in())), [])
 
 
 @lru_cache(maxsize=64)
 def field_matrix_function(grid: Grid) -> ca.Function:
-    """(margin, arguments of a piece) -> (K n, K n) matrix of the defect of one field by its values at the points."""
-    torsion = torsion_of(symbols(grid))
-    inner, margin = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("margin")
-    defect = softened_fields(torsion, ca.SX.zeros(2 * grid.n_tubes, 1), inner, margin)[1]
+    """(length, softness) of a piece -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    inner, h, softness = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("h"), _softness(grid)
+    defect = softened_fields(grid, h, softness, ca.SX.zeros(2 * grid.n_tubes), inner)[1]
     matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
-    return ca.Function("field_matrix", [margin, *torsion.piece.arguments], [matrix], OPTIONS)
+    return ca.Function("field_matrix", [h, *softness], [matrix], OPTIONS)
+
+
+def _softness(grid: Grid) -> tuple[Any, ...]:
+    n, count = grid.n_tubes, grid.degree
+    gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
+    return (gain, turned, stretch) if grid.eccentric else (gain,)
 
 
 @lru_cache(maxsize=16)

@@ -20,6 +20,7 @@ a small motion in place of the derivatives of W, and a Jacobian that is not symm
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -68,6 +69,11 @@ class LoadedProblem:
         """Pieces of the arm."""
         return self.torsion.mesh
 
+    @cached_property
+    def wound(self) -> Array:
+        """(N, n) natural turn of the tubes up to the points, rad."""
+        return self.torsion.assembly.wound(self.torsion.arc_length)
+
     @property
     def size(self) -> int:
         """Number of unknowns U + 2 N."""
@@ -109,26 +115,32 @@ class LoadedState:
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
     """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
-    assembly, mesh = torsion.assembly, torsion.mesh
+    spread, softness, tip, row, lever = _unloaded(torsion)
+    force, base = _forces(torsion.mesh, load, torsion.assembly.present @ density)
+    return LoadedProblem(torsion, load, force, base, spread, softness, tip, row, lever)
+
+
+@lru_cache(maxsize=64)
+def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]:
+    """What no load changes: spread, softness, and tube, row and lever of the tip."""
     count, n = torsion.stiffness.shape
     spread = np.zeros((count * n, torsion.size))
     spread[torsion.flat] = torsion.factor
-    tip = int(np.argmax(assembly.end))
+    tip = int(np.argmax(torsion.assembly.end))
     lever, whole = twist_compliance(torsion, tip)
     seen = np.where(torsion.tube == tip, lever[torsion.point], 0.0)
     row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
-    force, base = _forces(mesh, load, assembly.present @ density)
-    return LoadedProblem(
-        torsion=torsion,
-        load=load,
-        force=force,
-        base_force=base,
-        spread=spread.reshape(count, n, -1),
-        softness=1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1)),
-        tip_tube=tip,
-        tip_row=row,
-        tip_lever=whole,
-    )
+    softness = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
+    return spread.reshape(count, n, -1), softness, tip, row, whole
+
+
+def compliances(torsion: ReducedProblem) -> tuple[Array, Array]:
+    """1 / kt at the points (N, n), and int ds / kt from where the tubes are held to the plate (n,)."""
+    assembly, here = torsion.assembly, torsion.here
+    if here is not None:
+        return here.rate.reshape(-1, assembly.n_tubes), here.transmission
+    even = 1 / assembly.torsional_stiffness
+    return np.tile(even, (len(torsion.weight), 1)), assembly.transmission * even
 
 
 def twist_compliance(torsion: ReducedProblem, tube: int) -> tuple[Array, float]:
@@ -147,15 +159,16 @@ def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:
     """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `mass` (m,) per
     length of each section, kg/m."""
     s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
-    along = load.per_length(s)
-    if load.gravity is not None:
-        along += mass[mesh.section][:, None, None] * np.array(load.gravity)
-    h, t = mesh.length[:, None, None], mesh.tableau
-    whole = (h * along * t.weights[:, None]).sum(1)
-    ahead = np.cumsum(whole[::-1], axis=0)[::-1]
-    # From each point to the end of its piece, then the pieces ahead.
-    out = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None]
-    base = ahead[0].copy() if len(ahead) else np.zeros(3)
+    out, base = np.zeros((*s.shape, 3)), np.zeros(3)
+    if load.distributed is not None or load.gravity is not None:
+        along = load.per_length(s)
+        if load.gravity is not None:
+            along += mass[mesh.section][:, None, None] * np.array(load.gravity)
+        h, t = mesh.length[:, None, None], mesh.tableau
+        whole = (h * along * t.weights[:, None]).sum(1)
+        ahead = np.cumsum(whole[::-1], axis=0)[::-1]
+        # From each point to the end of its piece, then the pieces ahead.
+        out, base = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None], ahead[0].copy()
     for part in load.points:
         # At the end of the arm, within round-off, a force acts on all of it.
         out[s < part.at] += part.force

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physics.shape import rotation_matrix_function
+from ..robots.lengthwise import CrossSections
 from ..typing import Array
-from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at, torsion_at
+from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at
 from .buffered import mapped, section_function
 from .loaded import LoadedProblem, LoadedState
 from .orientation import tangents
@@ -19,7 +20,7 @@ from .reduced import ReducedProblem, reach, sections_at
 @dataclass(frozen=True, eq=False)
 class LoadedArm:
     """The arm at its m shape points: arc_length (m,), rotation (n, m), torsion (n, m), curvature (m, 2),
-    position (m, 3), frame (m, 3, 3); and torque (n,) of every tube at the plate, N m."""
+    position (m, 3), frame (m, 3, 3)."""
 
     arc_length: Array
     rotation: Array
@@ -27,7 +28,6 @@ class LoadedArm:
     curvature: Array
     position: Array
     frame: Array
-    base_torque: Array
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
@@ -67,8 +67,6 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
     moved = up_to @ tangents(along.stage).reshape(pieces, t.degree, 3)
     begun = np.cumsum(np.concatenate([np.zeros((1, 3)), moved[:-1, -1]]), axis=0)
     frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
-    base = -(torsion.weight @ state.torque)
-    base[problem.tip_tube] += state.tip_torque
     return LoadedArm(
         arc_length=arc_lengths(mesh),
         rotation=_shared(theta).T.copy(),
@@ -76,24 +74,29 @@ def loaded_arm(problem: LoadedProblem, rotations: Array, state: LoadedState) -> 
         curvature=_shared(curvature),
         position=_shared(begun[:, None] + moved),
         frame=_shared(frame.reshape(pieces, len(ENDS), 9)).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
-        base_torque=base,
     )
+
+
+def shape_sections(torsion: ReducedProblem) -> CrossSections:
+    """(P 5, n) cross-sections at the shape points of every piece, seen from inside it."""
+    assembly, mesh, count = torsion.assembly, torsion.mesh, len(ENDS)
+    if torsion.here is not None:
+        return sections_at(assembly, mesh, ENDS)
+    kb, m = (np.repeat(table, count, axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
+    none = np.zeros_like(kb)
+    return CrossSections(kb, m, none, np.broadcast_to(assembly.torsional_stiffness, kb.shape), none, none)
 
 
 def _tubes(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
-    ends = tuple(ENDS.tolist())
-    theta, n = rotations_at(torsion, profile, ends), torsion.assembly.n_tubes
-    if torsion.here is None:
-        kb, m = (np.repeat(table, len(ENDS), axis=0) for table in (torsion.piece_stiffness, torsion.piece_moment))
-        return theta, torsion_at(torsion, profile, ends), (theta.reshape(-1, n), kb, m)
-    mesh = torsion.mesh
-    here = sections_at(torsion.assembly, mesh, ENDS)
+    theta, n, mesh = rotations_at(torsion, profile, tuple(ENDS.tolist())), torsion.assembly.n_tubes, torsion.mesh
+    here = shape_sections(torsion)
     inside = mesh.length[:, None, None] * (mesh.tableau.lagrange(ENDS, integrals=1) @ profile.moment)
-    torque = (profile.twist[:, None] + inside).reshape(-1, n)
-    slope = (torque / here.torsional_stiffness + here.twist).reshape(theta.shape)
+    slope = (profile.twist[:, None] + inside).reshape(-1, n)
+    if torsion.here is not None:
+        slope = slope / here.torsional_stiffness
     pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
-    return theta + here.wound.reshape(theta.shape), slope, pull
+    return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
 
 
 def _shared(values: Array) -> Array:

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import Assembly
 from ..typing import Array, Mask
+from .buffered import mapped
 from .tableau import Tableau, tableau
 
 WAVES_PER_ELEMENT = 0.75
@@ -48,27 +50,20 @@ class Mesh:
 
 
 def coupling_rate(assembly: Assembly) -> Array:
-    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion in each section, 1/m.
-
-    For two tubes c = (1 + nu) kappa_1 kappa_2 when their nu are equal (Dupont et al. 2010); for more, the row sums of
-    the Jacobi matrix bound its eigenvalues.
-    """
+    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion in each section, 1/m."""
     if assembly.general:
         return _needs(assembly)[0]
-    moment = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
-    total = (assembly.bending_stiffness * assembly.present).sum(1)
-    return _rate(moment, total, assembly.torsional_stiffness)
+    stiffness = assembly.bending_stiffness * assembly.present
+    moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
+    return _rate(stiffness, moment, assembly.torsional_stiffness)
 
 
-def _rate(moment: Array, total: Array, torsional_stiffness: Array) -> Array:
-    """sqrt(c) of cross-sections with |m_i| (m, n), sum of kb (m,), and kt (n,) or (m, n)."""
-    pairs = moment[:, :, None] * moment[:, None, :] / np.maximum(total, 1e-300)[:, None, None]
-    tubes = np.arange(moment.shape[1])
-    pairs[:, tubes, tubes] = 0.0
-    kt = np.broadcast_to(torsional_stiffness, moment.shape)
-    each = pairs / kt[:, :, None] + pairs / kt[:, None, :]
-    rate: Array = np.sqrt(each.sum(2).max(1, initial=0.0))
-    return rate
+def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
+    """sqrt(c) of cross-sections with kb_i, m_i (m, n) and kt (n,) or (m, n)."""
+    count, n = stiffness.shape
+    if not count:
+        return np.zeros(0)
+    return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
 
 
 def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
@@ -77,8 +72,7 @@ def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
     here = assembly.cross_sections(s, s)
-    total = here.stiffness.sum(1)
-    rate = _rate(here.moment, total, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    rate = _rate(here.stiffness, here.moment, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
     own = here.moment / np.maximum(here.stiffness, 1e-300)
     steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
     panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)

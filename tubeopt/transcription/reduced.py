@@ -19,6 +19,8 @@ s / kt. Where a tube is made of pieces, `theta` here and in `arm` is phi.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -26,12 +28,15 @@ from numpy.typing import NDArray
 
 from ..robots.assembly import Assembly, without_offsets
 from ..robots.lengthwise import CrossSections
-from ..typing import Array
+from ..typing import Array, Mask
 from .buffered import section_function
 from .mesh import Mesh
 from .offset_margin import Block, make_blocks, softenings
 
 Index = NDArray[np.intp]
+
+LARGE = 60
+"""Unknowns from which it pays to leave out what is 0 of L."""
 
 INWARDS = 1e-6
 """How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
@@ -99,6 +104,12 @@ class ReducedProblem:
         """Number of unknowns U."""
         return len(self.point)
 
+    @cached_property
+    def by_tube(self) -> tuple[slice, ...]:
+        """The unknowns of each tube, between which L is 0."""
+        cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
+        return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
+
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
@@ -114,13 +125,15 @@ class Evaluation:
     extra_twist: Array | None
 
 
-def reduce(assembly: Assembly, mesh: Mesh) -> ReducedProblem:
-    """Eliminate everything but theta at the collocation points of the tubes that are coupled there."""
+def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
+    """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
+    `unknown` (m, n), section by section."""
     elements = np.flatnonzero(mesh.collocated)
     degree, n = mesh.tableau.degree, assembly.n_tubes
     section = np.repeat(mesh.section[elements], degree)
     # Concentric straight tubes are carried along; tubes off the centreline are stretched wherever the arm is curved.
-    unknown = (assembly.present if assembly.eccentric else assembly.curved)[section]
+    usual = assembly.present if assembly.eccentric else assembly.curved
+    unknown = (usual if unknown is None else unknown)[section]
     tube, point = np.nonzero(unknown.T)
     weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
     index = np.full(unknown.shape, -1)
@@ -300,7 +313,15 @@ def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
-    hessian = problem.factor.T @ second.reshape(problem.size, problem.size) @ problem.factor
+    table = second.reshape(problem.size, problem.size)
+    if problem.size < LARGE:
+        hessian = problem.factor.T @ table @ problem.factor
+    else:
+        hessian = np.empty_like(table)
+        for j in problem.by_tube:
+            turned = table[:, j] @ problem.factor[j, j]
+            for i in problem.by_tube:
+                hessian[i, j] = problem.factor[i, i].T @ turned[i]
     hessian.ravel()[:: problem.size + 1] += 1.0
     return np.asarray(hessian)
 

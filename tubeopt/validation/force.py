@@ -183,6 +183,9 @@ def _try(trial: _Trial, base: Load, force: Array, measured: _Measured) -> _Trial
 def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
     e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
+    if list(measured.arc_length) == [e.arc_length[-1]]:
+        noise = float(measured.noise[0])
+        return _Trial(force, e, (measured.position[0] - e.tip_position) / noise, e.compliance[:3, :3] / noise)
     point = loaded_point(e)
     problem, state = point.member.problem, point.state
     moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...display import Displayed
 from ...errors import InputError, finite, numbers
-from ...files.fields import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube

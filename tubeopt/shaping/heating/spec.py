@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from ...display import Displayed
 from ...errors import InputError, choice, finite, positive
-from ...files.fields import POSITIVE, OneOf, Range, check_fields, key, unit
+from ...files.marks import POSITIVE, OneOf, Range, check_fields, key, unit
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")

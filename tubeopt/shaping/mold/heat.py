@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from ...errors import InputError
-from ...files.fields import POSITIVE, check_fields, key, unit
+from ...files.marks import POSITIVE, check_fields, key, unit
 from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ...errors import InputError, choice, finite
-from ...files.fields import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
+from ...files.marks import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
 from ...robots.materials import ZERO_CELSIUS
 
 INSULATING_RESISTIVITY = 1e3

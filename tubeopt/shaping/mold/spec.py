@@ -7,7 +7,7 @@ from typing import Annotated
 
 from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive
-from ...files.fields import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
 from .heat import HeatSpec
 from .materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .springback import Springback

@@ -13,7 +13,7 @@ import scipy
 
 from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
-from ...files.fields import check_fields, unit
+from ...files.marks import check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")

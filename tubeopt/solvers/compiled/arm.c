@@ -142,11 +142,6 @@ static int never_softens(const Unknowns *q, const State *state, double *h) {
     return cholesky(h, q->size, STRIDE);
 }
 
-/* A direction that has something of every other. */
-static void anywhere(double *z, int n) {
-    for (int k = 0; k < n; k++) z[k] = 1 + (7 * k) % 5;
-}
-
 /* Softest direction z of the second variation at `state`; 0 where it is not stable. */
 static int softest(const Unknowns *q, const State *state, double *h, double *z) {
     anywhere(z, q->size);

@@ -1,8 +1,8 @@
 /* Forward kinematics in one call: sections, energy descent, Newton, margin, shape.
 
-   Before it stand the functions `balance`, `stretched` and `piece` that CasADi generates from the mechanics. What is not plain
-   sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is declined, and left to the
-   general solver. */
+   Before it stand the functions `balance`, `coupling_rate`, `stretched` and `piece` that CasADi generates from the
+   mechanics. What is not plain sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is
+   declined, and left to the general solver. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

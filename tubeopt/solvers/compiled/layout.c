@@ -25,18 +25,12 @@ static int compare(const void *a, const void *b) {
     return (x > y) - (x < y);
 }
 
-/* Bound of the fastest growth of torsion, 1/m: row sums of the Jacobi matrix. */
-static double coupling_rate(const double *kt, const double *moment, const double *stiffness) {
-    double total = 0, worst = 0;
-    for (int i = 0; i < N; i++) total += stiffness[i];
-    if (total <= 0) return 0;
-    for (int i = 0; i < N; i++) {
-        double row = 0;
-        for (int j = 0; j < N; j++)
-            if (j != i) row += fabs(moment[i] * moment[j]) / total * (1 / kt[i] + 1 / kt[j]);
-        worst = fmax(worst, row);
-    }
-    return sqrt(worst);
+/* Bound of the fastest growth of torsion, 1/m. */
+static double fastest_growth(const double *kt, const double *moment, const double *stiffness) {
+    const double *in[] = {stiffness, moment, kt};
+    double rate, *out[] = {&rate};
+    coupling_rate(in, out, 0, 0, 0);
+    return rate;
 }
 
 /* Cut the arm at every transition and end in front of the plate; 0 where that cannot be. */
@@ -86,7 +80,7 @@ static double general_need(const Tubes *t, const Layout *l, double start, double
             steepest = fmax(steepest, m[i] / kb[i]);
             finest = fmax(finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
         }
-        fastest = fmax(fastest, coupling_rate(kt, m, kb));
+        fastest = fmax(fastest, fastest_growth(kt, m, kb));
     }
     return length * fmax(fmax(fastest / WAVES_PER_ELEMENT, steepest / BEND_PER_PIECE), finest);
 }
@@ -119,7 +113,7 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
 #if GENERAL
         double wanted = fmax(1.0, ceil(general_need(t, l, cuts[k], length, present) - 1e-9));
 #else
-        double need = fmax(coupling_rate(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
+        double need = fmax(fastest_growth(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
         double wanted = bent ? fmax(1.0, ceil(need - 1e-9)) : 1.0;
 #endif
         if (l->pieces + wanted > MOST_PIECES) return 0;

@@ -11,11 +11,12 @@ import hashlib
 import logging
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -25,6 +26,7 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
@@ -36,7 +38,7 @@ from ...transcription.reduced import INWARDS
 from ...transcription.tableau import tableau
 from ...typing import Array
 from ..settings import NEWTON
-from .packaged import build_kernels, generations, packaged_kernel
+from .packaged import Kind, packaged_kernel
 
 HERE = Path(__file__).parent
 
@@ -102,6 +104,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
     """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
+    generator.add(coupling_rate_function(n))
     if general:
         for name, function in (
             ("section_curvature", section_functions(n, False)["curvature"]),
@@ -145,18 +148,20 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
-    defines = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    defines += _general_constants() if general else ""
-    names = ("pieces", "layout", "linear", "energy", "minimise", "arm", "pieces_arm", "stretch")
-    parts = {name: (HERE / f"{name}.c").read_text() for name in names}
-    kernel = (HERE / "kernel.c").read_text()
-    for name, text in parts.items():
-        kernel = kernel.replace(f'#include "{name}.c"\n', text)
-    sine = (HERE / "sine.c").read_text()
-    return f"{defines}{sine}\n{generator.dump()}\n{kernel}"
+    tables = _general_constants() if general else ""
+    return tables + c_text(constants, generator, "kernel.c")
 
 
-def _compiler() -> list[str] | None:
+def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
+    """A kernel as one C text: constants, what CasADi generates, and a file of this folder with those that it includes."""
+    constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    text = (HERE / file).read_text()
+    while part := re.search(r'#include "(\w+\.c)"\n', text):
+        text = text.replace(part[0], (HERE / part[1]).read_text())
+    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{text}"
+
+
+def compiler() -> list[str] | None:
     """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
@@ -169,11 +174,11 @@ def _compiler() -> list[str] | None:
 
 def _build(text: str) -> Path | None:
     """The shared library of a C text, compiled unless it is in the cache; None where that cannot be."""
-    compiler = _compiler()
-    if compiler is None:
+    own = compiler()
+    if own is None:
         return None
     machine = f"{platform.machine()} {platform.system()} {_processor()}"
-    name = hashlib.sha256("\0".join((text, *compiler, *FLAGS, OWN_PROCESSOR, machine)).encode()).hexdigest()[:32]
+    name = hashlib.sha256("\0".join((text, *own, *FLAGS, OWN_PROCESSOR, machine)).encode()).hexdigest()[:32]
     for folder in (cache_directory, _own_folder):
         path = folder() / "kernels" / f"{name}.so"
         if path.exists():
@@ -189,13 +194,13 @@ def _build(text: str) -> Path | None:
 
 def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
     """Compile a C text to a shared library, whole or not at all; raises SubprocessError or OSError where it cannot."""
-    compiler = _compiler()
-    if compiler is None:
+    own = compiler()
+    if own is None:
         raise OSError("there is no C compiler")
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as work:
         (Path(work) / "kernel.c").write_text(text)
-        command = [*compiler, *FLAGS, *flags, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
+        command = [*own, *FLAGS, *flags, "-w", "-fPIC", "-shared", "-o", "kernel.so", "kernel.c", "-lm"]
         subprocess.run(command, cwd=work, capture_output=True, timeout=120, check=True)
         os.replace(Path(work) / "kernel.so", path)
 
@@ -206,6 +211,11 @@ def _own_folder() -> Path:
     folder = tempfile.mkdtemp(prefix="tubeopt-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
+
+
+def processor_features() -> frozenset[str]:
+    """What the processor can do, in words."""
+    return frozenset(_processor().split())
 
 
 def _processor() -> str:
@@ -314,38 +324,36 @@ def _tell_once() -> None:
     )
 
 
-def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
-    """Compile the kernels of all robots for a wheel: for this processor, or `everywhere` for every generation of its
-    kind; none where there is no compiler."""
-    kinds = [
-        (n, eccentric, general)
-        for n in range(1, MOST_TUBES + 1)
-        for eccentric, general in ((False, False), (True, False), (False, True))
-    ]
-    if _compiler() is None:
-        return []
-    here = frozenset(_processor().split())
-    chosen = generations() if everywhere else [next(g for g in generations() if g.needs <= here)]
-    return build_kernels({kind: source(*kind) for kind in kinds}, compile_to, folder, chosen)
+def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
+    """Where the kernel of a kind is, from the package or compiled here from its C text; None where it cannot be had."""
+    if os.environ.get("TUBEOPT_COMPILE") == "0":
+        return None
+    path = packaged_kernel(kind, processor_features()) or _build(text())
+    if path is None:
+        _tell_once()
+    return path
+
+
+def load_library(path: Path) -> Any:
+    """A shared library with the sizes of its structures; None in a folder from which nothing may be executed, or where
+    the file is broken."""
+    try:
+        loaded = ctypes.CDLL(str(path))
+    except OSError:
+        return None
+    for size in ("workspace_size", "answer_size"):
+        getattr(loaded, size).restype = ctypes.c_size_t
+    return loaded
 
 
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
-    path = None
-    if os.environ.get("TUBEOPT_COMPILE") != "0":
-        path = packaged_kernel((n, eccentric, general), _processor().split())
-        path = path or _build(source(n, eccentric, general))
-        if path is None:
-            _tell_once()
-    if path is None:
+    what = "general" if general else "eccentric" if eccentric else "concentric"
+    path = kernel_path((n, what), lambda: source(n, eccentric, general))
+    loaded = None if path is None else load_library(path)
+    if path is None or loaded is None:
         return None
-    try:
-        loaded = ctypes.CDLL(str(path))
-    except OSError:  # a folder from which nothing may be executed, or a file that is broken
-        return None
-    for size in ("workspace_size", "answer_size"):
-        getattr(loaded, size).restype = ctypes.c_size_t
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
     loaded.solve.argtypes = [pointer] * 7
     loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]

@@ -22,13 +22,11 @@ static int cholesky_of_four(double *a, int stride) {
     return 1;
 }
 
-/* Upper R with A = R'R in the upper triangle of a, the inverse of its diagonal on the diagonal; 0 where A is not
+/* The first `rows` of `whole` rows of A, both multiples of four, eliminated: of A = (B C; C' D) are left R with B = R'R,
+   the inverse of its diagonal on the diagonal, S = R^-T C, and D - S'S, in the upper triangle of a. 0 where B is not
    positive definite. */
-static int cholesky(double *a, int n, int stride) {
-    int whole = filled_up(n);
-    for (int r = 0; r < whole; r++)
-        for (int j = r < n ? n : 0; j < whole; j++) a[(size_t)r * stride + j] = r == j;
-    for (int k = 0; k < whole; k += 4) {
+static int eliminate(double *a, int rows, int whole, int stride) {
+    for (int k = 0; k < rows; k += 4) {
         double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
         if (!cholesky_of_four(r0 + k, stride)) return 0;
         for (int j = k + 4; j < whole; j += 4) {
@@ -50,13 +48,20 @@ static int cholesky(double *a, int n, int stride) {
     return 1;
 }
 
+/* Upper R with A = R'R in the upper triangle of a, the inverse of its diagonal on the diagonal; 0 where A is not
+   positive definite. */
+static int cholesky(double *a, int n, int stride) {
+    int whole = filled_up(n);
+    for (int r = 0; r < whole; r++)
+        for (int j = r < n ? n : 0; j < whole; j++) a[(size_t)r * stride + j] = r == j;
+    return eliminate(a, whole, whole, stride);
+}
+
 static double sum_of_four(Four x) { return (x[0] + x[1]) + (x[2] + x[3]); }
 
-/* x <- (R'R)^-1 x */
-static void cholesky_solve(const double *a, int n, int stride, double *x) {
-    int whole = filled_up(n);
-    for (int j = n; j < whole; j++) x[j] = 0;
-    for (int k = 0; k < whole; k += 4) {
+/* Of (x, y) by rows and the rest of `eliminate`: x <- R^-T x, y <- y - S'x. */
+static void eliminate_forwards(const double *a, int rows, int whole, int stride, double *x) {
+    for (int k = 0; k < rows; k += 4) {
         const double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
         double x0 = x[k] * r0[k], x1 = (x[k + 1] - r0[k + 1] * x0) * r1[k + 1];
         double x2 = (x[k + 2] - r0[k + 2] * x0 - r1[k + 2] * x1) * r2[k + 2];
@@ -65,7 +70,11 @@ static void cholesky_solve(const double *a, int n, int stride, double *x) {
         for (int j = k + 4; j < whole; j += 4)
             FOUR(x + j) -= x0 * FOUR(r0 + j) + x1 * FOUR(r1 + j) + x2 * FOUR(r2 + j) + x3 * FOUR(r3 + j);
     }
-    for (int k = whole - 4; k >= 0; k -= 4) {
+}
+
+/* Of the same: x <- R^-1 (x - S y). */
+static void eliminate_backwards(const double *a, int rows, int whole, int stride, double *x) {
+    for (int k = rows - 4; k >= 0; k -= 4) {
         const double *r0 = a + (size_t)k * stride, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
         Four s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
         for (int j = k + 4; j < whole; j += 4) {
@@ -81,6 +90,14 @@ static void cholesky_solve(const double *a, int n, int stride, double *x) {
         double x0 = (x[k] - sum_of_four(s0) - r0[k + 3] * x3 - r0[k + 2] * x2 - r0[k + 1] * x1) * r0[k];
         FOUR(x + k) = (Four){x0, x1, x2, x3};
     }
+}
+
+/* x <- (R'R)^-1 x */
+static void cholesky_solve(const double *a, int n, int stride, double *x) {
+    int whole = filled_up(n);
+    for (int j = n; j < whole; j++) x[j] = 0;
+    eliminate_forwards(a, whole, whole, stride, x);
+    eliminate_backwards(a, whole, whole, stride, x);
 }
 
 static double dot(const double *restrict x, const double *restrict y, int n) {
@@ -168,37 +185,71 @@ static void vector_of_tridiagonal(const double *d, const double *e, int n, doubl
     for (int j = 0; j < n; j++) y[j] /= sqrt(squared);
 }
 
-/* Least eigenvalue of A = R'R (cholesky): the largest of its inverse by Lanczos with reorthogonalisation from `vector`,
-   where the eigenvector is left. Without coupling all eigenvalues are 1, and with it they gather there: the square of the
-   residual over the distance from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
-static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value;
-    int steps = n < LANCZOS ? n : LANCZOS, m = 0;
+/* A direction that has something of every other. */
+static void anywhere(double *z, int n) {
+    for (int k = 0; k < n; k++) z[k] = 1 + (7 * k) % 5;
+}
+
+/* Lanczos' method for the least eigenvalue of A of n rows: the operator x <- A^-1 x, most steps up to LANCZOS, `small` as
+   below, and (most + 1) rows of length `stride` to work in; afterwards whether it settled. */
+typedef struct {
+    void (*inverse)(const void *of, double *x);
+    const void *of;
+    int n, most, stride, settled;
+    double small, *basis;
+} Lanczos;
+
+/* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
+   Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
+   from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
+static double least_of(Lanczos *l, double *vector) {
+    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
+    int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
     double norm = sqrt(dot(vector, vector, n));
-    for (int k = 0; k < n; k++) basis[0][k] = vector[k] / norm;
+    for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
     for (;; m++) {
-        double *restrict next = basis[m + 1], whole;
-        memcpy(next, basis[m], n * sizeof(double));
-        cholesky_solve(r, n, stride, next);
-        diagonal[m] = dot(next, basis[m], n);
+        double *last = basis + (size_t)m * stride, *next = last + stride, whole;
+        memcpy(next, last, n * sizeof(double));
+        l->inverse(l->of, next);
+        diagonal[m] = dot(next, last, n);
         do { /* Twice is enough: again only where most of the vector went away. */
             whole = dot(next, next, n);
             for (int j = 0; j <= m; j++) {
-                double along = dot(next, basis[j], n);
-                for (int k = 0; k < n; k++) next[k] -= along * basis[j][k];
+                const double *restrict other = basis + (size_t)j * stride;
+                double along = dot(next, other, n);
+                for (int k = 0; k < n; k++) next[k] -= along * other[k];
             }
             beside[m] = sqrt(dot(next, next, n));
         } while (beside[m] * beside[m] < 1e-2 * whole && beside[m] > 1e-13);
         value = largest_of_tridiagonal(diagonal, beside, m + 1);
         vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
         double residual = beside[m] * y[m];
-        if (m + 1 == steps || beside[m] < 1e-13 || residual * residual < small * value * (value - 1)) break;
+        l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * (value - 1);
+        if (l->settled || m + 1 == steps) break;
         for (int k = 0; k < n; k++) next[k] /= beside[m];
     }
     memset(vector, 0, n * sizeof(double));
     for (int j = 0; j <= m; j++)
-        for (int k = 0; k < n; k++) vector[k] += y[j] * basis[j][k];
+        for (int k = 0; k < n; k++) vector[k] += y[j] * basis[(size_t)j * stride + k];
     return 1 / value;
+}
+
+typedef struct {
+    const double *factor;
+    int n, stride;
+} Factored;
+
+static void by_factor(const void *of, double *x) {
+    const Factored *f = of;
+    cholesky_solve(f->factor, f->n, f->stride, x);
+}
+
+/* Least eigenvalue of A = R'R (cholesky), as `least_of`. */
+static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS];
+    Factored of = {r, n, stride};
+    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, basis[0]};
+    return least_of(&lanczos, vector);
 }
 
 /* det(x - H) of an upper Hessenberg matrix and its first two derivatives, each over the product of what stands below the

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-Kind = tuple[int, bool, bool]
-"""Of a kernel: for how many tubes, whether they run off the centreline, whether they are made of pieces."""
+Kind = tuple[int, str]
+"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "general" (made of pieces) or "loaded"."""
 
 FOLDER = Path(__file__).parent / "kernels"
 """Where a wheel has them."""
@@ -26,8 +26,7 @@ class Generation:
 
     def kernel(self, folder: Path, kind: Kind) -> Path:
         """Path of the kernel of a kind of robot."""
-        n, eccentric, general = kind
-        what = "general" if general else "eccentric" if eccentric else "concentric"
+        n, what = kind
         return folder / f"{what}-{n}-{self.name}.so"
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..solvers.settings import Ipopt
 from .problem_solution import ProblemSolution
 from .problem_status import ProblemStatus
+from .settings import Ipopt
 
 if TYPE_CHECKING:
-    from .equilibrium_block import EquilibriumBlock
     from .problem import Problem
 
 
@@ -20,12 +20,10 @@ def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: i
     A change that neither gains nor loses is kept as well: of several breakpoints at one place, one after the other has
     to move before anything is gained. No arrangement is visited twice.
     """
-    from .problem import with_reorderings
-
     best, at, seconds, count = solution, _layouts(problem), solution.statistics.seconds, 0
     seen = {_arrangement(problem)}
     while count < limit:
-        pressed = [(block, row) for block in problem.blocks if (row := pressing(block, best)) is not None]
+        pressed = [(block, row) for block in problem.blocks if (row := block.pressing(best)) is not None]
         if not pressed:
             break
         for block, row in pressed:
@@ -42,7 +40,7 @@ def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: i
             _restore(problem, at)
             break
         best, at, count = found, _layouts(problem), count + 1
-    return with_reorderings(best, count, seconds)
+    return replace(best, statistics=replace(best.statistics, reorderings=count, seconds=seconds))
 
 
 def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
@@ -71,22 +69,10 @@ def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) 
     return first
 
 
-def pressing(block: EquilibriumBlock, solution: ProblemSolution) -> int | None:
-    """The row of a block whose closed gap presses most, None where none does."""
-    rows = block.closed(solution)
-    if not rows:
-        return None
-    # In the scale of the solver: at a strict optimum a multiplier is large where its gap is small.
-    gaps = solution.value(block.model.gaps) / block._reach
-    forces = solution.multipliers[f"{block._label}order of breakpoints"] * block._reach
-    pressed = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
-    return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
-
-
 def _begin_at(problem: Problem, solution: ProblemSolution) -> None:
     """Start the variables that no block has set where a solution has them."""
     for name, value in solution.values.items():
-        if not any(block._label and name.startswith(block._label) for block in problem.blocks):
+        if not any(block.owns(name) for block in problem.blocks):
             problem.set_guess(name, value)
 
 

@@ -1,10 +1,10 @@
-"""A nonlinear program in which everything has a name: what its user composes from blocks, and how it is solved."""
+"""A nonlinear program in which everything has a name: what is composed from blocks, and how it is solved."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, nearest
-from ..solvers.settings import Ipopt
 from ..typing import Array
+from .closing import Closed, Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics
 from .problem_status import ProblemStatus
+from .settings import Ipopt
 from .violation import violations_of, worst
 
 MENTIONED = 3
@@ -169,6 +170,14 @@ class Problem:
         name = self._name_of(variable, {key: each.symbol for key, each in self._variables.items()}, "variable")
         self._variables[name].guess = _table(f"guess of {name!r}", value, len(self._variables[name].guess))
 
+    def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Give a variable, by its symbol or its name, other bounds."""
+        name = self._name_of(variable, {key: each.symbol for key, each in self._variables.items()}, "variable")
+        own, given = self._variables[name], {"lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in given.items()}
+        _ordered(name, {**table, "scale": own.scale})
+        own.lower, own.upper = table["lower"], table["upper"]
+
     def rename(self, name: str, entries: Sequence[str]) -> None:
         """Give the rows of a constraint other words."""
         self._constraints[name].entries = tuple(entries)
@@ -177,6 +186,30 @@ class Problem:
         """Take note of a block; returns what it is called."""
         self.blocks.append(block)
         return f"equilibrium {len(self.blocks)}"
+
+    def symbol(self, name: str) -> Any:
+        """The symbol of a variable, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._variables[self._name_of(name, self._variables, "variable")].symbol
+
+    def constraint(self, name: str) -> Any:
+        """The expression of a constraint, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].expression
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """The words for the rows of a constraint.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].entries
 
     # --- solution -----------------------------------------------------------------------------------------------------
 
@@ -226,7 +259,7 @@ class Problem:
         began = time.perf_counter()
         function = self._solver(solver, warm=start is not None)
         variables, constraints = self._variables.values(), self._constraints.values()
-        x, g = (_Stacked(list(part)) for part in (variables, constraints))
+        x, g = (Stacked(list(part)) for part in (variables, constraints))
         guess = {name: each.guess for name, each in self._variables.items()}
         given: dict[str, Any] = {}
         if start is not None:
@@ -278,7 +311,7 @@ class Problem:
         names = [*self._variables, *self._parameters]
         known = {name: each.guess for name, each in self._variables.items()}
         known |= {name: numbers for name, (_, numbers) in self._parameters.items()} | values | parameters
-        return np.array(_function(symbols, [expression])(*(known[name] for name in names)))
+        return np.array(function_of(symbols, [expression])(*(known[name] for name in names)))
 
     # --- within -------------------------------------------------------------------------------------------------------
 
@@ -313,39 +346,17 @@ class Problem:
         if key not in self._solvers:
             if not self._variables:
                 raise InputError(f"{self.name} has no variables")
-            x, g = _Stacked(list(self._variables.values())), _Stacked(list(self._constraints.values()))
-            symbols = [each.symbol for each in self._variables.values()] + [p for p, _ in self._parameters.values()]
-            rows = ca.vertcat(*(each.expression for each in self._constraints.values())) / ca.DM(g.scale)
-            whole = _function(symbols, [self._objective, rows])
-            scaled, p = ca.MX.sym("x", len(x.scale)), ca.MX.sym("p", sum(len(v) for _, v in self._parameters.values()))
-            parts = _parted(ca.DM(x.scale) * scaled, [len(each.scale) for each in self._variables.values()])
-            parts += _parted(p, [len(numbers) for _, numbers in self._parameters.values()])
-            f, constraints = whole.call(parts, True, False)
-            problem = {"x": scaled, "p": p, "f": f, "g": constraints}
-            self._solvers[key] = ca.nlpsol("program", "ipopt", problem, solver.options(warm=warm))
+            variables, constraints = list(self._variables.values()), list(self._constraints.values())
+            program = Closed(
+                variables=[each.symbol for each in variables],
+                scale=Stacked(variables).scale,
+                parameters=[symbol for symbol, _ in self._parameters.values()],
+                objective=self._objective,
+                constraints=[each.expression / ca.DM(each.scale) for each in constraints],
+            )
+            self._solvers[key] = ipopt_function(program, solver, warm=warm)
         function: ca.Function = self._solvers[key]
         return function
-
-
-class _Stacked:
-    """Scales and bounds of variables or constraints, one below the other."""
-
-    def __init__(self, parts: Sequence[Any]) -> None:
-        columns = [
-            np.concatenate([*(getattr(p, key) for p in parts), np.zeros(0)]) for key in ("scale", "lower", "upper")
-        ]
-        self.scale, self.lower, self.upper = columns
-
-
-def _parted(column: Any, sizes: list[int]) -> list[Any]:
-    return list(ca.vertsplit(column, np.cumsum([0, *sizes]).tolist())) if sizes else []
-
-
-def _function(symbols: list[Any], expressions: list[Any]) -> ca.Function:
-    function: ca.Function = ca.Function("program", symbols, expressions, {"allow_free": True})
-    if function.has_free():
-        raise InputError(f"an expression has symbols that are not the problem's: {', '.join(function.get_free())}")
-    return function
 
 
 def _table(what: str, value: ArrayLike, size: int) -> Array:
@@ -366,8 +377,3 @@ def _ordered(name: str, table: dict[str, Array]) -> None:
         raise InputError(f"bounds of {name!r} are {table['lower'].tolist()} to {table['upper'].tolist()}: out of order")
     if (table["scale"] <= 0).any():
         raise InputError(f"scale of {name!r} is {table['scale'].tolist()}; it must be greater than 0")
-
-
-def with_reorderings(solution: ProblemSolution, count: int, seconds: float) -> ProblemSolution:
-    """The solution, told how often breakpoints changed places and what all solves took."""
-    return replace(solution, statistics=replace(solution.statistics, reorderings=count, seconds=seconds))

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError, nearest
-from ..solvers.settings import Ipopt
 from ..typing import Array
-from .answer import rebuilt
 from .problem_solution import Attempts, ProblemSolution
+from .settings import Ipopt
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -76,10 +74,7 @@ def _begin_at(problem: Problem, names: list[str], point: Array) -> None:
     for name, value in zip(names, np.split(point, sizes), strict=True):
         problem.set_guess(name, value)
     for block in problem.blocks:
-        parts = {"rotations": block.rotations, "translations": block.translations, **block.dimensions}
-        numbers = {key: problem.evaluate(part, {}, {}).ravel() for key, part in parts.items()}
-        robot = rebuilt(block.robot, numbers)
-        block.start(forward_kinematics(robot, numbers["rotations"], numbers["translations"]))
+        block.start_at(lambda part: problem.evaluate(part, {}, {}))
 
 
 def _nearer(one: ProblemSolution | None, other: ProblemSolution | None) -> ProblemSolution | None:

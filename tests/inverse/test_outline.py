@@ -1,0 +1,129 @@
+"""How far the surface of an arm is from bodies: as code that looks everywhere says, however many there are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.examples import CONFIGS, CRL, THESIS
+from tubeopt import IkSession, forward_kinematics, load_robot
+from tubeopt.bodies.corridors import Corridor, MeshObstacle
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from tubeopt.bodies.scene import Scene
+from tubeopt.control.joints import joint_space
+from tubeopt.control.outline import Outline
+from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.typing import Array
+
+
+def arms() -> Iterator[Equilibrium]:
+    """Some of three robots."""
+    for robot in (THESIS, CRL, load_robot(CONFIGS / "thesis_etr.yaml")):
+        space = joint_space(robot)
+        for q in space.sample(4):
+            yield forward_kinematics(robot, *space.split(q))
+
+
+def bodies_near(e: Equilibrium, random: np.random.Generator) -> tuple[Obstacle, ...]:
+    """Bodies of all kinds, from well inside of the arm to far away, many of them small."""
+    found: list[Obstacle] = []
+    for _ in range(20):
+        place = e.position[random.integers(len(e.position))]
+        at, size = place + random.normal(size=3) * 10 ** random.uniform(-3, -1), 10 ** random.uniform(-4.5, -2.5)
+        one = tuple(at.tolist())
+        other = tuple((at + abs(random.normal(size=3)) * 0.01).tolist())
+        found += [Sphere(one, size), Capsule(one, other, size), Box(one, other)][random.integers(3) :][:1]
+    if random.random() < 0.3:
+        found.append(HalfSpace(tuple((e.position[0] - [0.0, 0.0, 0.01]).tolist()), (0.0, 0.1, 1.0)))
+    return tuple(found)
+
+
+def everywhere(e: Equilibrium, body: Obstacle, count: int = 4001) -> Array:
+    """Distances of the surface from a body at many places."""
+    s = np.linspace(0, e.arc_length[-1], count)
+    outline = Outline(e)
+    return np.asarray(body.signed_distance(outline.at(s)[0]) - outline.radius(s))
+
+
+def test_the_clearance_is_that_of_a_dense_sampling() -> None:
+    random = np.random.default_rng(0)
+    for e in arms():
+        bodies = bodies_near(e, random)
+        scene = Scene(bodies)
+        exact = min(float(everywhere(e, body).min()) for body in bodies)
+        told = Outline(e).clearance(scene)
+        assert told == pytest.approx(exact, abs=1e-5 if exact > 0 else 5e-5)
+        # What is enough is a bound that is enough, or the clearance itself.
+        for enough in (exact - 1e-3, exact + 1e-3, 1e-5):
+            bound = Outline(e).clearance(scene, enough)
+            assert bound == told or enough <= bound <= told + 1e-12
+
+
+def test_contacts_are_the_closest_places_of_every_body() -> None:
+    random = np.random.default_rng(1)
+    for e in arms():
+        bodies = bodies_near(e, random)
+        scene = Scene(bodies)
+        contacts = Outline(e).contacts(scene, 0.02)
+        least = [float(everywhere(e, body).min()) for body in bodies]
+        assert {k for k, each in enumerate(least) if each < 0.02 - 1e-5} <= set(contacts.body.tolist())
+        for k in np.unique(contacts.body):
+            mine = contacts.chosen(contacts.body == k)
+            assert mine.distance[0] == pytest.approx(least[k], abs=1e-5 if least[k] > 0 else 5e-5)
+            assert (np.diff(mine.distance) >= 0).all()
+            told = bodies[k].signed_distance(mine.point) - Outline(e).radius(mine.place)
+            np.testing.assert_allclose(told, mine.distance, atol=1e-12)
+        own = [bodies[k].gradient(point) for k, point in zip(contacts.body, contacts.point, strict=True)]
+        np.testing.assert_allclose(scene.gradients(contacts.body.tolist(), contacts.point), np.reshape(own, (-1, 3)))
+
+
+def test_a_vessel_is_a_body_like_others() -> None:
+    """Its distance is a bound only, and grows and falls by kinks: nothing may be left out on that account."""
+    for e in arms():
+        line = e.position[:: max(1, len(e.position) // 6)] + np.array([0.002, 0.0, 0.0])
+        vessel = Corridor(tuple(map(tuple, line.tolist())), 0.02)
+        assert Outline(e).clearance(Scene((vessel,))) == pytest.approx(everywhere(e, vessel).min(), abs=1e-5)
+
+
+def test_the_mesh_of_a_ball_is_as_far_as_the_ball() -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
+    mesh.apply_translation([0.06, -0.05, 0.12])
+    body = MeshObstacle(tuple(map(tuple, mesh.vertices.tolist())), tuple(map(tuple, mesh.faces.tolist())))
+    for e in list(arms())[:4]:
+        ball = Sphere((0.06, -0.05, 0.12), 0.02)
+        assert Outline(e).clearance(Scene((body,))) == pytest.approx(Outline(e).clearance(Scene((ball,))), abs=1e-4)
+
+
+def crowd(count: int) -> list[Sphere]:
+    """Spheres around the places that the robot of the thesis goes to below."""
+    random, found = np.random.default_rng(0), []
+    while len(found) < count:
+        at = random.uniform([-0.15, -0.15, 0.0], [0.15, 0.15, 0.25])
+        if np.linalg.norm(at - np.clip(at, [-0.04, -0.04, 0.0], [0.1, 0.08, 0.2])) > 0.01:
+            found.append(Sphere(tuple(at.tolist()), 2e-3))
+    return found
+
+
+def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
+    turn = np.arange(60)[:, None] * 0.5e-3 / 0.03
+    targets = np.array([0.055, 0.02, 0.15]) + 0.03 * np.hstack([np.cos(turn), np.sin(turn), 0.1 * np.sin(3 * turn)])
+    seed = IkSession(THESIS, min_margin=0.1).solve(targets[0])
+    times, answers = [], []
+    for bodies in ([], crowd(1000)):
+        session = IkSession(THESIS, min_margin=0.1, obstacles=bodies, seed=seed)
+        session.solve(targets[0])
+        took = []
+        for target in targets[1:]:
+            began = time.process_time()
+            answers.append(session.solve(target))
+            took.append(time.process_time() - began)
+        times.append(float(np.median(took)))
+    for free, among in zip(answers[: len(answers) // 2], answers[len(answers) // 2 :], strict=True):
+        np.testing.assert_array_equal(free.rotations, among.rotations)
+        np.testing.assert_array_equal(free.translations, among.translations)
+        assert among.clearance > 0.0
+    assert times[1] < 3 * times[0]

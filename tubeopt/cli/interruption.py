@@ -1,0 +1,93 @@
+"""Ctrl-C ends every command within two seconds, with a sentence on what is kept.
+
+Python tells a program of Ctrl-C between two of its own steps. Solvers that are compiled may not come to one for long,
+or, as IPOPT does, end their solve and let the program go on with what they have. So a thread hears of it as well, and
+ends the process where it does not end by itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+
+from .failures import INTERRUPTED, complain
+
+PATIENCE = 1.5
+"""Seconds that a command has to end by itself."""
+
+_KEPT: list[str] = []
+_OWN: list[bool] = []
+
+
+@contextlib.contextmanager
+def keeping(what: str) -> Iterator[None]:
+    """Say what is kept where the block is interrupted."""
+    _KEPT.append(what)
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise  # and it is still to be told
+    except BaseException:
+        _KEPT.remove(what)
+        raise
+    _KEPT.remove(what)
+
+
+def kept() -> str:
+    """What is kept of a command that is interrupted, in words."""
+    return _KEPT[-1] if _KEPT else "nothing was saved"
+
+
+@contextlib.contextmanager
+def interruptible(as_json: bool) -> Iterator[None]:
+    """End the process where Ctrl-C does not end the block by itself."""
+    _KEPT.clear()
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard, told = socket.socketpair()
+    told.setblocking(False)
+    over = threading.Event()
+
+    def watch() -> None:
+        while number := heard.recv(1):
+            if number[0] == signal.SIGINT and not _OWN and not over.wait(PATIENCE):
+                _end(as_json)
+
+    before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        signal.set_wakeup_fd(before)
+        told.close()
+        watcher.join()
+        heard.close()
+
+
+@contextlib.contextmanager
+def left_alone() -> Iterator[None]:
+    """Leave Ctrl-C to the block, which ends by it in its own way."""
+    _OWN.append(True)
+    try:
+        yield
+    finally:
+        _OWN.pop()
+
+
+def _end(as_json: bool) -> None:
+    for child in multiprocessing.active_children():
+        child.kill()
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\x1b[2K\x1b[?25h")  # whatever bar was there, and the cursor that it hid
+    complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
+    sys.stdout.flush()
+    os._exit(INTERRUPTED)

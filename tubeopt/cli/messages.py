@@ -1,0 +1,65 @@
+"""What the library logs while a command runs: shown on stderr as it comes, and warnings kept for `--json`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from rich.console import Console
+
+LOGGER = logging.getLogger("tubeopt")
+LEVELS = ("debug", "info", "warning", "error")
+
+
+class Messages(logging.Handler):
+    """Shows what is logged, each warning once, unless nobody wants to see it.
+
+    Args:
+        quiet: nothing is shown; warnings are kept all the same.
+    """
+
+    def __init__(self, quiet: bool) -> None:
+        super().__init__()
+        self.quiet = quiet
+        self.warnings: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show, and keep, one message."""
+        text, warned = record.getMessage(), record.levelno >= logging.WARNING
+        if warned and text in self.warnings:
+            return
+        if warned:
+            self.warnings.append(text)
+        if not self.quiet:
+            console = Console(stderr=True)
+            console.print(f"[bold yellow]{'warning' if warned else record.name}:[/]", end=" ")
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def listening(*, quiet: bool) -> Iterator[None]:
+    """Hear what the library logs until the end of the block."""
+    heard, before, level = Messages(quiet), LOGGER.handlers[:], LOGGER.level
+    LOGGER.handlers[:] = [heard]
+    try:
+        yield
+    finally:
+        LOGGER.handlers[:] = before
+        LOGGER.setLevel(level)
+
+
+def log_level(value: str) -> str:
+    """Let what is logged from a level on be heard; the callback of `--log`."""
+    if value not in LEVELS:
+        raise typer.BadParameter(f"{value!r}; it must be {', '.join(LEVELS)}")
+    LOGGER.setLevel(value.upper())
+    return value
+
+
+def warnings() -> list[str]:
+    """The warnings that were heard so far."""
+    heard: Any = next((handler for handler in LOGGER.handlers if isinstance(handler, Messages)), None)
+    return [] if heard is None else list(heard.warnings)

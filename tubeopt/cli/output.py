@@ -1,0 +1,152 @@
+"""How an answer leaves the program: a table or a JSON object on stdout, files in a directory."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+
+from ..errors import InputError, NotProvedError, SolveError, choice
+from ..files.units import TO_MM, parse_number
+from ..show.plots.style import WIDTH
+from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
+from .failures import error_record, failure
+from .messages import warnings
+
+NARROWEST_MM, WIDEST_MM = 60, 400
+
+
+@dataclass(frozen=True)
+class Output:
+    """What becomes of an answer, as the flags that all commands share say it.
+
+    out: directory to save into, or None.   plot: whether pictures are drawn without a directory too, and opened.
+    as_json: one JSON object in place of the table.   quiet: neither table nor bar nor warnings.
+    formats: in which is saved, with commas between.   width_mm: for which pictures are laid out, as typed; None as is.
+
+    Raises:
+        InputError: a format that is not known, a width that is no number or out of its range.
+    """
+
+    out: Path | None = None
+    plot: bool = False
+    as_json: bool = False
+    quiet: bool = False
+    formats: str = PICTURE_FORMATS[0]
+    width_mm: str | None = None
+
+    def __post_init__(self) -> None:
+        for form in self.wanted:
+            choice("--format", form, (*PICTURE_FORMATS, *TABLE_FORMATS, *SOLID_FORMATS))
+        if self.width_mm is not None:
+            number = parse_number(self.width_mm)
+            if isinstance(number, str) or not NARROWEST_MM <= number <= WIDEST_MM:
+                raise InputError(
+                    f"--width-mm is {self.width_mm}; it must be a number from {NARROWEST_MM} to {WIDEST_MM}"
+                )
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """The formats."""
+        return tuple(part.strip().lower() for part in self.formats.split(","))
+
+    @property
+    def width(self) -> float | None:
+        """Of pictures, m."""
+        return None if self.width_mm is None else float(self.width_mm) / TO_MM
+
+
+@contextmanager
+def _saved_as(output: Output) -> Iterator[None]:
+    """Let reports write in the formats of an output, and pictures be as wide as it says."""
+    format_token, width_token = FORMATS.set(output.wanted), WIDTH.set(output.width)
+    try:
+        yield
+    finally:
+        FORMATS.reset(format_token)
+        WIDTH.reset(width_token)
+
+
+def present(answer: Report[Any], output: Output) -> None:
+    """Save an answer where that is wanted, print it, and end as it says.
+
+    With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
+    What cannot be saved is printed all the same.
+    """
+    files: list[Path] = []
+    pictures: list[Path] = []
+    ending: Exception | None = None
+    try:
+        with _saved_as(output):
+            files += answer.save(output.out) if output.out else []
+            pictures += answer.draw(output.out or Path()) if output.out or output.plot else []
+            files += answer.convert(output.out) if output.out else []
+        answer.conclude()
+    except (InputError, SolveError, NotProvedError, typer.Exit) as error:
+        ending = error
+    except OSError as error:
+        ending = InputError(f"{error.filename or output.out}: cannot be written: {error.strerror or error}")
+    if output.as_json:
+        ending = _print_json(answer, [*files, *pictures], ending)
+    elif not output.quiet:
+        _print_table(answer, [*files, *pictures])
+    if output.plot and has_display() and not output.as_json:
+        for path in pictures:
+            typer.launch(str(path))
+    if ending is not None:
+        raise ending
+
+
+def _print_table(answer: Report[Any], files: list[Path]) -> None:
+    console = Console()
+    shown = answer.table()
+    if isinstance(shown, str):  # as it is, for other programs
+        print(shown)
+    else:
+        console.print(shown, crop=False)
+    for path in files:
+        console.print(f"saved {path}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None) -> Exception | None:
+    """Print the one object; return what is left to be raised, which says nothing more."""
+    record = answer.record()
+    record |= {"files": [str(path) for path in files], "warnings": [*record.get("warnings", ()), *warnings()]}
+    told = None if ending is None else failure(ending)
+    if told is not None:
+        record["error"] = error_record(*told)
+        ending = typer.Exit(told[1])
+    print(to_text(record), end="")
+    return ending
+
+
+def can_be_saved(out: Path | None) -> None:
+    """Raise InputError, before any work is done, where nothing can be written into `out`; None passes."""
+    if out is None:
+        return
+    place = out
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    why = "it is a file" if place.is_file() else ""
+    if not why:
+        try:
+            with tempfile.TemporaryFile(dir=place):
+                return
+        except OSError as error:
+            why = f"{place}: {error.strerror or error}" if place != out else error.strerror or str(error)
+    elif place != out:
+        why = f"{place} is in the way"
+    raise InputError(f"{out}: nothing can be saved there: {why}")
+
+
+def has_display() -> bool:
+    """Whether a picture can be opened in a window."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

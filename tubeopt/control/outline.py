@@ -1,0 +1,222 @@
+"""The surface of an arm, and how far it is from bodies: where it is the least, and where it comes close to each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bodies.scene import Scene
+from ..equilibrium.result import Equilibrium
+from ..robots.robot import Robot
+from ..typing import Array, Mask
+
+Index = NDArray[np.intp]
+
+FINE = 400
+"""Points along the arm at which its distance from bodies is measured."""
+
+STRIDES = (16, 4, 1)
+"""Of these points every so many-th is looked at first, then more where the distance may be the least."""
+
+FINER = 17
+"""Points between the two neighbours of one at which it is closest."""
+
+MOST_CONTACTS = 6
+"""Places where the arm comes closest to one body that are told."""
+
+AHEAD, BEYOND = 5e-3, 1e-9
+"""How much farther than is enough distances are measured, and beyond what is of interest, m."""
+
+
+@lru_cache(maxsize=64)
+def outer_radius(robot: Robot) -> Array:
+    """(n,) radius of the arm where tube i is the outermost, for eccentric tubes of what holds them, m."""
+    offset = robot.assembly(np.array(robot.home_translations)).offset
+    return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where an arm comes closest to bodies: numbers of the bodies (c,), arc lengths (c,), points of the centreline
+    (c, 3), and distances of the surface of the arm (c,), m."""
+
+    body: Index
+    place: Array
+    point: Array
+    distance: Array
+
+    def chosen(self, rows: Mask | Index) -> Contacts:
+        """Some of them."""
+        return Contacts(self.body[rows], self.place[rows], self.point[rows], self.distance[rows])
+
+    @property
+    def rank(self) -> Index:
+        """(c,) the how many-th of its body each of them is, from 0; those of a body stand together."""
+        return np.arange(len(self.body)) - np.searchsorted(self.body, self.body)
+
+
+NOWHERE = Contacts(np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The surface of the arm of an equilibrium, round at the end of every tube."""
+
+    equilibrium: Equilibrium
+
+    @cached_property
+    def grid(self) -> Array:
+        """(p,) arc lengths close enough for bodies: evenly spaced, and the ends of tubes, where the radius falls."""
+        ends = self.equilibrium.tube_end
+        s = np.linspace(0.0, self.equilibrium.arc_length[-1], FINE)
+        return np.union1d(s, ends[(ends > 0) & (ends < s[-1])])
+
+    @cached_property
+    def _step(self) -> float:
+        return float(np.diff(self.grid).max(initial=0.0))
+
+    def at(self, s: Array) -> tuple[Array, Array]:
+        """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
+        arm = self.equilibrium
+        return _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s), self.radius(s)
+
+    def radius(self, s: Array) -> Array:
+        """(p,) radius of the arm at arc lengths: of the outermost tube, or of what holds tubes beside each other."""
+        shown = s[:, None] <= self.equilibrium.tube_end + 1e-12
+        return np.asarray(np.where(shown, outer_radius(self.equilibrium.robot), 0.0).max(1))
+
+    def clearance(self, scene: Scene, enough: float = np.inf) -> float:
+        """Least distance of the surface from bodies, m; some lower bound of it that is `enough`, where it is more than
+        that; infinite without bodies.
+
+        Points far apart tell along which stretches it may be the least, and these are looked at more closely.
+        """
+        if not scene.bodies:
+            return np.inf
+        known, exact = self._clear.get(scene, (-np.inf, False))
+        if not exact and known < enough:
+            self._clear[scene] = known, _ = self._clearance(scene, enough)
+        return known
+
+    @cached_property
+    def _clear(self) -> dict[Scene, tuple[float, bool]]:
+        """Clearances from scenes, and whether each is exact, not a bound."""
+        return {}
+
+    def _clearance(self, scene: Scene, enough: float) -> tuple[float, bool]:
+        """The clearance and True, or a bound that is enough and False."""
+        grid, least, last = self.grid, np.inf, len(self.grid) - 1
+        rows = np.union1d(np.arange(0, last, STRIDES[0]), np.append(self._changes, last))
+        for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
+            half = (stride + 1) // 2
+            begin, end = grid[np.maximum(rows - half, 0)], grid[np.minimum(rows + half, last)]
+            points, radius = self.at(grid[rows])
+            # The arm grows thinner towards its tip.
+            thick, reach = self.radius(begin), np.maximum(grid[rows] - begin, end - grid[rows])
+            least = min(least, float((scene.at_most(points) - radius).min()))
+            interesting = min(max(least, 0.0), enough + AHEAD) + reach + thick + BEYOND
+            distance = scene.nearest(points, interesting)
+            least = min(least, float((distance - radius)[distance < interesting].min(initial=np.inf)))
+            bound = self._at_least(scene, distance, reach) - thick
+            if bound.min() >= enough:
+                return float(bound.min()), False
+            rows = rows[bound <= least]
+            if finer:
+                rows = np.unique(np.clip(rows[:, None] + np.arange(-half, half + 1, finer), 0, last))
+        return min(least, self._between(scene, rows)), True
+
+    def _at_least(self, scene: Scene, distance: Array, reach: Array) -> Array:
+        """(r,) the least that the distance of the centreline from bodies can be within `reach` (r,) along it of points
+        with these distances (r,), m, as far as it has a minimum there.
+
+        A distance changes by no more than its point moves. From a solid body outside of it even less: at the minimum D
+        the shortest way is square to the arm, whose curvature is k, and |x - y|^2 <= D^2 + (1 + k D) reach^2.
+        """
+        bound = distance - reach
+        if scene.solid:
+            outside = np.maximum(distance, 0.0)
+            square = outside**2 - (1 + self._bend * outside) * reach**2
+            bound = np.maximum(bound, np.where(square > 0, np.sqrt(np.maximum(square, 0.0)), -np.inf))
+        return np.asarray(bound)
+
+    @cached_property
+    def _bend(self) -> float:
+        """Curvature of the arm at most, 1/m: with room for what is between its points."""
+        return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
+
+    @cached_property
+    def _changes(self) -> Index:
+        """Rows of the grid at which the radius falls."""
+        return np.flatnonzero(np.isin(self.grid, self.equilibrium.tube_end))
+
+    def _between(self, scene: Scene, rows: Index) -> float:
+        """Least distance between points of the grid and their neighbours, m: near a small body the arm comes closer
+        there than a clearance may be off."""
+        cells = np.unique(np.append(rows, rows - 1))
+        cells = cells[(cells >= 0) & (cells < len(self.grid) - 1)]
+        if not len(cells):
+            return np.inf
+        begin, length = self.grid[cells], np.diff(self.grid)[cells]
+        share = np.arange(1, FINER // 2) / (FINER // 2)
+        points, radius = self.at((begin[:, None] + length[:, None] * share).ravel())
+        return float((scene.nearest(points) - radius).min())
+
+    def contacts(self, scene: Scene, within: float) -> Contacts:
+        """Where the arm comes closest to each of the bodies, if closer than `within`, m: body by body, of each at most
+        MOST_CONTACTS, the closest first."""
+        known = self._known.get(scene)
+        if known is None or known[0] < within:
+            known = self._known[scene] = within, self._contacts(scene, within)
+        return known[1].chosen(known[1].distance <= within)
+
+    @cached_property
+    def _known(self) -> dict[Scene, tuple[float, Contacts]]:
+        """Contacts with scenes, up to a distance."""
+        return {}
+
+    def _contacts(self, scene: Scene, within: float) -> Contacts:
+        few, radius = self.at(self.grid[:: STRIDES[0]])
+        bodies = scene.close(few, within + radius.max() + STRIDES[0] * self._step)
+        if not bodies:
+            return NOWHERE
+        points, radius = self.at(self.grid)
+        distance = scene.distances(bodies, points) - radius
+        beyond = np.full((len(bodies), 1), np.inf)
+        padded = np.concatenate([beyond, distance, beyond], axis=1)
+        body, row = np.nonzero((distance <= padded[:, :-2]) & (distance <= padded[:, 2:]))
+        order = np.lexsort((row, distance[body, row], body))
+        body, row = body[order], row[order]
+        found = Contacts(np.array(bodies)[body], self.grid[row], points[row], distance[body, row])
+        first = found.rank < MOST_CONTACTS
+        return self._closer(scene, found.chosen(first), row[first])
+
+    def _closer(self, scene: Scene, contacts: Contacts, row: Index) -> Contacts:
+        """The same between the neighbours of points of the grid."""
+        low, high = self.grid[np.maximum(row - 1, 0)], self.grid[np.minimum(row + 1, len(self.grid) - 1)]
+        finer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, FINER)
+        points, radius = self.at(finer.ravel())
+        points, radius = points.reshape(*finer.shape, 3), radius.reshape(finer.shape)
+        between = scene.distances(contacts.body.tolist(), points) - radius
+        every, best = np.arange(len(row)), between.argmin(1)
+        closer = between[every, best] < contacts.distance
+        out = Contacts(
+            contacts.body,
+            np.where(closer, finer[every, best], contacts.place),
+            np.where(closer[:, None], points[every, best], contacts.point),
+            np.where(closer, between[every, best], contacts.distance),
+        )
+        return out.chosen(np.lexsort((out.distance, out.body)))
+
+
+def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
+    """(p, 3) cubic interpolation of a curve given with its tangents at arc lengths s (m,)."""
+    if len(s) < 2:
+        return np.repeat(value, len(at), axis=0)
+    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    h = (s[k + 1] - s[k])[:, None]
+    x = (at - s[k])[:, None] / h
+    ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[k + 1] * x**2 * (3 - 2 * x)
+    return np.asarray(ends + h * (slope[k] * x * (1 - x) ** 2 - slope[k + 1] * x**2 * (1 - x)))

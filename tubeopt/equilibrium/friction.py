@@ -1,0 +1,214 @@
+"""A robot whose tubes rub, on its way: the state after every increment, and what the next one remembers of it.
+
+What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip is
+what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
+theta_i(s - dz_i) then: the memory is the material's.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..errors import InputError, SolveError
+from ..robots.friction import Friction, check_friction
+from ..robots.robot import Robot
+from ..solvers.newton import NewtonResult, newton
+from ..solvers.rubbing import Increment, held_margin, imbalance, increment, least
+from ..transcription import arm as arms
+from ..transcription.buffered import section_function
+from ..transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
+from ..transcription.piece import EXTRA_POINTS
+from ..transcription.reduced import sections_at
+from ..transcription.tableau import tableau
+from ..typing import Array
+from .result import Equilibrium, FrictionState, Status
+from .solving import Solution, sample_rotation, to_equilibrium
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A state of a robot whose tubes rub, at joint values (n,); heat (J) since its history began."""
+
+    contact: Contact
+    rotations: Array
+    translations: Array
+    found: Increment
+    heat: float
+
+    @cached_property
+    def profile(self) -> arms.Profile:
+        """Torsion along the arm."""
+        return rubbing_profile(self.contact, self.rotations, self.found.state, self.found.torque)
+
+    @cached_property
+    def margin(self) -> float:
+        """The margin without friction: least eigenvalue of the second variation."""
+        return least(self.found.state.hessian)
+
+    @cached_property
+    def held_margin(self) -> float:
+        """The same along the motions that what sticks leaves free."""
+        if self.found.signs.all():
+            return self.margin
+        return held_margin(self.contact, self.found.state, self.found.signs)
+
+    def theta(self, arc_length: Array) -> Array:
+        """(X, n) elastic rotations at arc lengths (X,), m; behind the plate by the twist of the transmission."""
+        problem = self.contact.problem
+        inside = arms.interpolate(problem, self.profile, np.maximum(arc_length, 0.0))
+        behind = np.minimum(arc_length, 0.0)
+        if behind.any() and len(self.profile.twist):
+            inside += self._softer(behind) * self.profile.twist[0]
+        return inside
+
+    def _softer(self, behind: Array) -> Array:
+        """(X, n) what a unit of twist, a torque with tubes of pieces, turns from the plate to places behind it, m."""
+        assembly = self.contact.problem.assembly
+        if assembly.lengthwise is None:
+            return np.asarray(np.repeat(behind[:, None], assembly.n_tubes, axis=1))
+        held = assembly.transmission
+        whole = assembly.lengthwise.compliant(held)
+        return np.array([assembly.lengthwise.compliant(np.maximum(held + s, 0.0)) - whole for s in behind])
+
+
+@lru_cache(maxsize=64)
+def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction) -> Contact:
+    """The rows of friction of a robot at translations, built once for all rotations."""
+    return make_contact(robot.assembly(np.array(translations)), friction)
+
+
+def check_rubbing(robot: Robot, friction: Friction) -> None:
+    """Raise InputError for a robot or a friction of which there is no motion with friction."""
+    check_friction(friction, robot.n_tubes)
+    if isinstance(robot, (EccentricRobot, SegmentedEccentricRobot)):
+        raise InputError("friction is given for an eccentric robot; it is known of concentric tubes only")
+
+
+def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
+    """An equilibrium as the start of a motion with friction: its own history goes on, or begins, where it has none.
+
+    Raises:
+        InputError: an equilibrium with another friction, or under load.
+        SolveError: it is no equilibrium of this robot.
+    """
+    own = equilibrium.friction
+    if own is not None and own.friction != friction:
+        raise InputError("start bears another friction; go on with the same, or start from an equilibrium without")
+    shift = equilibrium.translations
+    contact = contact_of(robot, tuple(shift.tolist()), friction)
+    bare = replace(equilibrium, friction=None)
+    points = sample_rotation(bare, contact.problem.arc_length)
+    between = sample_rotation(bare, contact.place)[np.arange(len(contact.place)), contact.tube]
+    x = unknowns_of(contact, equilibrium.rotations, points, between)
+    if own is None:
+        relaxed = newton(contact.problem, equilibrium.rotations, x[: contact.problem.size])
+        if not relaxed.converged:
+            raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
+        x = np.concatenate([relaxed.state.z, np.zeros(contact.loose.shape[1])])
+        state, nothing = evaluate_contact(contact, equilibrium.rotations, x), np.zeros(len(contact.capacity))
+        found = Increment(state, nothing, nothing.astype(np.int8), nothing, True, 0.0, 0.0)
+        return Held(contact, equilibrium.rotations, shift, found, 0.0)
+    state = evaluate_contact(contact, equilibrium.rotations, x)
+    torque = np.array(own.torque)
+    if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
+        raise SolveError("start bears friction that does not balance it: it is of another robot")
+    slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
+    signs = (np.sign(torque) * slips).astype(np.int8)
+    found = Increment(state, torque, signs, np.zeros(len(torque)), True, 0.0, own.violation)
+    return Held(contact, equilibrium.rotations, shift, found, own.heat)
+
+
+def step(robot: Robot, held: Held, rotations: Array, translations: Array) -> Held | None:
+    """The state after an increment to other joint values (n,), by Newton's method; None where it is not at ease."""
+    contact, before, x = carried(robot, held, rotations, translations)
+    found = increment(contact, rotations, x, before, held.found.signs if contact is held.contact else None)
+    if found is None or not found.converged:
+        return None
+    heat = held.heat + float(contact.capacity @ np.abs(found.slip))
+    return Held(contact, rotations, translations, found, heat)
+
+
+def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> tuple[Contact, Array, Array]:
+    """At other joint values: the contact, the relative rotations (R,) before the increment, and a first guess of x."""
+    moved = translations - held.translations
+    if not moved.any():
+        return held.contact, held.found.state.turned, held.found.state.x
+    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
+    before = np.zeros(len(contact.capacity))
+    for tube in range(robot.n_tubes):
+        rows = np.flatnonzero((contact.pair == tube) | (contact.pair + 1 == tube))
+        sign = np.where(contact.pair[rows] == tube, -1.0, 1.0)
+        before[rows] += sign * held.theta(contact.arc_length[rows] - moved[tube])[:, tube]
+    turned = rotations - held.rotations
+    points = held.theta(contact.problem.arc_length) + turned
+    between = (held.theta(contact.place) + turned)[np.arange(len(contact.place)), contact.tube]
+    return contact, before, unknowns_of(contact, rotations, points, between)
+
+
+def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
+    """A state with friction as an equilibrium, with its shape, energy and error estimates."""
+    began = time.perf_counter()
+    contact, state, problem = held.contact, held.found.state, held.contact.problem
+    size = problem.size
+    torsion = replace(state.torsion, gradient=(state.gradient + contact.rows.T @ held.found.torque)[:size])
+    result = NewtonResult(torsion, held.found.converged, 0, held.found.contraction)
+    error = _smooth_error(held) + _front_error(held)
+    solution = Solution(problem, held.rotations, result, held.margin, (held.profile, error))
+    plain = to_equilibrium(robot, solution, tuple(held.translations.tolist()), ("increment", start, 0.0))
+    friction = FrictionState(
+        friction=contact.friction,
+        arc_length=tuple(contact.arc_length.tolist()),
+        pair=tuple(contact.pair.tolist()),
+        torque=tuple(held.found.torque.tolist()),
+        capacity=tuple(contact.capacity.tolist()),
+        held_margin=held.held_margin,
+        heat=held.heat,
+        violation=held.found.violation,
+    )
+    status = Status.STABLE if held.margin > 0 else (Status.HELD if held.held_margin > 0 else Status.UNSTABLE)
+    return replace(plain, status=status, friction=friction)
+
+
+def _smooth_error(held: Held) -> float:
+    """Bound of what the collocated moments of the tubes are off between the points, as an error of a rotation, rad."""
+    problem = held.contact.problem
+    mesh, n, t = problem.mesh, problem.assembly.n_tubes, problem.mesh.tableau
+    if not problem.size:
+        return 0.0
+    nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
+    theta = arms.rotations_at(problem, held.profile, tuple(nodes.tolist()))[mesh.collocated]
+    if problem.here is None:
+        chosen = [np.repeat(part[mesh.collocated], len(nodes), axis=0) for part in (problem.piece_stiffness, problem.piece_moment)]
+        kt, direction = problem.assembly.torsional_stiffness, theta.reshape(-1, n)
+    else:
+        there = sections_at(problem.assembly, mesh, nodes)
+        kept = np.repeat(mesh.collocated, len(nodes))
+        chosen = [there.stiffness[kept], there.moment[kept]]
+        kt, direction = there.torsional_stiffness.min(0), theta.reshape(-1, n) + there.phase[kept]
+    moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].reshape(theta.shape)
+    own = held.found.state.torsion.moment.reshape(-1, t.degree, n)
+    wrong = np.abs(moment - t.lagrange(nodes) @ own).max(1) / kt
+    lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
+    return float((mesh.length[mesh.collocated, None] * wrong * lever).sum(0).max())
+
+
+def _front_error(held: Held) -> float:
+    """Bound of what the ends of slip are off, which lie somewhere between two points: half a spacing of full torque
+    where the rotation is a parabola of it."""
+    contact, signs = held.contact, held.found.signs
+    problem, wrong = contact.problem, 0.0
+    here, n = problem.here, problem.assembly.n_tubes
+    soft = 1 / problem.assembly.torsional_stiffness if here is None else here.rate.reshape(-1, n).max(0)
+    for pair in np.unique(contact.pair):
+        rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
+        fronts = np.flatnonzero(np.diff(signs[rows]) != 0)
+        spacing = problem.weight[contact.point[rows]]
+        per_length = contact.capacity[rows] / spacing
+        widest = np.maximum(spacing[fronts], spacing[fronts + 1])
+        wrong += float((per_length[fronts] * widest**2 / 8).sum() * soft[[pair, pair + 1]].sum())
+    return wrong

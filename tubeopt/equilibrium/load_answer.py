@@ -1,0 +1,121 @@
+"""From a solved loaded problem to the plain `Equilibrium`."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
+from ..solvers.settings import CONTINUATION
+from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evaluate, tip_position, tip_slopes
+from ..transcription.loaded_arm import loaded_arm
+from .load_continuation import LoadedPoint, Member, carry
+from .load_problem import EXTRA_POINTS, loaded_problem
+from .result import Equilibrium, Statistics, Status
+from .solving import Discretisation
+
+
+def to_loaded(
+    robot: Robot,
+    point: LoadedPoint,
+    load: Load,
+    discretisation: Discretisation,
+    how: tuple[str, float] = ("the load before", 0.0),
+    errors: tuple[float, float, float] | None = None,
+) -> Equilibrium:
+    """Shape, energy and error estimates of a solved problem under `load`; `how` is the start and when (s) begun."""
+    member, state = point.member, point.state
+    problem = member.problem
+    found = LoadedAnswer(
+        theta=state.theta,
+        curvature=state.curvature,
+        margin=point.margin,
+        residual=loaded_residual(problem, state),
+        energy=state.energy,
+        work=state.work if problem.load.has_energy else float("nan"),
+        iterations=point.iterations,
+        errors=mesh_errors(robot, point, discretisation) if errors is None else errors,
+        # What follows from the solved state at once need not be solved for again.
+        compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
+        base_wrench=base_wrench(problem, state),
+        arm=loaded_arm(problem, member.rotations, state),
+    )
+    unstable = not (point.margin > 0 or np.isnan(point.margin))
+    index = int((np.linalg.eigvalsh(state.hessian) < 0).sum()) if unstable else 0
+    return from_answer(robot, member, load, found, (*how, discretisation.refinement, index))
+
+
+def from_answer(
+    robot: Robot, member: Member, load: Load, found: LoadedAnswer, how: tuple[str, float, int, int]
+) -> Equilibrium:
+    """The equilibrium of an answer; `how` is the start, when (s) begun, halvings of the mesh, unstable directions."""
+    problem, rotations, arm, margin = member.problem, member.rotations, found.arm, found.margin
+    assembly, mesh = problem.torsion.assembly, problem.mesh
+    ends = np.maximum(assembly.end, 0.0)
+    start, began, refinement, index = how
+    equilibrium = Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=np.array(member.translations),
+        tip_position=arm.position[-1],
+        tip_rotation=arm.frame[-1],
+        arc_length=arm.arc_length,
+        position=arm.position,
+        frame=arm.frame,
+        curvature=arm.curvature,
+        rotation=arm.rotation,
+        torsion=arm.torsion,
+        tip_rotations=arm.rotation[np.arange(len(rotations)), np.searchsorted(arm.arc_length, ends - 1e-12)],
+        section_start=assembly.start,
+        point=problem.torsion.arc_length,
+        point_rotation=found.theta + problem.wound,
+        point_curvature=found.curvature,
+        tube_end=ends,
+        margin=margin,
+        index=index,
+        energy=found.energy,
+        residual=found.residual,
+        mesh_error=found.errors[0],
+        tip_error=found.errors[1],
+        status=Status.NO_MARGIN if np.isnan(margin) else Status.STABLE if margin > 0 else Status.UNSTABLE,
+        statistics=Statistics(
+            method="newton",
+            iterations=found.iterations,
+            elements=len(mesh.length),
+            degree=mesh.tableau.degree,
+            start=start,
+            seconds=time.perf_counter() - began if began else 0.0,
+            family=mesh.tableau.family,
+            refinement=refinement,
+        ),
+        load=load,
+        work=found.work,
+    )
+    vars(equilibrium)["base_wrench"] = found.base_wrench
+    if found.compliance is not None:
+        vars(equilibrium)["compliance"] = found.compliance
+    return equilibrium
+
+
+def mesh_errors(robot: Robot, point: LoadedPoint, d: Discretisation) -> tuple[float, float, float]:
+    """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
+    member = point.member
+    finer = Discretisation(d.family, d.degree + EXTRA_POINTS, d.refinement)
+    problem = loaded_problem(robot, member.translations, member.problem.load, finer)
+    there = Member(problem, member.rotations, member.translations, member.factor)
+    state = evaluate(problem, member.rotations, carry(point, there), member.factor)
+    # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
+    least = CONTINUATION.least_stiffness
+    shift = least if abs(point.margin) < least else 0.0
+    step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
+    split = problem.torsion.size
+    theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
+    moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
+    moved -= tip_position(member.problem, point.state)
+    # Only of arms that loads hardly soften is the margin less sure than the shape.
+    close = point.margin > CONTINUATION.hardly_softened
+    margin = abs(loaded_margin(problem, state) - point.margin) if close else 0.0
+    return float(theta), float(np.linalg.norm(moved)), margin

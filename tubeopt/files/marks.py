@@ -1,0 +1,177 @@
+"""What the fields of a dataclass say about themselves in its annotations, and the check of an object by that.
+
+    @dataclass(frozen=True)
+    class Clamps:
+        mass: Annotated[float, unit("g"), POSITIVE, "of one"] = 0.05
+
+        def __post_init__(self) -> None:
+            check_fields(self, "the clamps")
+
+The library holds `mass` in kg, and a file has the key `mass_g`: `files.fields` makes reader, writer and schema of it.
+Fields that are not `Annotated` are no keys.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from ..errors import InputError, choice, finite, instance, positive
+from .units import unit_of
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True)
+class Key:
+    """How a field is called in a file, and the unit of its number there, a key of `UNITS`.   name: None adds the unit
+    to the name of the field."""
+
+    unit: str
+    name: str | None = None
+
+
+def unit(name: str) -> Key:
+    """The key of a field is its name with this unit, a key of `UNITS`."""
+    return Key(name)
+
+
+def key(name: str) -> Key:
+    """The key of a field where that is not its name with its unit; it ends in the unit all the same."""
+    return Key(unit_of(name), name)
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number, or each of several, must be (SI): above one bound or at least another, at most a third."""
+
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+
+
+POSITIVE, NOT_NEGATIVE = Range(above=0.0), Range(least=0.0)
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Between which magnitudes (SI) a number other than 0 usually lies: what lies outside is warned of, as it may be in
+    another unit than that of its key."""
+
+    least: float
+    most: float
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """The words that a field may be."""
+
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Absent:
+    """What a key that is left out of a file stands for (SI), where the field has no default."""
+
+    value: Any
+
+
+REQUIRED = Absent(MISSING)
+"""The key must be there, although the field has a default."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """Things that may be given by their name, in upper or lower case, in place of their constants."""
+
+    known: Mapping[str, Any]
+
+    def __hash__(self) -> int:
+        return id(self.known)
+
+
+@dataclass(frozen=True)
+class Written:
+    """An entry of its own reads the field, and a function of its own writes it."""
+
+    entry: type[Any]
+    write: Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A field that says something about itself.   kind: of its value, besides None where it is optional."""
+
+    field: dataclasses.Field[Any]
+    kind: Any
+    optional: bool
+    marks: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        """Its name in the dataclass."""
+        return self.field.name
+
+    def first(self, kind: type[M]) -> M | None:
+        """The first mark of a kind."""
+        return next((mark for mark in self.marks if isinstance(mark, kind)), None)
+
+
+@functools.lru_cache(maxsize=256)
+def _hints(what: Any) -> dict[str, Any]:
+    return typing.get_type_hints(what, include_extras=True)
+
+
+def marked(what: Any) -> tuple[Marked, ...]:
+    """The fields of a dataclass that say something about themselves, in order."""
+    return _marked(what)
+
+
+@functools.lru_cache(maxsize=256)
+def _marked(what: Any) -> tuple[Marked, ...]:
+    known = [(field, _hints(what)[field.name]) for field in dataclasses.fields(what)]
+    return tuple(_read(field, hint) for field, hint in known if get_origin(hint) is Annotated)
+
+
+def _read(field: dataclasses.Field[Any], hint: Any) -> Marked:
+    kind = hint.__origin__
+    optional = get_origin(kind) in (Union, types.UnionType)
+    if optional:
+        (kind,) = (part for part in get_args(kind) if part is not types.NoneType)
+    return Marked(field, kind, optional, tuple(hint.__metadata__))
+
+
+def check_fields(what: Any, owner: str = "") -> None:
+    """Make the numbers of a frozen dataclass floats, and check what its fields say of themselves.
+
+    Args:
+        owner: what messages say the field is of, as in "mass of the clamps is -1; it must be greater than 0".
+
+    Raises:
+        InputError: a number out of its range, a word that is not allowed, a part of another kind.
+    """
+    for field in marked(type(what)):
+        value = getattr(what, field.name)
+        label = f"{field.name} of {owner}" if owner else field.name
+        words = field.first(OneOf)
+        if value is None and field.optional:
+            continue
+        if field.kind is float:
+            object.__setattr__(what, field.name, _checked(label, value, field.first(Range) or Range()))
+        elif words is not None and field.kind is str:
+            choice(label, value, words.words)
+        elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
+            instance(label, value, field.kind)
+
+
+def _checked(label: str, value: Any, allowed: Range) -> float:
+    bounded = allowed.above == 0 or allowed.least == 0
+    number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
+    if allowed.most is not None and number > allowed.most:
+        raise InputError(f"{label} is {number:g}; it must be at most {allowed.most:g}")
+    return number

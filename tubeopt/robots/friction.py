@@ -1,0 +1,79 @@
+"""Dry friction between neighbouring tubes, as a torque that each pair can bear before it slips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import InputError, numbers, positive
+
+PAIRWISE = ("torque", "plate", "jumps", "ends")
+"""What a friction holds for every pair of neighbours."""
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.
+
+    It bears a torque about the tubes' axis up to the capacities here, whatever the speed, and as much while it slips.
+
+    Args:
+        torque: N m per m of length, wherever both tubes of a pair are, in front of the plate.
+        plate: N m at the plate, which stands for all that rubs behind it.
+        jumps: N m wherever the precurvature of one of the two jumps.
+        ends: N m where the outer one ends.
+        sliding: whether sliding of the tubes along each other uses up friction, so that what slips fast along the axis
+            bears less torque about it. The radius at which they rub is that of the inner tube's outside.
+        refinement: how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks.
+
+    Raises:
+        InputError: a number that is not finite or below 0, or tables of different length.
+    """
+
+    torque: tuple[float, ...] | float = 0.0
+    plate: tuple[float, ...] | float = 0.0
+    jumps: tuple[float, ...] | float = 0.0
+    ends: tuple[float, ...] | float = 0.0
+    sliding: bool = False
+    refinement: int = 0
+
+    def __post_init__(self) -> None:
+        for name in PAIRWISE:
+            values = tuple(positive(f"{name} of friction", x, zero=True) for x in numbers(name, getattr(self, name)))
+            if not values:
+                raise InputError(f"{name} of friction is empty; it must be one number, or one for every pair of tubes")
+            object.__setattr__(self, name, values)
+        lengths = {len(self.of(name)) for name in PAIRWISE} - {1}
+        if len(lengths) > 1:
+            raise InputError(
+                f"friction is given for {' and '.join(map(str, sorted(lengths)))} pairs of tubes; it must be as many"
+            )
+        if isinstance(self.refinement, bool) or self.refinement not in range(5):
+            raise InputError(f"refinement of friction is {self.refinement!r}; it must be a whole number from 0 to 4")
+
+    def of(self, name: str) -> tuple[float, ...]:
+        """The numbers of one of PAIRWISE, as given."""
+        values: tuple[float, ...] = getattr(self, name)
+        return values
+
+    def per_pair(self, name: str, pairs: int) -> tuple[float, ...]:
+        """The numbers of one of PAIRWISE for every pair."""
+        values = self.of(name)
+        return values * pairs if len(values) == 1 else values
+
+    @property
+    def trivial(self) -> bool:
+        """Whether nothing rubs."""
+        return not any(any(self.of(name)) for name in PAIRWISE)
+
+
+def check_friction(friction: Friction | None, n_tubes: int) -> None:
+    """Raise InputError where a friction is for another number of tubes."""
+    if friction is None:
+        return
+    for name in PAIRWISE:
+        given = len(friction.of(name))
+        if given not in (1, n_tubes - 1):
+            raise InputError(
+                f"{name} of friction is {given} numbers; the robot has {n_tubes} tubes, so it must be "
+                f"{n_tubes - 1}, one for every pair of neighbours, or 1"
+            )

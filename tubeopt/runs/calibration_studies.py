@@ -1,0 +1,75 @@
+"""Studies of a workshop: what a rig, and the spring-back of tubes, really are, from logs and trials."""
+
+from __future__ import annotations
+
+import functools
+from decimal import Decimal
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ..files.checked import Number, in_file
+from ..files.units import MM, to_si
+from ..shaping.heating.calibration import FACTORS, HeatingLog, RigFit, calibrate
+from ..shaping.heating.trials import Trial, TrialFit, calibrate_from_trials
+from ..shaping.mold.springback import Calibration, calibrate_springback
+from .base import Progress, Study
+from .heating_study import TubeOnRig
+from .mold_file import Trials, load_trials
+from .rig_file import load_heating_log, load_heating_trials
+
+
+class HeatingCalibrationStudy(TubeOnRig):
+    """What a rig loses and how its contacts are, from a logged heating or from trials without a thermometer."""
+
+    doing = "calibrating the rig"
+
+    kind: Literal["heating_calibration"]
+    log: Annotated[Path, in_file(Path, "a CSV file")] = Field(
+        description="path of the CSV file: time_s, duty, and any of temperature_degC, voltage_V, current_A; "
+        "or trials: duty, time_s, ramp_s, and result or spring_back_percent"
+    )
+    trials: bool = Field(False, description="the file holds outcomes of trials, not a log")
+    fit: list[str] = Field(
+        ["loss", "gap", "contact_resistance", "resistivity"],
+        description=f"of {', '.join(FACTORS)}; trials tell the loss alone",
+        examples=["NAME,.."],
+    )
+    position_mm: Number = Field(Decimal(0), description="of the thermometer from the middle of the curved part")
+
+    @functools.cached_property
+    def _read(self) -> HeatingLog | tuple[Trial, ...]:
+        if self.trials:
+            return load_heating_trials(self.log)
+        return load_heating_log(self.log, to_si(self.position_mm, MM))
+
+    @model_validator(mode="after")
+    def _can_be_read(self) -> Self:
+        _ = self._read
+        return self
+
+    def run(self, progress: Progress | None = None) -> RigFit | TrialFit:
+        """The calibrated rig; raises InputError for a factor that is not known."""
+        if progress is not None:
+            progress(0, 0)
+        read = self._read
+        if isinstance(read, HeatingLog):
+            return calibrate(self.heated(), self.rig, read, self.fit)
+        return calibrate_from_trials(self.heated(), self.rig, read)
+
+
+class MoldCalibrationStudy(Study):
+    """How much of a mold's curvature tubes lose, from trials."""
+
+    kind: Literal["mold_calibration"]
+    trials: Annotated[Trials, in_file(load_trials, "a CSV file")] = Field(
+        description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"
+    )
+    model: Literal["auto", "constant", "linear"] = Field(
+        "auto", description="constant: one lost fraction; linear: it grows with curvature; auto: as trials tell"
+    )
+
+    def run(self, progress: Progress | None = None) -> Calibration:
+        """The spring-back; raises InputError where the trials do not tell it."""
+        return calibrate_springback(self.trials.mold_radius, self.trials.obtained_radius, model=self.model)

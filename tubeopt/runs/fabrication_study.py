@@ -1,0 +1,100 @@
+"""The study of everything that it takes to make a robot: molds and heating schedules for every tube, in one go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..files.checked import Positive
+from ..files.units import PERCENT, to_si
+from ..robots.robot import Robot
+from ..shaping.heating.rig import Rig
+from ..shaping.heating.robust import Uncertainty
+from ..shaping.heating.spec import HeatingSpec
+from ..shaping.mold.robot import RobotMold, chosen_tubes
+from ..shaping.mold.spec import MoldSpec
+from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
+from .base import Progress, RobotPath, Study, Whole
+from .heating_study import Ensemble, Heating, RigPath, heating_of
+from .mold_study import MoldPath
+
+
+@dataclass(frozen=True, eq=False)
+class TubeParts:
+    """Mold and schedules of one tube.
+
+    number: of the tube, from 1.   made: the two as planned together.   mold, heating: each as its own command says it.
+    """
+
+    number: int
+    made: TubeFabrication
+    mold: RobotMold
+    heating: Heating
+
+
+@dataclass(frozen=True, eq=False)
+class Fabrication:
+    """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
+
+    robot: Robot
+    parts: tuple[TubeParts, ...]
+    left_out: tuple[str, ...]
+
+
+def fabricate(
+    robot: Robot,
+    rig: Rig,
+    asked: MoldSpec,
+    spec: HeatingSpec,
+    *,
+    charges: tuple[float, ...] = (),
+    ensemble: Ensemble | None = None,
+    progress: Progress | None = None,
+) -> Fabrication:
+    """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
+
+    Args:
+        charges: states of charge for which there are tables too.   ensemble: of uncertain rigs; None for no band.
+
+    Raises:
+        InputError: no tube of the robot is curved, or as `plan_tube`.
+    """
+    chosen, left_out = chosen_tubes(robot)
+    tell = progress or (lambda done, total: None)
+    parts = []
+    for k, number in enumerate(chosen):
+        tell(k, len(chosen))
+        # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
+        made = plan_tube(robot.tubes[number - 1], rig, asked, spec, number=number)
+        drawn = RobotMold(made.mold, robot.name, (number,), ())
+        parts.append(TubeParts(number, made, drawn, heating_of(made.heating, charges, ensemble)))
+    tell(len(chosen), len(chosen))
+    return Fabrication(robot, tuple(parts), tuple(left_out))
+
+
+class FabricationStudy(Study):
+    """Molds and heating schedules for every tube of a robot."""
+
+    doing = "planning molds and schedules"
+
+    kind: Literal["fabrication"]
+    robot: RobotPath
+    rig: RigPath = Field(examples=["RIG.yaml"])
+    mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
+    hold_s: Positive | None = Field(None, description="length of the hold; by default the mold file's, 60")
+    objective: Literal["time", "energy", "margin"] = Field("time", description="time, energy or margin")
+    charges_percent: list[Positive] = Field(
+        [], description="also tables for these states of charge; none for no tables"
+    )
+    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
+
+    def run(self, progress: Progress | None = None) -> Fabrication:
+        """Mold and schedules of every tube; raises InputError as `fabricate`."""
+        asked = self.mold or MoldSpec()
+        spec = replace(heating_for(asked.heat), objective=self.objective)
+        spec = spec if self.hold_s is None else replace(spec, hold_time=float(self.hold_s))
+        charges = tuple(to_si(charge, PERCENT) for charge in self.charges_percent)
+        ensemble = Ensemble(Uncertainty(), self.samples) if self.samples else None
+        return fabricate(self.robot, self.rig, asked, spec, charges=charges, ensemble=ensemble, progress=progress)

@@ -1,0 +1,43 @@
+"""The study of forward kinematics: the equilibrium of a robot at given joint values."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..files.checked import Positive
+from ..robots.calibration import to_model
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
+from .load_file import LoadedStudy
+
+
+class ForwardKinematicsStudy(LoadedStudy):
+    """The equilibrium of a robot at given joint values: readings, where the robot has a calibration."""
+
+    doing = "solving the shape"
+
+    kind: Literal["forward_kinematics"]
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = TURNED
+    translations_mm: OnePerTube | None = SHIFTED
+    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
+    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
+    verify: bool = Field(False, description="compare with an adaptive re-integration")
+
+    def run(self, progress: Progress | None = None) -> Equilibrium:
+        """The equilibrium; raises SolveError where none is found."""
+        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
+        translations = metres(self.translations_mm, self.robot.home_translations)
+        return forward_kinematics(
+            self.robot,
+            *to_model(self.robot, rotations, translations),
+            load=self.pushing(),
+            method=self.method,
+            tolerance=float(self.tolerance_rad),
+            verify=self.verify,
+        )

@@ -1,0 +1,85 @@
+"""The study of a trajectory: whether it snaps, collides or goes too fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from os import PathLike
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..display import Displayed
+from ..files.checked import NotNegative, check_kind, in_file
+from ..files.units import MM, to_si
+from ..files.yaml_file import load_yaml
+from ..planning import Proof, verify_trajectory
+from ..planning.file import TimedJoints, load_trajectory
+from ..robots.robot import Robot
+from .base import Progress, RobotPath, Study
+from .obstacle_file import Bodies
+from .plan_study import PlanStudy, RatesEntry
+
+
+@dataclass(frozen=True, eq=False)
+class Checked(Displayed):
+    """A trajectory of whatever origin, and what was found on it."""
+
+    file: str
+    joints: TimedJoints
+    proof: Proof
+
+
+def _read(path: str | PathLike[str], robot: Robot | None) -> tuple[str, TimedJoints]:
+    return str(path), load_trajectory(path, robot)
+
+
+def _plan_study(path: str | PathLike[str]) -> PlanStudy:
+    return check_kind({"plan": PlanStudy}, load_yaml(path), path)
+
+
+class VerifyStudy(Study):
+    """Whether a trajectory of whatever origin snaps, collides or is too fast."""
+
+    doing = "following the trajectory"
+
+    kind: Literal["verify"]
+    robot: RobotPath | None = Field(
+        None, description="robot file; by default the one that the trajectory names", examples=["ROBOT.yaml"]
+    )
+    trajectory: Annotated[tuple[str, TimedJoints], in_file(_read, "a CSV file", of_robot=True)] = Field(
+        description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
+        "translation_1_mm, ..."
+    )
+    min_margin: NotNegative = Field(Decimal(0), lt=1, description="least stability margin", examples=["MU"])
+    obstacles: Bodies = Field(
+        (),
+        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
+        examples=["OBSTACLES.yaml"],
+    )
+    clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
+    study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
+        None,
+        description="margin, obstacles, clearance and rates of this plan study instead",
+        examples=["STUDY.yaml"],
+    )
+
+    def run(self, progress: Progress | None = None) -> Checked:
+        """What is found on the trajectory; raises SolveError where it cannot be followed."""
+        if progress is not None:
+            progress(0, 0)
+        asked = self.study or self
+        file, joints = self.trajectory
+        proof = verify_trajectory(
+            joints.robot,
+            joints.time,
+            joints.rotations,
+            joints.translations,
+            start=joints.start(),
+            obstacles=asked.obstacles,
+            min_margin=float(asked.min_margin),
+            clearance=to_si(asked.clearance_mm, MM),
+            rate_limits=None if asked.rates is None else asked.rates.build(),
+        )
+        return Checked(file, joints, proof)

@@ -1,0 +1,254 @@
+"""The compiled kernel of arms under load, on NumPy arrays.
+
+Its mechanics are the functions of the cross-section and of quaternions that CasADi generates; by hand there are only
+linear algebra, sweeps along the arm and the loops of Newton's method and of the continuation.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...physics.shape import quaternion_product_function, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.torsion import section_functions
+from ...transcription.loaded import LoadedProblem, compliances
+from ...transcription.loaded_arm import LoadedArm, shape_sections
+from ...transcription.piece import ENDS, STEPS
+from ...transcription.reduced import ReducedProblem
+from ...transcription.tableau import tableau
+from ...typing import Array
+from ..loaded import LoadedAnswer
+from ..settings import CONTINUATION, NEWTON
+from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
+
+DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 9, 24, 6
+"""What the kernel has room for; others go to the general solver."""
+
+FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
+"""Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin that it expects."""
+
+PREDICTED_PART = 0.9
+"""Of the largest change in one step of a load, the part that is gone for by the first derivative."""
+
+SOLVED = 0
+
+
+def loaded_source(n: int) -> str:
+    """The C text of the kernel for n concentric tubes under load."""
+    generator = ca.CodeGenerator("mechanics.c")
+    generator.add(section_functions(n, False)["bending"])
+    generator.add(quaternion_product_function())
+    generator.add(rotation_matrix_function())
+    defines = {
+        "N": n,
+        "DEGREE": DEGREE,
+        "CHECK_DEGREE": CHECK_DEGREE,
+        "MOST_DEGREE": CHECK_DEGREE,
+        "MOST_PIECES": MOST_PIECES,
+        "STEPS": STEPS,
+        "LANCZOS": LANCZOS,
+        "EIGENVALUE_ERROR": EIGENVALUE_ERROR,
+        "SOFTENING_ERROR": SOFTENING_ERROR,
+        "FIRST_LANCZOS": FIRST_LANCZOS,
+        "LEAST_SOFTENING": LEAST_SOFTENING,
+        "PREDICTED_PART": PREDICTED_PART,
+        "CHORD_STEP": CHORD_STEP,
+        "ROUND_OFF": NEWTON.round_off,
+        "LAST_STEP": NEWTON.last_step,
+        "MOST_ITERATIONS": NEWTON.iterations,
+        "LARGEST_RATIO": CONTINUATION.largest_ratio,
+        "LARGEST_TWIST": CONTINUATION.largest_twist,
+        "SOFT_TWIST": CONTINUATION.soft_twist,
+        "SHORTEST_LOAD_STEP": CONTINUATION.compiled_step,
+        "LEAST_STIFFNESS": CONTINUATION.least_stiffness,
+        "HARDLY_SOFTENED": CONTINUATION.hardly_softened,
+    }
+    tables = {"TANGENT": tangent_forms(), "TURN": world_turns()}
+    arrays = "".join(
+        f"static const double {name}[3][4][4] = {{{', '.join(repr(float(v)) for v in table.ravel())}}};\n"
+        for name, table in tables.items()
+    )
+    return arrays + c_text(defines, generator, "loaded.c")
+
+
+_POINTERS = (
+    *("weights", "matrix", "start", "length", "stiffness", "moment", "phase", "rate", "bent", "felt", "held"),
+    *("force", "base_force", "basis", "once", "twice"),
+    *("ends_stiffness", "ends_moment", "ends_phase", "ends_rate", "ends_twist", "ends_wound"),
+)
+
+
+class _Problem(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_longlong) for name in ("pieces", "degree", "tip_tube")),
+        ("whole", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in _POINTERS),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Kernel:
+    solve: Any
+    answer: np.dtype[np.void]
+    workspace_size: int
+
+
+def _answer(n: int) -> np.dtype[np.void]:
+    points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
+    names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
+    fields: list[Any] = [(name, "f8") for name in names] + [("iterations", "i8")]
+    fields += [("theta", "f8", (points, n)), ("curvature", "f8", (points, 2))]
+    fields += [("compliance", "f8", (6, 6)), ("base_wrench", "f8", 6), ("arc_length", "f8", shape)]
+    fields += [("rotation", "f8", (shape, n)), ("torsion", "f8", (shape, n)), ("bent", "f8", (shape, 2))]
+    fields += [("position", "f8", (shape, 3)), ("frame", "f8", (shape, 3, 3))]
+    return np.dtype(fields)
+
+
+@lru_cache(maxsize=MOST_TUBES)
+def _kernel(n: int) -> _Kernel | None:
+    path = kernel_path((n, "loaded"), lambda: loaded_source(n))
+    loaded = None if path is None else load_library(path)
+    if loaded is None:
+        return None
+    pointer = ctypes.c_void_p
+    loaded.solve_loaded.argtypes = [*[pointer] * 7, ctypes.c_double, *[pointer] * 2]
+    answer = _answer(n)
+    if loaded.answer_size() != answer.itemsize:
+        raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
+    return _Kernel(loaded.solve_loaded, answer, loaded.workspace_size())
+
+
+@lru_cache(maxsize=64)
+def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
+    """The C struct Problem without forces, which keeps the arrays that it points to."""
+    mesh, assembly = torsion.mesh, torsion.assembly
+    t, pieces, n = mesh.tableau, len(mesh.length), assembly.n_tubes
+    ends = shape_sections(torsion)
+    bent = np.zeros((len(torsion.weight), n))
+    bent.ravel()[torsion.flat] = 1.0
+    bent = bent.reshape(pieces, t.degree, n)[:, 0]
+    # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
+    felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
+    felt[:, tip_tube] = True
+    arrays = dict(weights=t.weights, matrix=t.matrix, start=mesh.start, length=mesh.length, bent=bent, felt=felt)
+    arrays |= dict(stiffness=torsion.stiffness, moment=torsion.moment)
+    arrays["phase"] = np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase
+    arrays["rate"], arrays["held"] = compliances(torsion)
+    names = ("basis", "once", "twice")
+    arrays |= {name: t.lagrange(ENDS, integrals=k) for k, name in enumerate(names)}
+    arrays |= dict(ends_stiffness=ends.stiffness, ends_moment=ends.moment, ends_phase=ends.phase)
+    arrays |= dict(ends_rate=1 / ends.torsional_stiffness, ends_twist=ends.twist, ends_wound=ends.wound)
+    kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
+    out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: _at(array) for name, array in kept.items()})
+    out.keep = kept
+    return out
+
+
+def _structure(problem: LoadedProblem) -> Any:
+    """The C struct Problem; the template and the forces must live as long."""
+    out = _Problem.from_buffer_copy(_template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length))
+    out.force, out.base_force = _at(problem.force), _at(problem.base_force)
+    return out
+
+
+def _at(array: NDArray[Any]) -> int:
+    return int(array.ctypes.data)
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are."""
+
+    workspace: Array
+    fields: dict[str, Any]
+    at: tuple[int, int]
+
+
+_rooms = threading.local()
+
+
+def _room(kernel: _Kernel) -> _Room:
+    rooms: dict[Any, _Room] = _rooms.__dict__
+    if kernel not in rooms:
+        answer, workspace = np.zeros((), kernel.answer), np.zeros(kernel.workspace_size // 8 + 1)
+        fields = {name: answer[name] for name in kernel.answer.names or ()}
+        rooms[kernel] = _Room(workspace, fields, (_at(workspace), _at(answer)))
+    return rooms[kernel]
+
+
+def solve_loaded_compiled(
+    problem: LoadedProblem,
+    finer: LoadedProblem,
+    joints: tuple[Array, Array],
+    start: tuple[Array, Array | None],
+    margin: float,
+) -> LoadedAnswer | None:
+    """The stable equilibrium under a dead load; `finer` is the same problem with more points on the same pieces.
+
+    `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2) at
+    the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to grow
+    from there.
+
+    None where there is no kernel, or it declines: nothing stable close by, a branch that ends.
+    """
+    n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
+    degrees = mesh.tableau.degree, finer.mesh.tableau.degree
+    fits = n <= MOST_TUBES and len(mesh.length) <= MOST_PIECES and degrees == (DEGREE, CHECK_DEGREE)
+    if not fits or not problem.load.has_energy or mesh.tableau.family != "gauss":
+        return None
+    kernel = _kernel(n)
+    if kernel is None:
+        return None
+    room = _room(kernel)
+    theta, curvature = start
+    memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
+    at = _at(memory)
+    status = kernel.solve(
+        ctypes.byref(_structure(problem)),
+        ctypes.byref(_structure(finer)),
+        _at(_between(*degrees)),
+        at,
+        at + 8 * n,
+        at + 16 * n,
+        None if curvature is None else at + 8 * (2 * n + theta.size),
+        margin,
+        room.at[0],
+        room.at[1],
+    )
+    return _answered(room.fields, len(problem.softness), STEPS * len(mesh.length) + 1) if status == SOLVED else None
+
+
+@lru_cache(maxsize=8)
+def _between(degree: int, finer: int) -> Array:
+    """(finer, degree) values at the points of the finer rule."""
+    return np.ascontiguousarray(tableau("gauss", degree).lagrange(tableau("gauss", finer).nodes))
+
+
+def _answered(answer: dict[str, Any], points: int, m: int) -> LoadedAnswer:
+    return LoadedAnswer(
+        theta=answer["theta"][:points].copy(),
+        curvature=answer["curvature"][:points].copy(),
+        margin=float(answer["margin"]),
+        residual=float(answer["residual"]),
+        energy=float(answer["energy"]),
+        work=float(answer["work"]),
+        iterations=int(answer["iterations"]),
+        errors=(float(answer["theta_error"]), float(answer["tip_error"]), float(answer["margin_error"])),
+        compliance=answer["compliance"].copy(),
+        base_wrench=answer["base_wrench"].copy(),
+        arm=LoadedArm(
+            arc_length=answer["arc_length"][:m].copy(),
+            rotation=answer["rotation"][:m].T.copy(),
+            torsion=answer["torsion"][:m].T.copy(),
+            curvature=answer["bent"][:m].copy(),
+            position=answer["position"][:m].copy(),
+            frame=answer["frame"][:m].copy(),
+        ),
+    )

@@ -1,0 +1,298 @@
+/* Newton's method on a loaded arm, its margin, and the continuation from no load: what solvers/loaded.py and
+   equilibrium/load_continuation.py do. */
+
+/* The change of q that goes with one of theta (N) at a point and of p. */
+static double change_of_q(const Stage *s, int x, int j, const double *theta, double p) {
+    for (int i = 0; i < N; i++) p -= s->gain[x][i][j] * theta[i];
+    return p;
+}
+
+/* Newton's step: theta - alpha itself is unknown, not its change, so that no twists need be kept; p is a change. */
+static void newton_step(const Stage *s, const State *state, const double *alpha, double factor, Step *step) {
+    Functional *by = &step->by;
+    memset(by->end, 0, sizeof by->end);
+    by->has_orientation = by->has_twist = 0;
+    for (int x = 0; x < s->points; x++) {
+        double pull[2], twist[N];
+        for (int i = 0; i < N; i++) twist[i] = state->theta[x][i] - alpha[i];
+        for (int j = 0; j < 2; j++) {
+            pull[j] = state->q[x][j] - s->soft[x] * factor * state->felt[x][j];
+            by->bend[x][j] = pull[j];
+            for (int i = 0; i < N; i++) by->bend[x][j] += s->gain[x][i][j] * twist[i];
+        }
+        for (int i = 0; i < N; i++)
+            by->theta[x][i] = s->weight[x] * state->moment[x][i] - factor * dot(state->felt[x], state->turned[x][i], 2) -
+                              dot(s->gain[x][i], pull, 2) - dot(s->stiff[x][i], twist, N);
+    }
+    sweep_back(s, by, step);
+    sweep_forth(s, step);
+    for (int x = 0; x < s->points; x++)
+        for (int i = 0; i < N; i++) step->theta[x][i] += alpha[i];
+}
+
+/* The largest change of a rotation that is unknown between theta (points, N) and the state, rad. */
+static double largest_turn(const Stage *s, const State *state, const double (*theta)[N]) {
+    double out = 0;
+    for (int x = 0; x < s->points; x++)
+        for (int i = 0; i < N; i++)
+            if (s->piece[x / s->degree].count[i] == s->degree) out = fmax(out, fabs(theta[x][i] - state->theta[x][i]));
+    return out;
+}
+
+static double theta_change(const Stage *s, const State *state, const Step *step) {
+    return largest_turn(s, state, step->theta);
+}
+
+/* The largest turn that a step makes, rad: of a tube, or of the arm if curvature changed alike all along it. */
+static double size_of(const Stage *s, const State *state, const Step *step) {
+    double out = theta_change(s, state, step);
+    for (int x = 0; x < s->points; x++)
+        for (int j = 0; j < 2; j++) out = fmax(out, s->problem->whole * s->soft[x] * fabs(step->bend[x][j]));
+    return out;
+}
+
+/* state += scale of a step; with `whole` it has theta itself. */
+static void take(const Stage *s, State *state, const Step *step, double scale, int whole) {
+    for (int x = 0; x < s->points; x++) {
+        const Piece *piece = &s->piece[x / s->degree];
+        double change[N];
+        for (int i = 0; i < N; i++)
+            change[i] = piece->count[i] == s->degree ? step->theta[x][i] - (whole ? state->theta[x][i] : 0) : 0;
+        for (int j = 0; j < 2; j++) state->q[x][j] += scale * change_of_q(s, x, j, change, step->bend[x][j]);
+        for (int i = 0; i < N; i++) state->theta[x][i] += scale * change[i];
+    }
+}
+
+/* Torque and elastic rotation of the tubes by the torque that a state asks for. */
+typedef struct {
+    double per_length[MOST_POINTS][N], torque[MOST_POINTS][N];
+    double twist[MOST_PIECES + 1][N], theta[MOST_PIECES + 1][N];
+} Torsion;
+
+static void twist_tubes(const Stage *s, const State *state, const double *alpha, double factor, Torsion *out) {
+    const Problem *p = s->problem;
+    int k = s->degree;
+    for (int x = 0; x < s->points; x++)
+        for (int i = 0; i < N; i++)
+            out->per_length[x][i] =
+                state->moment[x][i] - factor * dot(state->felt[x], state->turned[x][i], 2) / s->weight[x];
+    memset(out->twist[s->pieces], 0, sizeof out->twist[0]);
+    for (int e = s->pieces - 1; e >= 0; e--)
+        for (int i = 0; i < N; i++) {
+            out->twist[e][i] = out->twist[e + 1][i];
+            for (int b = 0; b < k; b++) out->twist[e][i] -= s->weight[e * k + b] * out->per_length[e * k + b][i];
+        }
+    for (int i = 0; i < N; i++) out->theta[0][i] = alpha[i] + p->held[i] * out->twist[0][i];
+    for (int e = 0; e < s->pieces; e++)
+        for (int i = 0; i < N; i++) {
+            out->theta[e + 1][i] = out->theta[e][i];
+            for (int a = 0; a < k; a++) {
+                double torque = out->twist[e][i];
+                for (int b = 0; b < k; b++)
+                    torque += p->length[e] * p->matrix[a * k + b] * out->per_length[e * k + b][i];
+                out->torque[e * k + a][i] = torque;
+                out->theta[e + 1][i] += s->weight[e * k + a] * p->rate[(e * k + a) * N + i] * torque;
+            }
+        }
+}
+
+/* The largest violation of the equations, as an error of theta at the points or of the arm's direction, rad. */
+static double residual_of(const Stage *s, const State *state, const double *alpha, double factor, Torsion *torsion) {
+    const Problem *p = s->problem;
+    int k = s->degree;
+    double out = 0;
+    twist_tubes(s, state, alpha, factor, torsion);
+    for (int x = 0; x < s->points; x++) {
+        int e = x / k;
+        for (int i = 0; i < N; i++) {
+            if (s->piece[e].count[i] < k) continue;
+            double theta = torsion->theta[e][i];
+            for (int b = 0; b < k; b++)
+                theta += p->length[e] * p->matrix[x % k * k + b] * p->rate[(e * k + b) * N + i] *
+                         torsion->torque[e * k + b][i];
+            out = fmax(out, fabs(theta - state->theta[x][i]));
+        }
+        for (int j = 0; j < 2; j++) {
+            double bent = state->q[x][j] - s->soft[x] * factor * state->felt[x][j];
+            out = fmax(out, p->whole * s->soft[x] * fabs(bent));
+        }
+    }
+    return out;
+}
+
+/* Newton steps from `state`; the factors of a step that is small serve for the next. Not at ease, and so declined, where
+   successive steps do not shrink to `ratio` of one another. */
+static int newton(Stage *s, State *state, const double *alpha, double factor, double ratio, Step *step, Answer *out) {
+    static _Thread_local Torsion torsion;
+    double last = INFINITY;
+    int fresh = 1;
+    evaluate(s, state, factor);
+    for (int n = 0; n < MOST_ITERATIONS; n++) {
+        out->iterations++;
+        if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
+        newton_step(s, state, alpha, factor, step);
+        double size = size_of(s, state, step);
+        if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > ratio * last)) return DECLINED;
+        take(s, state, step, 1, 1);
+        evaluate(s, state, factor);
+        if (size <= LAST_STEP && (size <= ROUND_OFF || residual_of(s, state, alpha, factor, &torsion) <= ROUND_OFF))
+            return SOLVED;
+        fresh = size > CHORD_STEP;
+        last = size;
+    }
+    return DECLINED;
+}
+
+typedef struct {
+    const Stage *stage;
+    Step *step;
+} Softness;
+
+/* What Lanczos' method works in, and the whitened direction where it ends. */
+typedef struct {
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS];
+} Room;
+
+/* x <- H^-1 x in the whitened unknowns: twists where the tubes are held and along them, then bending q. */
+static void soften(const void *of, double *x) {
+    const Softness *given = of;
+    const Stage *s = given->stage;
+    Functional *by = &given->step->by;
+    double *at = x;
+    memcpy(by->held, at, sizeof by->held);
+    at += N;
+    for (int e = 0; e < s->pieces; e++)
+        for (int i = 0; i < N; at += s->piece[e].count[i++])
+            memcpy(by->twist[e] + i * MOST_DEGREE, at, s->piece[e].count[i] * sizeof(double));
+    for (int y = 0; y < s->points; y++, at += 2) {
+        memcpy(by->bend[y], at, sizeof by->bend[y]);
+        for (int i = 0; i < N; i++) {
+            by->theta[y][i] = 0;
+            for (int j = 0; j < 2; j++) by->theta[y][i] -= s->gain[y][i][j] * at[j];
+        }
+    }
+    sweep_back(s, by, given->step);
+    sweep_forth(s, given->step);
+    at = x;
+    for (int i = 0; i < N; i++) *at++ = -given->step->held[i];
+    for (int e = 0; e < s->pieces; e++)
+        for (int i = 0; i < N; i++)
+            for (int b = 0; b < s->piece[e].count[i]; b++) *at++ = -given->step->twist[e][i * MOST_DEGREE + b];
+    for (int y = 0; y < s->points; y++)
+        for (int j = 0; j < 2; j++)
+            *at++ = -change_of_q(s, y, j, given->step->theta[y], given->step->bend[y][j]);
+}
+
+/* Number of whitened unknowns. */
+static int unknowns_of(const Stage *s) {
+    int n = N + 2 * s->points;
+    for (int e = 0; e < s->pieces; e++) n += s->piece[e].bend;
+    return n;
+}
+
+/* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`. */
+static double least_factorised(const Stage *s, double small, int most, Step *step, Room *room, int *settled) {
+    Softness of = {s, step};
+    Lanczos lanczos = {soften, &of, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, room->basis[0]};
+    memset(step->by.end, 0, sizeof step->by.end);
+    step->by.has_orientation = 0;
+    step->by.has_twist = 1;
+    double least = least_of(&lanczos, room->vector);
+    *settled = lanczos.settled;
+    return least;
+}
+
+/* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
+static double rough_margin(const Stage *s, Step *step, Room *room) {
+    int settled;
+    anywhere(room->vector, unknowns_of(s));
+    return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
+}
+
+/* The margin of a stable state under the whole load, at most 1, with its vector; `near` is about what to expect, NaN if
+   that is not known. Eigenvalues gather at 1, and the least may be close to them: of the second variation less mu, mu
+   not far below the least, it is far away from all others. Takes factors of the second variation, and leaves others. */
+static double margin_of(Stage *s, const State *state, double near, Step *step, Room *room) {
+    double elastic = isnan(near) ? 1 : fmin(1, fmax(2 * (1 - near), LEAST_SOFTENING)), margin = 1;
+    int settled = 0;
+    anywhere(room->vector, unknowns_of(s));
+    for (int tries = 0; tries < 6 && !settled; tries++) {
+        while ((tries || elastic < 1) && !factorise(s, state, 1, elastic)) {
+            if (elastic == 1) return -1;
+            elastic = fmin(1, 8 * elastic);
+        }
+        margin = 1 - elastic + least_factorised(s, EIGENVALUE_ERROR, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
+        elastic = fmin(1, fmax(4 * (1 - margin), LEAST_SOFTENING));
+    }
+    return fmin(1, margin);
+}
+
+/* Largest change of the twist at a point in one step from an equilibrium of this margin, rad. */
+static double largest_twist(double margin) { return fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST); }
+
+/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left. */
+static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
+    return newton(s, state, alpha, factor, LARGEST_RATIO, step, out) == SOLVED && factorise(s, state, factor, 1);
+}
+
+/* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
+   shortened where that fails. */
+static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
+                Answer *out) {
+    double longest = 1;
+    /* The factors of its last step are close enough to predict by. */
+    if (newton(s, state, alpha, 0, 1, step, out)) return DECLINED;
+    for (double t = 0; t < 1;) {
+        double moved = 0, rate = 0;
+        Functional *by = &step->by;
+        memset(by, 0, sizeof *by);
+        for (int x = 0; x < s->points; x++)
+            for (int j = 0; j < 2; j++) by->bend[x][j] = -s->soft[x] * state->felt[x][j];
+        sweep_back(s, by, step);
+        sweep_forth(s, step);
+        for (int x = 0; x < s->points; x++) {
+            rate = fmax(rate, 2 * sqrt(dot(step->orientation[x], step->orientation[x], 4)));
+            for (int i = 0; i < N; i++) rate = fmax(rate, s->piece[x / s->degree].count[i] == s->degree ? fabs(step->theta[x][i]) : 0);
+        }
+        longest = fmin(longest, PREDICTED_PART * largest_twist(near) / fmax(rate, 1e-300));
+        double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest;
+        memcpy(trial->theta, state->theta, s->points * sizeof trial->theta[0]);
+        memcpy(trial->q, state->q, s->points * sizeof trial->q[0]);
+        take(s, trial, step, goal - t, 0);
+        int done = at_ease(s, trial, alpha, goal, step, out);
+        for (int x = 0; x < s->points && done; x++) {
+            double square = 0;
+            for (int r = 0; r < 4; r++) square += pow(trial->stage[x][r] - state->stage[x][r], 2);
+            moved = fmax(moved, 2 * sqrt(square));
+        }
+        if (done && fmax(moved, largest_turn(s, trial, state->theta)) <= largest_twist(near)) {
+            *state = *trial;
+            t = goal;
+            longest = fmin(2 * longest, 1);
+            if (t < 1) near = rough_margin(s, step, room);
+            continue;
+        }
+        longest /= 3;
+        if (longest < SHORTEST_LOAD_STEP) return DECLINED;
+        evaluate(s, state, t); /* the factors are those of another state now */
+        if (!factorise(s, state, t, 1)) return DECLINED;
+    }
+    return SOLVED;
+}
+
+/* The equilibrium close to that from which `state` comes, of this margin. */
+static int settle(Stage *s, const double *alpha, double margin, State *state, State *start, Step *step, Answer *out) {
+    memcpy(start->theta, state->theta, s->points * sizeof start->theta[0]);
+    memcpy(start->q, state->q, s->points * sizeof start->q[0]);
+    if (!at_ease(s, state, alpha, 1, step, out)) return DECLINED;
+    double moved = largest_turn(s, state, start->theta);
+    for (int x = 0; x < s->points; x++)
+        for (int j = 0; j < 2; j++) {
+            double bent = s->soft[x] * (state->q[x][j] - start->q[x][j]);
+            for (int i = 0; i < N; i++)
+                if (s->piece[x / s->degree].count[i] == s->degree)
+                    bent += state->turned[x][i][j] * (state->theta[x][i] - start->theta[x][i]);
+            moved = fmax(moved, s->problem->whole * fabs(bent));
+        }
+    return moved <= largest_twist(margin) ? SOLVED : DECLINED;
+}

@@ -1,0 +1,124 @@
+"""Motion along waypoints with dry friction between the tubes: increments, snaps, and where the robot lands.
+
+A state is followed as the nearest minimum of energy and friction together. Where that is lost the robot snaps: it flows
+downhill, friction taking its part on the way, to where it comes to rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..equilibrium.continuation import LARGEST_RATIO, SHORTEST_STEP, JointPath, largest_twist
+from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, to_held_equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..robots.friction import Friction
+from ..robots.robot import Robot
+from ..solvers.rubbing import HONEST, slide, softest
+from ..transcription.contact import evaluate_contact
+from ..typing import Array
+
+SMOOTH_TURN = 0.05
+"""A loss of stability after which no point turns by more than this (rad) is no snap."""
+
+PAST = 1e-6
+"""Part of the longest step by which the joints are past the last state that was found when the robot flows from it."""
+
+NUDGE = 1e-2
+"""Push (rad) in the softest direction, with which the flow begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class RubbingSnap:
+    """A snap at a fraction of a segment, from one state to another; energy in J."""
+
+    fraction: float
+    before: Held
+    after: Held
+
+
+def rubbing_legs(
+    robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None
+) -> Iterator[tuple[Held, list[RubbingSnap]]]:
+    """The state at every waypoint (T, 2n), and the snaps on the way to it.
+
+    Raises:
+        InputError: another friction, an eccentric robot, or an unstable start.
+        SolveError: the motion was lost.
+    """
+    check_rubbing(robot, friction)
+    first = start if start is not None else forward_kinematics(robot, *np.split(joints[0], 2))
+    held = rest(robot, first, friction)
+    if held.held_margin <= 0:
+        raise InputError(f"start has margin {held.held_margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    own = np.concatenate([held.rotations, held.translations])
+    for k in range(len(joints)):
+        snaps: list[RubbingSnap] = []
+        begin = own if k == 0 else joints[k - 1]
+        if k or not np.allclose(own, joints[0], rtol=0, atol=1e-12):
+            for found in _walk(JointPath(robot, begin, joints[k]), held):
+                held = found.after if isinstance(found, RubbingSnap) else found
+                snaps += [found] if isinstance(found, RubbingSnap) else []
+        yield held, snaps
+
+
+def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
+    """States along a straight path of joint values, and snaps; the last is at its end."""
+    t, longest = 0.0, path.largest_step()
+    for goal in path.events():
+        size = longest
+        while t < goal:
+            at = goal if t + size >= goal - 1e-12 else t + size
+            there = _near(path, held, at)
+            if there is None:
+                size /= 4
+                if size >= SHORTEST_STEP:
+                    continue
+                at = min(goal, t + PAST * longest)
+                there = _landed(path, held, at)
+                if _distance(held, there) > SMOOTH_TURN:
+                    yield RubbingSnap(t, held, there)
+            else:
+                size = min(2 * size, longest)
+                yield there
+            t, held = at, there
+            size = max(size, 1e-3 * longest)
+    yield held
+
+
+def _near(path: JointPath, held: Held, t: float) -> Held | None:
+    """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
+    there = step(path.robot, held, *path.at(t))
+    if there is None or there.found.contraction > LARGEST_RATIO or there.held_margin <= 0:
+        return None
+    return there if _distance(held, there) <= largest_twist(held.held_margin) else None
+
+
+def _distance(a: Held, b: Held) -> float:
+    """Largest difference of the twist theta - alpha of two states at the points of the second, rad."""
+    points = b.contact.problem
+    before = a.found.state.torsion.theta if a.contact is b.contact else a.theta(points.arc_length)
+    change = (b.found.state.torsion.theta - b.rotations) - (before - a.rotations)
+    return float(np.abs(change.ravel()[points.flat]).max(initial=0.0))
+
+
+def _landed(path: JointPath, held: Held, t: float) -> Held:
+    """Where the robot flows to from a state that is no equilibrium any more."""
+    rotations, translations = path.at(t)
+    contact, before, x = carried(path.robot, held, rotations, translations)
+    push = NUDGE * softest(held.contact, held.found.state, held.found.signs)
+    if contact is not held.contact:  # on another mesh the softest direction is that of the state carried over
+        state = evaluate_contact(contact, rotations, x)
+        push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
+    landed = slide(contact, rotations, x, before, push)
+    if landed is None:
+        raise SolveError(
+            f"the motion with friction is lost {100 * t:.3f} % of the way: no state was found in which friction holds "
+            f"to {HONEST:g}"
+        )
+    found, heat = landed
+    return Held(contact, rotations, translations, found, held.heat + heat)
