@@ -63,6 +63,9 @@ from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
 from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
+from .show.interactive import show_in_3d
+from .show.solids import save_solid
+from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers.problem import Problem
 from .solvers.problem_solution import ProblemSolution, load_problem_solution
 from .solvers.problem_status import ProblemStatus
@@ -190,10 +193,15 @@ __all__ = [
     "predict_tube",
     "save_rig",
     "save_robot",
+    "save_solid",
+    "save_table",
+    "show_in_3d",
     "snap_free_certificate",
     "snapping_loss",
     "stability_map",
     "sweep",
+    "to_dataframe",
+    "to_xarray",
     "trace_branch",
     "verify_trajectory",
     "workspace",

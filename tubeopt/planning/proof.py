@@ -21,6 +21,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..control.clock import Clock
 from ..control.joints import JointSpace
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
@@ -45,7 +46,7 @@ AGREEMENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class Proof(Displayed):
     """What was found on a trajectory that was followed once more.
 
     Attributes:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 
 from ..bodies.obstacles import Obstacle
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, late
@@ -38,7 +39,7 @@ class PlanStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Displayed):
     """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
 
     Attributes:
@@ -52,6 +53,8 @@ class Trajectory:
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
     """
+
+    _brief = ("robot", "status", "time")
 
     robot: Robot
     time: Array

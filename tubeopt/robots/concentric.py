@@ -8,6 +8,7 @@ from os import PathLike
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..typing import Array, late
 from .assembly import Assembly, assemble
@@ -19,7 +20,7 @@ from .tubes import Tube
 
 
 @dataclass(frozen=True)
-class ConcentricRobot:
+class ConcentricRobot(Displayed):
     """A concentric tube robot.
 
     Args:

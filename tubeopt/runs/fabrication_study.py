@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ..display import Displayed
 from ..files.checked import Positive
 from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
@@ -35,7 +36,7 @@ class TubeParts:
 
 
 @dataclass(frozen=True, eq=False)
-class Fabrication:
+class Fabrication(Displayed):
     """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
 
     robot: Robot

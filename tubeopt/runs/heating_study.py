@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.fields import asking, values
 from ..files.units import PERCENT, to_si
@@ -37,7 +38,7 @@ class Ensemble:
 
 
 @dataclass(frozen=True, eq=False)
-class Heating:
+class Heating(Displayed):
     """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
 
     scale: by which its duties were scaled to the most likely success.

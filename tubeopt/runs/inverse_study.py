@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.units import MM, to_si
@@ -28,7 +29,7 @@ Joints = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class Postures:
+class Postures(Displayed):
     """Answers for one target, best first."""
 
     robot: Robot
@@ -55,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class TargetTable:
+class TargetTable(Displayed):
     """Answers for a table of targets."""
 
     robot: Robot

@@ -14,7 +14,7 @@ from ..shaping.firmware.parts import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from .heat_report import missed
 from .quantities import Quantity, line, within
-from .report import Report, grid, remarks, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
     Quantity("name", "what is not known"),
@@ -92,11 +92,11 @@ class LedHeatingReport(Report[LedHeating]):
         write_text(directory / self.file, to_text(self.record()))
         return [directory / self.file, *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write feedback.png and wiring.svg."""
+    def pictures(self) -> dict[str, Drawing]:
+        """Temperatures of uncertain rigs, and how the board is wired."""
         from .plots.feedback import plot_feedback, plot_wiring
 
-        return self.drawn(directory, {"feedback.png": plot_feedback, "wiring.svg": plot_wiring})
+        return {"feedback": drawing(plot_feedback, self.answer), "wiring": drawing(plot_wiring, self.answer)}
 
     def conclude(self) -> None:
         """Raise SolveError where most rigs do not keep the window, or the rig as filed does not."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
@@ -37,12 +38,14 @@ PAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Snap:
+class Snap(Displayed):
     """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
 
     rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
     after: where the robot lands; energy_released, J; tip_jump, m.
     """
+
+    _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
     fraction: float
@@ -55,7 +58,7 @@ class Snap:
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Path(Displayed):
     """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
 
     equilibria: tuple[Equilibrium, ...]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
@@ -94,11 +95,13 @@ class Energies:
 
 
 @dataclass(frozen=True, eq=False)
-class HeatingPlan:
+class HeatingPlan(Displayed):
     """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
 
     What its parts hold is read at the plan too: `plan.duty` is `plan.course.duty`.
     """
+
+    _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
 
     tube: Tube
     """What is heated."""

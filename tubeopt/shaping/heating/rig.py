@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ...display import Displayed
 from ...errors import InputError, finite, numbers
 from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
@@ -186,7 +187,7 @@ class MoldBed:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Displayed):
     """A battery-driven shape-setting rig, the same at both ends of the tube.
 
     Raises:
