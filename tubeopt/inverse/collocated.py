@@ -36,9 +36,6 @@ from ..transcription.program import Structure, add_torsion
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
 
-JACOBI_STEPS = 2
-"""Steps per piece for the Jacobi fields: margins below 0.9 to about 1e-6."""
-
 SHARPNESS = 30.0
 """Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
 
@@ -205,5 +202,5 @@ def _piece_fields(grid: Grid) -> ca.Function:
     """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
     torsion, n = torsion_of(symbols(grid)), grid.n_tubes
     fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
-    marched = marched_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+    marched = marched_fields(torsion, fields, margin)
     return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})
