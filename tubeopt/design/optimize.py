@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
 from ..robots.concentric import ConcentricRobot
@@ -56,7 +57,7 @@ class DesignStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class DesignSolution:
+class DesignSolution(Displayed):
     """A design that meets its task.
 
     Attributes:
@@ -74,6 +75,8 @@ class DesignSolution:
         verification: all promises, checked again.
         seconds: of the whole computation.
     """
+
+    _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
     robot: ConcentricRobot

@@ -7,8 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .collocated import Torsion
-from .functions import softness_function
+from .collocated import Piece, Torsion
 
 SOFT_NODES = np.array([0.0, 1 / 3, 1 / 2, 2 / 3, 1.0])
 """Where a step of Butcher's method of order 6 needs its right-hand side."""
@@ -32,26 +31,39 @@ SOFT_STEPS = 2
 def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
 
-    Their equations are those of `collocated.softened_fields`.
+    The fields are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where w
+    changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
+    det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
     piece, n = torsion.piece, torsion.piece.grid.n_tubes
-    given = [piece.stiffness, piece.moment, piece.torsional_stiffness, *piece.place]
     h = piece.length / SOFT_STEPS
-
-    def rate(fields: Any, gain: Any, *stretching: Any) -> Any:
-        y, v = fields[:n, :], fields[n:, :]
-        return ca.vertcat(ca.diag(stretching[1]) @ v + stretching[0] @ y if stretching else v, gain @ y)
-
     for step in reversed(range(SOFT_STEPS)):
         x = (step + SOFT_NODES) / SOFT_STEPS
         theta, w = torsion.rotation(x), torsion.torsion(x)
-        soft = [softness_function(piece.grid).call([margin, theta[:, k], w[:, k], *given]) for k in range(len(x))]
+        rates = [_field_rate(piece, x[k], (theta[:, k], w[:, k]), margin) for k in range(len(x))]
         slopes: list[Any] = []
         for stage, row in zip(_STAGES, _BUTCHER, strict=True):
             at = fields - h * sum((a * k for a, k in zip(row, slopes, strict=True)), ca.SX.zeros(2 * n, n))
             # Towards the plate: the node at fraction c of the step lies at 1 - c of the stretch.
-            slopes.append(rate(at, *soft[len(x) - 1 - stage]))
+            slopes.append(rates[len(x) - 1 - stage](at))
         fields = fields - h * sum(b * k for b, k in zip(_WEIGHTS, slopes, strict=True))
     return fields
+
+
+def _field_rate(piece: Piece, x: float, at: tuple[Any, Any], margin: Any) -> Any:
+    """The right-hand side of the Jacobi fields at the fraction x of a piece, theta and w there, as a function of the
+    fields."""
+    n, (theta, w) = piece.grid.n_tubes, at
+    _, stiff, *stretching = piece.balance(theta, x)
+    gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff
+
+    def rate(fields: Any) -> Any:
+        y, v = fields[:n, :], fields[n:, :]
+        turned = ca.diag(stretching[0]) @ v if stretching else v
+        if len(stretching) > 1:
+            turned += ca.diag(w) @ (stretching[1] @ y)
+        return ca.vertcat(turned, gain @ y)
+
+    return rate

@@ -40,7 +40,7 @@ def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Func
     coarse = _integrate(poses[12:], torsion, COARSE_STEPS)
     check = tableau("gauss", degree + EXTRA_POINTS)
     theta = torsion.rotation(check.nodes)
-    finer = [piece.section(theta[:, k]) for k in range(check.degree)]
+    finer = [piece.section(theta[:, k], x) for k, x in enumerate(check.nodes)]
     gained = h * ca.horzcat(*(here.moment / piece.torsional_stiffness for here in finer))
     w = ca.repmat(piece.twist, 1, check.degree) + gained @ check.matrix.T
     stretch = ca.horzcat(*(ca.SX(here.stretch) for here in finer))
@@ -52,7 +52,7 @@ def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Func
         torsion.curvature(ENDS),
         ca.horzcat(*fine),
         ca.horzcat(_row_max(ca.fabs(defect)), ca.fabs(gained @ check.weights - h * gain @ t.weights)),
-        piece.section(piece.theta).bending_energy,
+        piece.section(piece.theta, 0.0).bending_energy,
     ]
     return ca.Function("piece", inputs, [ca.densify(out) for out in outputs], {"cse": True})
 
