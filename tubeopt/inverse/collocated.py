@@ -70,8 +70,8 @@ class Question:
 
 
 @lru_cache(maxsize=64)
-def inverse_program(question: Question) -> Problem:
-    """The program of a question; built once.
+def inverse_program(question: Question, thread: int) -> Problem:
+    """The program of a question, built once; each `thread` has its own numbers.
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
