@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -123,7 +122,6 @@ def optimize_design(
     workers: int = 1,
     turns: int = 6,
     progress: Progress | None = None,
-    report: Callable[[str, float], object] | None = None,
     begin: Attempt | None = None,
 ) -> DesignSolution:
     """The best robot that keeps all requirements of a task.
@@ -143,8 +141,8 @@ def optimize_design(
         seed: of random starts.
         workers: processes for the starts.
         turns: random full turns forth and back, per translations checked, on which no certified robot may snap.
-        progress: called with the number of starts done, and of all.
-        report: called with stage and measure after each iteration; with one worker.
+        progress: called with the number of starts done, and of all; where it has a method `iteration`, that is called
+            with stage and measure after each iteration, with one worker.
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
 
     Raises:
@@ -161,6 +159,7 @@ def optimize_design(
     if choice("method", method, METHODS) == "collocation":
         check_collocation(task)
     began = time.perf_counter()
+    report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
     if begin is None:
