@@ -137,7 +137,7 @@ def test_largest_certificate_that_can_be_demanded_is_the_certificate() -> None:
 
 
 def test_a_joint_of_pieces_passes_the_plate() -> None:
-    """The inner tube is drawn back until the joint of its pieces lies behind the plate: the order changes on the way."""
+    """The inner tube is drawn back until the joint of its pieces lies behind the plate: the order changes."""
     near = forward_kinematics(EXAMPLE, TURNED, [-0.024, -0.012, -0.002])
     goal = forward_kinematics(EXAMPLE, TURNED, [-0.034, -0.012, -0.002])
     problem = Problem()
