@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
@@ -24,7 +25,7 @@ CHUNK = 2048
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumBatch:
+class EquilibriumBatch(Displayed):
     """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN.
 
     Attributes:

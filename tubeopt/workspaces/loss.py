@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, positive
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
@@ -26,7 +27,7 @@ Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class SnappingLoss:
+class SnappingLoss(Displayed):
     """Voxels of edge `size` (m) by what reaches them.
 
     equilibria, unstable: how many were computed, and how many of them are unstable.
