@@ -185,8 +185,8 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 
 def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[float, float] | None = None) -> Mesh:
-    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside; the darker, the
-    less of its bending stiffness slots have left.
+    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside; darker where
+    slots have made it softer.
 
     Args:
         opacity: 0 to 1.
