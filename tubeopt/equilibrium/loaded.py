@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError, SolveError, finite
-from ..robots.load import Load
+from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
@@ -282,7 +282,15 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     chosen = int(here[-1]) if tube is None else tube
     if chosen not in here:
         raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
-    return compliance_along(point.member.problem, point.state, min(arc_length, length), chosen)
+    # Where a wrench acts the curvature jumps: elements end there.
+    load = equilibrium.load or Load()
+    cut = replace(load, points=(*load.points, PointForce(min(arc_length, length), (0.0, 0.0, 0.0))))
+    shift = point.member.translations
+    there = Member(loaded_problem(equilibrium.robot, shift, cut), point.member.rotations, shift)
+    result = loaded_newton(there.problem, there.rotations, carry(point, there))
+    if not result.converged:
+        raise SolveError("the equilibrium is a fold (margin 0), where the compliance is infinite")
+    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:
