@@ -454,7 +454,6 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
         (lambda: forward_kinematics(thesis, ROTATIONS, load=Load(points=((0.3, (0, 0, 1)),))), "at most the length"),
         (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "tube 1 has no density"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=(1, 2, 3)), "it must be a Load"),  # type: ignore[arg-type]
-        (lambda: e.jacobian(), "bears a load"),
         (lambda: verify_equilibrium(e), "bears a load"),
         (lambda: follow(thesis, [ROTATIONS, ROTATIONS], start=e), "bears a load"),
     ]
