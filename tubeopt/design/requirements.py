@@ -22,17 +22,22 @@ class SnapFree:
     margin: at most 1.  translations: (T, n) at which it must hold, m; None and no box is home.
     box: least and greatest translations (n,), m; over the box the worst case counts, found by exchange.
     tolerance: by which the margin may fall short anywhere in the box.
+    max_force: N; above 0 the margin is kept whatever pushes on the tip with up to this force, in any fixed direction.
     """
 
     margin: float = 0.05
     translations: Rows | None = None
     box: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     tolerance: float = 1e-4
+    max_force: float = 0.0
 
     def __post_init__(self) -> None:
         if finite("margin", self.margin) >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
         positive("tolerance of the certificate", self.tolerance)
+        positive("max_force of the certificate", self.max_force, zero=True)
+        if self.max_force and self.box is not None:
+            raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
             object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
         if self.box is not None:

@@ -18,7 +18,7 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
-from .loaded import under_load
+from .loaded import under_load, without_load
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -124,7 +124,7 @@ def inverse_kinematics(
                 robot,
                 at,
                 direction=along,
-                seed=seed if last is None else last,
+                seed=without_load(seed) if last is None else last,
                 reference=reference,
                 min_margin=floor,
                 limits=limits,

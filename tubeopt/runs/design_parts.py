@@ -29,7 +29,7 @@ from ..design import (
 from ..design.requirements import Requirement
 from ..files.checked import Entry, NotNegative, Number, Positive
 from ..files.fields import Part
-from ..files.units import DEG, MM, PER_M, PERCENT, to_si
+from ..files.units import DEG, MM, PER_M, PERCENT, UNITS, to_si
 from ..robots.file import Range
 from .base import Whole
 from .obstacle_file import Bodies, Place, Triple, point
@@ -90,12 +90,16 @@ class SnapFreeEntry(Part):
     translations_mm: list[Row] | None = None
     box_mm: Annotated[list[Row], Field(min_length=2, max_length=2)] | None = None
     tolerance: Positive = Decimal("1e-4")
+    max_tip_force_mN: NotNegative = Field(
+        Decimal(0), description="whatever pushes on the tip with up to this force, in any direction that it keeps"
+    )
 
     def build(self) -> SnapFree:
         """The requirement in SI."""
         rows = None if self.translations_mm is None else tuple(metres(row) for row in self.translations_mm)
         box = None if self.box_mm is None else (metres(self.box_mm[0]), metres(self.box_mm[1]))
-        return SnapFree(float(self.margin), rows, box, float(self.tolerance))
+        force = to_si(self.max_tip_force_mN, UNITS["mN"])
+        return SnapFree(float(self.margin), rows, box, float(self.tolerance), force)
 
 
 class InUseEntry(Part):
