@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..control.clock import Clock
+from ..control.clock import Clock, LateError
 from ..control.search import Way, find_way, shorten
 from ..control.task import Task
 from ..equilibrium.result import Equilibrium
@@ -22,7 +23,7 @@ from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, ot
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
-from .question import asked
+from .question import asked, in_time
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 from .trajectory import PlanStatistics, Trajectory
@@ -95,6 +96,14 @@ def plan_trajectory(
     is False, and its `.status` says how much of it was followed.
     """
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    with in_time(clock):
+        return _planned(task, start, goal, rate_limits, options, clock)
+
+
+def _planned(
+    task: Task, start: Any, goal: Any, rate_limits: RateLimits, options: PlanOptions, clock: Clock
+) -> Trajectory:
+    """The plan; raises as `plan_trajectory` does, and LateError."""
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -110,9 +119,9 @@ def plan_trajectory(
         if isinstance(made, Trajectory):
             return made
         faults = made
-        task = _between(task.roomier(), first, goals)
         if clock.over:
             break
+        task = _between(task.roomier(), first, goals)
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
@@ -154,9 +163,12 @@ def _make(
     """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
     assert way.points is not None
     searched = clock.seconds
-    points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
-    raw = task.length(way.points)
-    motions = _motions(task, first, points, rates, options, clock)
+    try:
+        points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
+        raw = task.length(way.points)
+        motions = _motions(task, first, points, rates, options, clock)
+    except LateError:
+        return (_no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
@@ -170,6 +182,10 @@ def _make(
         seconds = (searched, smoothed - searched, done - smoothed, done)
         return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
     return faults
+
+
+def _no_time(clock: Clock) -> str:
+    return f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
 
 
 def _motions(
@@ -292,8 +308,7 @@ def build(
     n = space.robot.n_tubes
     walked = walk(task, first, q, clock)
     if walked.lost:
-        over = f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
-        return (over if clock.over else "the branch is lost between samples",)
+        return (_no_time(clock) if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
         t,
@@ -329,7 +344,9 @@ def _not_found(
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
-        points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
+        points, motion = way.closest, None
+        with suppress(LateError):
+            points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
         built = () if motion is None else build(task, first, None, motion, rates, clock)
         if isinstance(built, Built) and built.proof.holds and motion is not None:
             end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
