@@ -101,9 +101,8 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
         for left in (0.03, spare)
     )
     assert tight.proved
-    assert tight.statistics.smoothed == "length"
-    assert tight.statistics.length < 1.01 * free.statistics.length
-    assert tight.statistics.iterations <= 2 * free.statistics.iterations
+    assert tight.statistics.length < 1.02 * free.statistics.length
+    assert tight.time[-1] < 1.02 * free.time[-1]
 
 
 def test_goals_of_barely_enough_margin_are_planned_to() -> None:
@@ -270,7 +269,10 @@ def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
     found = plan_trajectory(CRL, *ends_of_a_way(CRL), obstacles=bodies, options=options)
     assert time.process_time() - began < 3.0
     assert found.proved
-    assert found.statistics.smoothed == "length"
+    assert found.statistics.length < 1.1 * np.linalg.norm(
+        (posture_of(joint_space(CRL), found.end).q - posture_of(joint_space(CRL), found.start).q)
+        / joint_space(CRL).scale
+    )
 
 
 def test_a_turn_that_must_snap_is_told_at_once() -> None:

@@ -57,6 +57,9 @@ SHORT, SAME = 1e-9, 2e-3
 """Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
 count as the same."""
 
+WORTH = 0.02, 0.1
+"""Share of its length by which a way must exceed the straight line to be smoothed for length: free, among bodies."""
+
 ROUNDINGS = (0.4, 0.2, 0.1, 0.05)
 """Distances (joints' scales) of the points of a polyline whose corners are rounded."""
 
@@ -202,7 +205,7 @@ def _motions(
     resting = stopping_at(curves, limits)
     own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < LEAST_SMOOTHING or task.length(points) < SHORT:
+        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
             break
         best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
         if best is not None:
@@ -223,6 +226,16 @@ def _motions(
     return [*found, (resting, "", 0, len(points))]
 
 
+def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
+    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
+    straight line. With bodies in the way smoothing takes twice as long."""
+    length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
+    if length < SHORT or options.objective != "length" or options.extra_cost is not None:
+        return length >= SHORT
+    straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
+    return 1 - straight / length > WORTH[bool(task.obstacles)]
+
+
 def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
     """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
     slight rounding leads where the robot may not be, or time is over."""
@@ -240,7 +253,7 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = walk(replace(task, obstacles=()), first, q).tip
+        found = walk(task, first, q).tip
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
@@ -254,7 +267,6 @@ class Built:
     joints: Array
     tip: Array
     margin: Array
-    clearance: Array
     equilibria: tuple[Equilibrium, ...]
     proof: Proof
 
@@ -277,7 +289,7 @@ class Built:
             translations=translations,
             tip_position=self.tip,
             margin=self.margin,
-            clearance=self.clearance,
+            arms=self.equilibria,
             start=first,
             end=self.equilibria[-1],
             turns=end.turns,
@@ -327,7 +339,7 @@ def build(
     reached = walked.equilibria[-1]
     if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, walked.tip, walked.margin, walked.clearance, walked.equilibria, proof)
+    return Built(t, q, walked.tip, walked.margin, walked.equilibria, proof)
 
 
 def _not_found(

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 
+import numpy as np
+
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import scene_of
+from ..control.outline import Outline
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array
@@ -43,7 +48,8 @@ class Trajectory:
 
     Attributes:
         time: (T,) s, evenly spaced.   rotations (T, n) rad, translations (T, n) m, not wrapped.
-        tip_position: (T, 3) m.   margin: (T,).   clearance: (T,) m, infinite without obstacles.
+        tip_position: (T, 3) m.   margin: (T,).   arms: equilibria at the samples.
+        clearance: (T,) m, infinite without obstacles; measured where it is asked for.
         start, end: equilibria at both ends.
         turns: (n,) whole turns by which the rotations at the end differ from the goal as given.
         obstacles, min_margin, min_clearance (m), rate_limits: what is kept.
@@ -59,7 +65,7 @@ class Trajectory:
     translations: Array
     tip_position: Array
     margin: Array
-    clearance: Array
+    arms: tuple[Equilibrium, ...]
     start: Equilibrium
     end: Equilibrium
     turns: tuple[int, ...]
@@ -70,6 +76,12 @@ class Trajectory:
     proof: Proof
     statistics: PlanStatistics
     deviation: Array | None = None
+
+    @cached_property
+    def clearance(self) -> Array:
+        """(T,) least distances of the arm from obstacles, m; infinite without."""
+        scene = scene_of(self.obstacles)
+        return np.array([Outline(e).clearance(scene) for e in self.arms])
 
     @property
     def value(self) -> tuple[Array, Array]:
