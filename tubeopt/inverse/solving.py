@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, overload
 
 from numpy.typing import ArrayLike
@@ -148,6 +149,7 @@ def inverse_kinematics(
             "robot can choose; use auto or gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
+    goal = replace(goal, until=began + options.time_limit)
     search = Hunt(goal, first, reference is not None or seed is not None, options, began)
     found: list[InverseSolution] = []
     if all_solutions:
