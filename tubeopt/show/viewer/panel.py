@@ -46,6 +46,7 @@ class Panel:
         self._in_hand: set[int] = set()
         self._layers: dict[str, Any] = {}
         robot = view.robot
+        gui.set_panel_label(robot.name or "robot")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(390)
         self._readout = gui.add_html("")
@@ -57,7 +58,7 @@ class Panel:
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
-            self._margin = self._lead_controls(view.min_margin)
+            self._margin, self._targets = self._lead_controls(view.min_margin)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):
@@ -122,6 +123,9 @@ class Panel:
                 box.value = round(float(value), EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
+        for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
+            if abs(box.value - self._shown.get(id(box), 0.0)) < 1e-9:  # nobody has typed a target
+                self._put(box, round(float(value), 3))
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
@@ -187,7 +191,7 @@ class Panel:
         return slider
 
     def _buttons(self) -> None:
-        for label, act in (("Home", self._tab.home), ("All equilibria", self._tab.ghosts)):
+        for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
             self._button(label, act)
 
     def _button(self, label: str, act: Any, **options: Any) -> Any:
@@ -227,7 +231,7 @@ class Panel:
             self._button("Move there", go)
         return boxes
 
-    def _lead_controls(self, least: float) -> Any:
+    def _lead_controls(self, least: float) -> tuple[Any, list[Any]]:
         margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
         drag = self._gui.add_checkbox("drag the tip", False, hint="Arrows at the tip lead it.")
 
@@ -241,7 +245,7 @@ class Panel:
             self._tab.lead(np.array([box.value for box in boxes]) / TO_MM, self.least_margin, done=True)
 
         self._button("Lead the tip there", lead)
-        return margin
+        return margin, boxes
 
     def _play_controls(self) -> Any:
         time = self._gui.add_slider("time (s)", 0.0, 1.0, 0.001, 0.0, marks=(), disabled=True)
@@ -298,6 +302,10 @@ class Panel:
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
+        self._check("dark", False, self._dark)
+
+    def _dark(self, on: bool) -> None:
+        self._gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=on)
 
     def _save_controls(self) -> None:
         for label, what in (
