@@ -189,6 +189,7 @@ def ask(study: Study, output: Output) -> Any:
     for words in fit_warnings(robot) if robot is not None else ():
         LOGGER.warning(words)
     kept = study.keeps.format(out=output.out) if study.keeps and output.out else "nothing was saved"
+    LOGGER.debug(f"{study.doing}: {study!r:.200}")
     with working(study.doing, shown=not output.quiet) as progress, keeping(kept):
         try:
             return study.run_in(output.out, progress)

@@ -6,12 +6,14 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from os import PathLike
+from typing import Annotated
 
 import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, positive
-from ..typing import Array
+from ..files.marks import NOT_NEGATIVE, unit
+from ..typing import Array, late
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
@@ -47,8 +49,10 @@ class EccentricRobot(Displayed):
     """
 
     tube: Tube
-    offset: float | None = None
-    transmission_length: float = 0.0
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the tubes touch"
+    ] = None
+    transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight tube behind the plate"] = 0.0
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -126,9 +130,7 @@ class EccentricRobot(Displayed):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,9 @@ class SegmentedEccentricRobot(Displayed):
     """
 
     segments: tuple[Tube, ...]
-    offset: float | None = None
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the outermost tubes touch"
+    ] = None
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -246,6 +250,4 @@ class SegmentedEccentricRobot(Displayed):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)

@@ -12,8 +12,8 @@ from ..files.checked import Positive
 from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import Uncertainty
 from ..shaping.heating.spec import HeatingSpec
+from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("verification", "how far an adaptive re-integration differs", of=VERIFICATION,
              label="re-integration differs",
              words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
-    Quantity("statistics", "how it was solved", lambda e: asdict(e.statistics), label="solved",
+    Quantity("statistics", "how it was solved", lambda e: dict(vars(e.statistics)), label="solved",
              words=lambda e: _how(e)),
 )  # fmt: skip
 

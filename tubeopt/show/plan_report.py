@@ -16,7 +16,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import Proof, Trajectory
-from ..planning.file import save_trajectory
+from ..planning.file import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
 from ..runs.verify_study import Checked
 from ..stability import ASSUMING
@@ -66,9 +66,14 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("largest_translation_rate_mm_per_s", "of a tube"),
     Quantity("largest_rotation_acceleration_deg_per_s2", "of a tube"),
     Quantity("largest_translation_acceleration_mm_per_s2", "of a tube"),
-    line("way of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
+    line(
+        "way of the tip",
+        "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm, "
+        "at up to {largest_tip_rate_mm_per_s:.2f} mm/s",
+    ),
     Quantity("largest_tip_step_mm", "of the tip between equilibria"),
     Quantity("tip_length_mm", "way of the tip"),
+    Quantity("largest_tip_rate_mm_per_s", "speed of the tip"),
     Quantity("reintegration_mm", "largest difference of a tip to an adaptive re-integration"),
     Quantity("equilibria", "equilibria through which it was followed", label="followed again", words=_again),
 )
@@ -138,10 +143,11 @@ class TrajectoryReport(Report[Trajectory]):
         return super().rows() + rows(self.answer, FOUND)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write trajectory.csv, with robot.yaml beside it, tip.csv, and plan.json."""
-        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv")]
+        """Write trajectory.csv, with robot.yaml beside it, joint_trajectory.json, tip.csv, and plan.json."""
+        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv", "joint_trajectory.json")]
         save_robot(self.answer.robot, paths[0])
         save_trajectory(self.answer, paths[1], robot_file="robot.yaml")
+        save_joint_trajectory(self.answer, paths[3])
         columns = ["time_s", "x_mm", "y_mm", "z_mm", "margin", "clearance_mm"]
         write_text(paths[2], to_csv(columns, self._tip()))
         return [*paths, self.save_record(directory)]

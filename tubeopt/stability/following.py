@@ -107,7 +107,7 @@ def follow(
         >>> len(path.equilibria), len(path.snaps)
         (3, 0)
     """
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
     if friction is not None and not friction.trivial:
         return _follow_rubbing(robot, joints, (friction, load), start, progress)
@@ -193,7 +193,8 @@ def _snap_between(index: int, fraction: float, before: Equilibrium, after: Equil
     )
 
 
-def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)

@@ -12,7 +12,6 @@ from ..display import Displayed
 from ..errors import InputError, positive
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..robots.tubes import must_be_plain
 from ..typing import Array, Mask
 from .samples import JointSamples
 from .shooting import from_tips
@@ -110,7 +109,6 @@ def require_centred(robot: Robot) -> None:
     """Raise InputError for tubes off the centreline."""
     if robot.assembly(robot.home_translations).eccentric:
         raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
-    must_be_plain(robot.tubes, "the loss to snapping")
 
 
 def _sorted(
