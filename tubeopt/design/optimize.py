@@ -153,6 +153,15 @@ def optimize_design(
         InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
             have to move.
         SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
+
+    Examples:
+        >>> import tubeopt
+        >>> from tubeopt.design import Free, Objective, SnapFree
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> free = [Free("curvature", (0, 1, 2), 0.5, 15.0)]
+        >>> task = tubeopt.DesignTask(robot, free=free, requirements=[SnapFree(0.05)], objective=Objective("change"))
+        >>> tubeopt.optimize_design(task).certificate > 0.0499
+        True
     """
     if not isinstance(task, DesignTask):
         raise InputError(f"task is {task!r}; it must be a DesignTask")
