@@ -16,8 +16,8 @@ from tests.command_line import COLOUR, ROOT, THESIS, Run, answer
 from tubeopt.cli.flags import asks
 from tubeopt.cli.output import Output
 from tubeopt.errors import InputError
-from tubeopt.files.checked import Number, Positive
-from tubeopt.runs.base import Progress, RobotPath, Study, Whole
+from tubeopt.files.checked import Number, Positive, Whole
+from tubeopt.runs.base import Progress, RobotPath, Study
 from tubeopt.runs.study_file import STUDY_KINDS
 
 RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")

@@ -33,6 +33,17 @@ Positive = Annotated[Decimal, Field(gt=0), BeforeValidator(decimal)]
 NotNegative = Annotated[Decimal, Field(ge=0), BeforeValidator(decimal)]
 
 
+def _whole(value: object) -> int:
+    number = decimal(value)
+    if number != number.to_integral_value():
+        raise ValueError(f"is {shown(value)}; it must be a whole number")
+    return int(number)
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+"""A whole number."""
+
+
 class Entry(BaseModel):
     """A mapping in a file. Keys carry their unit as suffix; unknown keys are refused.
 
