@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
@@ -37,7 +38,7 @@ class Status(Sentence):
 
 
 @dataclass(frozen=True)
-class Statistics:
+class Statistics(Displayed):
     """How a solve went: method, iterations, elements of the mesh and their degree, how the answer was reached, and on
     which points: family of collocation, and how often the pieces of the default mesh were halved."""
 
@@ -52,7 +53,7 @@ class Statistics:
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(Displayed):
     """Difference between the solution and an adaptive re-integration of its initial values (DOP853, 1e-12)."""
 
     tip_position: float
@@ -90,7 +91,7 @@ class FrictionState:
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
+class Equilibrium(Displayed):
     """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
 
     Attributes:
@@ -118,6 +119,8 @@ class Equilibrium:
         point_curvature (N, 2): curvature at the collocation points under load; empty without one.
         friction: what friction does, and where a motion with friction goes on from; None without friction.
     """
+
+    _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
     robot: Robot
     rotations: Array

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, positive
 from ..files.marks import NOT_NEGATIVE, unit
 from ..typing import Array, late
@@ -28,7 +29,7 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
 
 
 @dataclass(frozen=True)
-class EccentricRobot:
+class EccentricRobot(Displayed):
     """A one-segment eccentric tube robot: three equal tubes at 0, 120 and -120 deg around the centreline.
 
     The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
@@ -133,7 +134,7 @@ class EccentricRobot:
 
 
 @dataclass(frozen=True)
-class SegmentedEccentricRobot:
+class SegmentedEccentricRobot(Displayed):
     """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.
 
     The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass

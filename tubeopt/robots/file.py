@@ -23,6 +23,7 @@ from ..files.yaml_file import load_yaml, save_yaml
 from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
+from .friction_file import FrictionEntry, friction_to_dict
 from .limits import JointLimits
 from .materials import MATERIALS, NITINOL, Material
 from .piece_file import PieceEntry, check_stiffness, piece_to_dict
@@ -171,10 +172,12 @@ class ConcentricEntry(RobotEntry):
 
     kind: Literal["concentric"]
     tubes: list[TubeEntry] = Field(min_length=1)
+    friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
-        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), **self.common())
+        friction = self.friction.build() if self.friction else None
+        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), **self.common(), friction=friction)
 
 
 @asking(EccentricRobot)
@@ -263,6 +266,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         data["limits"] = to_data(robot.joint_limits)
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
+    if isinstance(robot, ConcentricRobot) and robot.friction is not None:
+        data["friction"] = friction_to_dict(robot.friction)
     return data
 
 

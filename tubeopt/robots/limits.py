@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..files.marks import unit
 from .tubes import Tube
@@ -17,7 +18,7 @@ Ranges = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class JointLimits:
+class JointLimits(Displayed):
     """Least and greatest value of every joint, one pair per tube.
 
     Raises:

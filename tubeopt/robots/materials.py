@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from ..display import Displayed
 from ..errors import InputError
 from ..files.marks import POSITIVE, Range, Usual, check_fields, key, unit
 
@@ -40,7 +41,7 @@ class ThermalData:
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Displayed):
     """An isotropic, linear-elastic tube material.
 
     Poisson's ratio E / (2 G) - 1 lies in [0, 1/2), so E/3 < G <= E/2.

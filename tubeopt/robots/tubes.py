@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
+from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, unit
 from ..physics.strain import surface_strain
@@ -28,7 +29,7 @@ class OfCrossSection(float):
 
 
 @dataclass(frozen=True)
-class Tube:
+class Tube(Displayed):
     """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
 
     Of a tube of pieces `curved_length` is the sum of theirs, and `curvature` the largest |u*_xy|: another value bends

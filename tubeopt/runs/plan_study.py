@@ -27,6 +27,7 @@ class RatesEntry(Entry):
     translation_mm_per_s: Positive = Decimal(20)
     rotation_deg_per_s2: Positive = Decimal(180)
     translation_mm_per_s2: Positive = Decimal(40)
+    tip_mm_per_s: Annotated[Positive | None, Field(description="greatest speed of the tip; by default any")] = None
 
     def build(self) -> RateLimits:
         """The limits in SI."""
@@ -35,6 +36,7 @@ class RatesEntry(Entry):
             to_si(self.translation_mm_per_s, MM),
             to_si(self.rotation_deg_per_s2, DEG),
             to_si(self.translation_mm_per_s2, MM),
+            None if self.tip_mm_per_s is None else to_si(self.tip_mm_per_s, MM),
         )
 
 

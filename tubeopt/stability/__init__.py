@@ -2,6 +2,7 @@
 
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
+from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
@@ -27,6 +28,7 @@ __all__ = [
     "WorstCertificate",
     "WorstMargin",
     "certify",
+    "deflection_bound",
     "energy_map",
     "find_equilibria",
     "find_load_limit",

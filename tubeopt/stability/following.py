@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium.friction import to_held_equilibrium
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
@@ -37,12 +38,14 @@ PAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Snap:
+class Snap(Displayed):
     """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
 
     rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
     after: where the robot lands; energy_released, J; tip_jump, m.
     """
+
+    _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
     fraction: float
@@ -55,7 +58,7 @@ class Snap:
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Path(Displayed):
     """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
 
     equilibria: tuple[Equilibrium, ...]
@@ -156,7 +159,9 @@ def _follow_rubbing(
     for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
         equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
         for each in found if k else ():
-            ends = [to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))]
+            ends = [
+                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
+            ]
             snaps.append(_snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)

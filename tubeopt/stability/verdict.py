@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
 from .certificate import Certificate
@@ -28,7 +29,7 @@ class Finding(Sentence):
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Verdict(Displayed):
     """Whether a robot can snap at given translations.
 
     certificate: the lower bound of the margin over all rotations: proved.
@@ -40,6 +41,8 @@ class Verdict:
     decided: whether no more than two tubes, of one curvature each, are coupled, so that the certificate is exact and
     the nearest snap is known.
     """
+
+    _brief = ("robot", "finding", "certificate")
 
     robot: Robot
     certificate: Certificate

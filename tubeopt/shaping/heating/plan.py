@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
@@ -22,6 +23,9 @@ from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, thermal_data
+
+if TYPE_CHECKING:
+    from ..feedback.feedback import Feedback
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -91,11 +95,13 @@ class Energies:
 
 
 @dataclass(frozen=True, eq=False)
-class HeatingPlan:
+class HeatingPlan(Displayed):
     """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
 
     What its parts hold is read at the plan too: `plan.duty` is `plan.course.duty`.
     """
+
+    _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
 
     tube: Tube
     """What is heated."""
@@ -123,6 +129,8 @@ class HeatingPlan:
     """Of the tube's length by its expansion at the end of the hold, m."""
     iterations: int
     """Of the optimal control problem, in its last round."""
+    feedback: Feedback | None = None
+    """The law that leads the schedule by a sensor, where one was given."""
 
     time, ideal_duty, ideal_temperature = Of[Array]("course"), Of[Array]("course"), Of[Array]("course")
     temperature, position = Of[Array]("course"), Of[Array]("course")
