@@ -141,7 +141,8 @@ class FollowStudy(LoadedStudy):
     shaken: bool = Field(False, description="without the friction of the robot's file, as if the robot were shaken")
 
     def run(self, progress: Progress | None = None) -> Motion:
-        """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable equilibrium to start from or to land on."""
+        """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
+        equilibrium to start from or to land on."""
         last = len(self.path.rotations) - 1
 
         def step(waypoint: int) -> None:

@@ -5,6 +5,7 @@ from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
+from .friction_band import FrictionBand, friction_band
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
@@ -18,6 +19,7 @@ __all__ = [
     "EccentricVerdict",
     "EnergyMap",
     "Finding",
+    "FrictionBand",
     "LoadLimit",
     "Path",
     "Snap",
@@ -31,6 +33,7 @@ __all__ = [
     "find_load_limit",
     "find_snap",
     "follow",
+    "friction_band",
     "judge",
     "snap_free_certificate",
     "stability_map",

@@ -1,10 +1,12 @@
 """How far friction can hold an arm from where it would be without, whatever its history: bounds without a path.
 
-Every state with friction obeys grad E + P' lam = 0 with |lam| <= D. To first order around the equilibrium without friction
-a place p moves by -J H^-1 P' lam, so by at most |J H^-1 P'| D along each axis. A bound that is none of first order follows
-where the energy is convex at these joint values, H >= mu > 0 (the snap-free certificate): then |x - x0| <= |P' lam| / mu,
+Every state with friction obeys grad E + P' lam = 0 with |lam| <= D. To first order around the equilibrium without
+friction a place p moves by -J H^-1 P' lam, so by at most |J H^-1 P'| D along each axis. A bound that is none of first
+order follows where the energy is convex at these joint values, H >= mu > 0 (the snap-free certificate): then
+|x - x0| <= |P' lam| / mu, and with m_i = kb_i kappa_i, K = sum kb_i
 
-    |P' lam|^2 <= D' |P P'| D,     |p - p0| <= int |u - u0| (s_p - s) ds <= sum_i int (m_i / K) |theta_i - theta_i0| (s_p - s) ds
+    |P' lam|^2 <= D' |P P'| D
+    |p - p0| <= int |u - u0| (s_p - s) ds <= sum_i int (|m_i| / K) |theta_i - theta_i0| (s_p - s) ds
 """
 
 from __future__ import annotations
@@ -77,7 +79,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
 
 
 def _place_slopes(equilibrium: Equilibrium, held: Held) -> Array:
-    """(M, 3, U) change of the points along the arm with z: a turn of the curvature by du turns all beyond by R du ds."""
+    """(M, 3, U) change of the points along the arm with z: a curvature changed by du turns all beyond by R du ds."""
     problem, e = held.contact.problem, equilibrium
     n, count = problem.assembly.n_tubes, len(problem.weight)
     theta = directions(problem, held.found.state.torsion.theta)
