@@ -1,6 +1,6 @@
 """How good is my robot's model? An error budget of a synthetic robot whose sensors lag and whose tubes rub.
 
-It is driven along a way there and back, first slowly and then three times as fast: a latency grows with the speed,
+It is driven along a way there and back, first slowly and then twice as fast: a latency grows with the speed,
 friction does not. The truth is known: a latency, and dry friction between the two tubes.
 
 One learns: what each effect explains of the error, that friction is told from latency and from play by two speeds, and
@@ -23,7 +23,7 @@ from tubeopt.validation import FitOptions, Measurements, compare_effects
 
 ROOT = Path(__file__).resolve().parents[1]
 MM = 1e-3
-RATE, NOISE, FASTER = 8.0, 0.2 * MM, 3.0
+RATE, NOISE, FASTER = 10.0, 0.2 * MM, 2.0
 
 ROBOT = ConcentricRobot(
     (
@@ -48,7 +48,7 @@ def joints(time: Array, slow: float) -> Array:
     return np.asarray(waves * [1.4, 1.6, 6 * MM, 4 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
-def measure(slow: float = 10.0) -> Measurements:
+def measure(slow: float = 8.0) -> Measurements:
     """Rows of the way as the laboratory records them."""
     time = np.arange(int(RATE * slow * (1 + 1 / FASTER))) / RATE
     read, lagging = joints(time, slow), joints(np.maximum(time - DRIVES.latency, 0.0), slow)
