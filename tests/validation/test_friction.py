@@ -54,7 +54,7 @@ def test_robot_with_friction_is_compared_along_the_way() -> None:
 
 
 def test_wrong_input() -> None:
-    with pytest.raises(InputError, match="friction_2'.*1 pairs of tubes that rub"):
+    with pytest.raises(InputError, match=r"friction_2'.*1 pairs of tubes that rub"):
         fit(robot(), rubbing(), ["friction_2"])
     data = rubbing()
     timeless = Measurements(data.rotations, data.translations, data.sensors[:, 0], source="no times")

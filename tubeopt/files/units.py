@@ -52,10 +52,11 @@ UNITS = {
         Decimal(1),
     ),
     **dict.fromkeys(
-        ["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g", "mN", "mN_m", "mN_per_m", "mN_m_per_m"], Decimal("1e-3")
+        ["mm", "mm_per_s", "mm_per_s2", "mJ", "mohm", "g", "g_per_m", "mN", "mN_m", "mN_per_m", "mN_m_per_m"],
+        Decimal("1e-3"),
     ),
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
-    **dict.fromkeys(["um", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
+    **dict.fromkeys(["um", "us", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
     "rpm": _CONTEXT.divide(Decimal(1), _MINUTE),
     "mm3": Decimal("1e-9"),
@@ -73,6 +74,7 @@ SIGNS = {
     "N_mm2": "N mm²",
     "mN_m": "mN m",
     "mN_per_m": "mN/m",
+    "g_per_m": "g/m",
     "mN_m_per_m": "mN m/m",
     "m_per_s2": "m/s²",
     "deg_per_s": "deg/s",

@@ -8,8 +8,9 @@ from os import PathLike
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
-from ..typing import Array
+from ..typing import Array, late
 from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .friction import Friction, check_friction
@@ -19,7 +20,7 @@ from .tubes import Tube
 
 
 @dataclass(frozen=True)
-class ConcentricRobot:
+class ConcentricRobot(Displayed):
     """A concentric tube robot.
 
     Args:
@@ -94,9 +95,7 @@ class ConcentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 def friction_of(robot: Robot) -> Friction | None:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..display import Displayed
 from ..errors import InputError, choice, positive
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
@@ -115,7 +116,7 @@ class FitStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Displayed):
     """A robot calibrated to measurements.
 
     Attributes:
