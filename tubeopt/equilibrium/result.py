@@ -184,9 +184,8 @@ class Equilibrium(Displayed):
         Raises:
             InputError: a place that is not on the arm, a tube that is not there, a load without an energy.
         """
-        from .loaded import compliance_at
-
-        return compliance_at(self, arc_length, tube)
+        found: Array = late("tubeopt.equilibrium.loaded.compliance_at")(self, arc_length, tube)
+        return found
 
     @cached_property
     def base_wrench(self) -> Array:
