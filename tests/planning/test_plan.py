@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import time
+from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
+import scipy
 
 from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import (
@@ -32,10 +36,13 @@ from tubeopt.control import search
 from tubeopt.control.chart import Chart
 from tubeopt.control.joints import joint_space
 from tubeopt.planning import plan
-from tubeopt.planning.motion import hurried
+from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.reach import least_miss
+from tubeopt.planning.timing import Limits, stopping_at
 from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
 
+OBJECTIVES = ("none", "length", "time")
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
 
@@ -286,7 +293,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     mark = np.array([0.0, 1.0, 1.05, 2.05])
     even = np.linspace(0, mark[-1], 120)
     rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
-    motion = hurried(np.column_stack([np.interp(even, mark, column) for column in way.T]), rate, most)
+    motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
     t = np.linspace(0, motion.duration, 4000)
     q = motion.at(t)
     speed = np.diff(q, axis=0) / t[1]
@@ -318,3 +325,71 @@ def test_arguments_of_another_kind_are_named() -> None:
         verify_trajectory(THESIS, [0.0, 1.0], [HOME[0], TURNED[0]], start=3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="modulo_turns is 'yes'"):
         PlanOptions(modulo_turns="yes")  # type: ignore[arg-type]
+
+
+def test_a_plan_is_as_fast_as_its_own_path_can_be_passed(turn: Trajectory) -> None:
+    """It stops at no corner, and is neither slower nor longer than the way that it began from."""
+    way = plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(objective="none"))
+    assert turn.time[-1] <= way.time[-1] * 1.002
+    assert turn.statistics.length <= way.statistics.length * 1.002
+    space = joint_space(THESIS)
+    q = np.array([space.join(a, d) for a, d in zip(turn.rotations, turn.translations, strict=True)])
+    rate, most = turn.rate_limits.of(space)
+    assert turn.time[-1] <= 1.05 * least_time(q / space.scale, rate / space.scale, most / space.scale)
+
+
+def test_a_plan_for_time_is_no_slower_than_one_for_length() -> None:
+    goal = ([100 * DEG, -40 * DEG, 20 * DEG], [-0.03, -0.02, -0.01])
+    times = [plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=name)).time[-1] for name in OBJECTIVES]
+    none, length, fast = times
+    assert fast <= min(none, length) * (1 + 1e-9)
+
+
+def least_time(q: Array, rate: Array, most: Array, cells: int = 200) -> float:
+    """Seconds at least along a table of joint values (k, m), from rest to rest: a convex program in b = (ds/dt)^2."""
+    step = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    s = np.append(0.0, np.cumsum(step[step > 1e-7]))
+    curve = scipy.interpolate.CubicSpline(s, q[np.append(True, step > 1e-7)])
+    x = s[-1] * (1 - np.cos(np.linspace(0, np.pi, cells + 1))) / 2
+    h, middle = np.diff(x), (x[1:] + x[:-1]) / 2
+    b = ca.MX.sym("b", cells + 1)
+    grown, mean = (b[1:] - b[:-1]) / (2 * h), (b[1:] + b[:-1]) / 2
+    force = [(curve(middle, 1)[:, i] * grown + curve(middle, 2)[:, i] * mean) / most[i] for i in range(len(most))]
+    seconds = ca.sum1(2 * h / (ca.sqrt(b[1:] + 1e-12) + ca.sqrt(b[:-1] + 1e-12)))
+    top = 1 / (np.abs(curve(x, 1)) / rate).max(1) ** 2
+    top[[0, -1]] = 0.0
+    options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
+    solver = ca.nlpsol("least", "ipopt", {"x": b, "f": seconds, "g": ca.vertcat(*force)}, options)
+    found = solver(x0=np.minimum(top, 0.05) / 2, lbx=0, ubx=top, lbg=-1, ubg=1)
+    assert solver.stats()["success"]
+    return float(found["f"])
+
+
+def test_the_speed_of_the_tip_is_limited() -> None:
+    limits = RateLimits(tip=0.01)
+    plan = plan_trajectory(THESIS, HOME, ([1.0, 0.6, 0.3], None), rate_limits=limits)
+    free = plan_trajectory(THESIS, HOME, ([1.0, 0.6, 0.3], None))
+    assert plan.proved
+    assert 0.009 < plan.proof.largest_tip_rate <= 0.01 * (1 + 1e-3) < free.proof.largest_tip_rate
+    again = verify_trajectory(THESIS, free.time, free.rotations, free.translations, rate_limits=limits)
+    assert "the tip reaches" in again.faults[0]
+    with pytest.raises(InputError, match="tip of the rate limits is -1; it must be greater than 0"):
+        RateLimits(tip=-1)
+
+
+def test_a_trajectory_is_exported_as_a_message_of_ros(tmp_path: Path) -> None:
+    plan = plan_trajectory(THESIS, HOME, ([0.5, 0.2, 0.0], [-0.01, -0.01, 0.0]), options=PlanOptions(objective="none"))
+    save_joint_trajectory(plan, tmp_path / "plan.json")
+    message = json.loads((tmp_path / "plan.json").read_text())
+    assert set(message) == {"header", "joint_names", "points"}
+    assert message["joint_names"] == [f"{kind}_{i}" for kind in ("rotation", "translation") for i in (1, 2, 3)]
+    points = message["points"]
+    time = np.array([p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points])
+    np.testing.assert_allclose(time, plan.time, atol=1e-9)
+    table = np.array([p["positions"] for p in points])
+    np.testing.assert_array_equal(table, np.hstack([plan.rotations, plan.translations]))
+    rates = np.array([p["velocities"] for p in points])
+    assert not rates[[0, -1]].any()
+    whole = np.trapezoid(rates, time, axis=0)
+    np.testing.assert_allclose(whole, table[-1] - table[0], atol=2e-3)
+    assert {len(p["accelerations"]) for p in points} == {6}

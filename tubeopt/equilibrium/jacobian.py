@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..parallel.blas import small
 from ..robots.robot import is_general
@@ -24,7 +25,7 @@ JOINTS = ("rotations", "translations")
 
 
 @dataclass(frozen=True, eq=False)
-class Jacobian:
+class Jacobian(Displayed):
     """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
 
     Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its

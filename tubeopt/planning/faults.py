@@ -13,6 +13,9 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .motion import RateLimits
 
+TIP_SLACK = 1e-3
+"""The same of the speed of the tip, which is measured between equilibria."""
+
 SLACK = 1e-6
 """Relative excess of a rate that is round-off."""
 
@@ -58,9 +61,11 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
     return faults
 
 
-def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], limits: RateLimits) -> list[str]:
-    """Joints that are faster, or accelerate more, than their limits."""
+def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: float, limits: RateLimits) -> list[str]:
+    """Joints that are faster, or accelerate more, than their limits, and the tip where it is faster than its own."""
     faults = []
+    if limits.tip is not None and tip_rate > limits.tip * (1 + TIP_SLACK):
+        faults.append(f"the tip reaches {tip_rate * 1e3:.4g} mm/s; it must be at most {limits.tip * 1e3:.4g} mm/s")
     n = space.robot.n_tubes
     units = ((180 / np.pi, "deg/s"), (1e3, "mm/s")), ((180 / np.pi, "deg/s^2"), (1e3, "mm/s^2"))
     for order, limit in enumerate(limits.of(space)):

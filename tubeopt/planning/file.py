@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +69,42 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_
         for time, alpha, shift in zip(t.time, t.rotations, t.translations, strict=True)
     )
     write_text(path, to_csv([TIME, *turns, *shifts], rows, "\n".join(comment)))
+
+
+def joint_trajectory(trajectory: Trajectory) -> dict[str, Any]:
+    """The joint values over time as a message trajectory_msgs/JointTrajectory of ROS, in plain data: SI units, names
+    rotation_1, ... and translation_1, ...; rates and accelerations are those of central differences, at rest at both
+    ends."""
+    t = trajectory
+    table = np.concatenate([t.rotations, t.translations], axis=1)
+    names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(t.robot.n_tubes)]
+    if len(t.time) > 1:
+        rates = np.gradient(table, t.time, axis=0)
+        rates[[0, -1]] = 0.0
+        accelerations = np.gradient(rates, t.time, axis=0)
+    else:
+        rates = accelerations = np.zeros_like(table)
+    points = []
+    for time, *rows in zip(t.time, table, rates, accelerations, strict=True):
+        nanoseconds = round(float(time) * 1e9)
+        point: dict[str, Any] = {
+            name: [float(x) + 0.0 for x in row]
+            for name, row in zip(("positions", "velocities", "accelerations"), rows, strict=True)
+        }
+        point["effort"] = []
+        point["time_from_start"] = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+        points.append(point)
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return {"header": header, "joint_names": names, "points": points}
+
+
+def save_joint_trajectory(trajectory: Trajectory, path: str | PathLike[str]) -> None:
+    """Write the joint values over time as JSON: the fields of a message trajectory_msgs/JointTrajectory of ROS.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_text(path, json.dumps(joint_trajectory(trajectory)) + "\n")
 
 
 def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> TimedJoints:

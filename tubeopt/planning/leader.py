@@ -25,9 +25,10 @@ from ..typing import Array
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, build
+from .plan import Built, actuators, build
 from .question import asked
-from .tip_path import distance_from, timed
+from .timing import through
+from .tip_path import distance_from
 from .trajectory import PlanStatistics, Trajectory
 from .walk import walk
 
@@ -76,7 +77,7 @@ def follow_the_leader(
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
-    task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     last = _goal(task, goal)
     length = float(last.arc_length[-1])
     z, points = task.chart.of(last), []
@@ -89,7 +90,7 @@ def follow_the_leader(
     q = task.chart.joints(path, task.arms(path))
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
-    motion = timed(q, task.scale, rates)
+    motion = through(q, task.scale, actuators(task, first, rate_limits))
     end = End(path[-1], q[-1], (0,) * robot.n_tubes)
     searched = clock.seconds
     built = build(task, first, end, motion, rate_limits, clock)

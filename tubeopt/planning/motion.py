@@ -9,7 +9,8 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..control.joints import JointSpace
-from ..errors import InputError
+from ..display import Displayed
+from ..errors import InputError, positive
 from ..typing import Array
 
 MOST_SAMPLES = 4000
@@ -18,21 +19,23 @@ MOST_SAMPLES = 4000
 LEAST_SAMPLES = 100
 """Samples of a trajectory at least."""
 
-PRUDENCE = 0.94
-"""Share of the limits that is used where a table stands for a curve."""
-
 SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
 
 
+OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_acceleration")
+"""Limits that are one number for all tubes, or one per tube."""
+
+
 @dataclass(frozen=True)
-class RateLimits:
+class RateLimits(Displayed):
     """How fast the actuators are.
 
     Args:
         rotation, translation: greatest rates, rad/s and m/s.
         rotation_acceleration, translation_acceleration: rad/s^2 and m/s^2.
         Each is one number for all tubes, or one per tube.
+        tip: greatest speed of the tip, m/s; None where it does not matter.
 
     Raises:
         InputError: a limit that is not a finite number greater than 0.
@@ -42,9 +45,12 @@ class RateLimits:
     translation: float | tuple[float, ...] = 0.02
     rotation_acceleration: float | tuple[float, ...] = np.pi
     translation_acceleration: float | tuple[float, ...] = 0.04
+    tip: float | None = None
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
+        if self.tip is not None:
+            object.__setattr__(self, "tip", positive("tip of the rate limits", self.tip))
+        for name in OF_JOINTS:
             try:
                 values = np.array(getattr(self, name), dtype=float)
             except (TypeError, ValueError):
@@ -87,6 +93,10 @@ class Motion:
         """Seconds."""
         return float(self.time[-1])
 
+    def length(self, scale: Array) -> float:
+        """Of the path in joint space, in units of the joints' scales."""
+        return float(np.linalg.norm(np.diff(self.sampled(scale)[1] / scale, axis=0), axis=1).sum())
+
     def at(self, time: ArrayLike) -> Array:
         """(T, m) joint values at times (T,)."""
         if self.duration == 0:
@@ -103,70 +113,3 @@ class Motion:
         count = int(np.clip(np.ceil(change / SAMPLE_STEP), LEAST_SAMPLES, MOST_SAMPLES))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.at(time)
-
-
-def stopping_at(ways: list[Array], rate: Array, acceleration: Array) -> Motion:
-    """The motion along curves of joint values, each a table (k, m) of evenly spaced points, at rest where they meet.
-
-    Along each curve the parameter is the smooth step of degree 5, slowed down until rates and accelerations are kept.
-    """
-    times, joints, rates, began = [np.zeros(1)], [ways[0][:1]], [np.zeros_like(ways[0][:1])], 0.0
-    for way in ways:
-        curve, slope, bend = rounded(way)
-        tau = np.linspace(0, 1, 8 * len(way) + 33)
-        s, ds, dds = _smooth_step(tau)
-        along, turning = slope(s), bend(s)
-        speed = (np.abs(along * ds[:, None]) / rate).max()
-        hardness = (np.abs(turning * ds[:, None] ** 2 + along * dds[:, None]) / acceleration).max()
-        duration = 1.02 * max(float(speed), float(np.sqrt(hardness)), 1e-3)
-        times.append(began + tau[1:] * duration)
-        joints.append(curve(s)[1:])
-        rates.append((along * ds[:, None] / duration)[1:])
-        began += duration
-    return Motion(np.concatenate(times), np.concatenate(joints), np.concatenate(rates))
-
-
-def hurried(way: Array, rate: Array, acceleration: Array) -> Motion:
-    """The motion along a curve of joint values, a table (k, m) of evenly spaced points, from rest to rest, that is slow
-    only where limits ask for it.
-
-    With b the square of ds/dt along the curve q(s), accelerations are q'' b + q' b' / 2. Half of the limit is given to
-    either term: the first bounds b, the second how steeply b may rise and fall.
-    """
-    curve, slope, bend = rounded(way)
-    s = np.linspace(0, 1, 8 * len(way) + 1)
-    along, turning, h = np.abs(slope(s)), np.abs(bend(s)), s[1]
-    tiny = 1e-12 * np.maximum(along.max(), 1.0)
-    fast = np.minimum((rate / (along + tiny)).min(1) ** 2, (acceleration / 2 / (turning + tiny)).min(1))
-    # Of neighbours the least: what holds at the points of the table is to hold between them.
-    b = PRUDENCE * np.minimum(fast, np.minimum(np.append(fast[1:], fast[-1]), np.append(fast[0], fast[:-1])))
-    steep = PRUDENCE * (acceleration / (along + tiny)).min(1)
-    steep = np.minimum(steep[1:], steep[:-1]) * h
-    b[0] = b[-1] = 0.0
-    for k in range(len(steep)):
-        b[k + 1] = min(b[k + 1], b[k] + steep[k])
-    for k in reversed(range(len(steep))):
-        b[k] = min(b[k], b[k + 1] + steep[k])
-    speed = np.sqrt(b)
-    time = np.concatenate([[0.0], np.cumsum(2 * h / (speed[1:] + speed[:-1]))])
-    return Motion(time, curve(s), slope(s) * speed[:, None])
-
-
-def rounded(table: Array) -> tuple[scipy.interpolate.BSpline, scipy.interpolate.BSpline, scipy.interpolate.BSpline]:
-    """A smooth curve over [0, 1] close to evenly spaced points (k, m), with its first two derivatives.
-
-    The cubic B-spline whose control points lie on the polyline: it begins and ends at its ends, and stays within the
-    hull of neighbouring points, so that whatever ranges and order these keep, it keeps.
-    """
-    count = max(8, len(table))
-    knots = np.concatenate([np.zeros(3), np.linspace(0, 1, count - 2), np.ones(3)])
-    places = np.array([knots[k + 1 : k + 4].mean() for k in range(count)])
-    x = np.linspace(0, 1, len(table))
-    control = np.column_stack([np.interp(places, x, column) for column in table.T])
-    curve = scipy.interpolate.BSpline(knots, control, 3)
-    return curve, curve.derivative(), curve.derivative(2)
-
-
-def _smooth_step(x: Array) -> tuple[Array, Array, Array]:
-    """6 x^5 - 15 x^4 + 10 x^3 and its first two derivatives: at rest, without acceleration, at both ends."""
-    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)

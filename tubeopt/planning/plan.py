@@ -19,11 +19,12 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
 from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
-from .motion import DEFAULT_RATES, Motion, RateLimits, stopping_at
+from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
 from .question import asked
-from .smooth import joint_curves, smooth
+from .smooth import joint_curves, smooth, violated
+from .timing import Limits, at_full_speed, stopping_at, through
 from .trajectory import PlanStatistics, Trajectory
 from .walk import walk
 
@@ -50,6 +51,13 @@ SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
 
 SHARE_OF_SMOOTHING = 0.5
 """Share of the time that is left which smoothing may take: the proof needs the rest."""
+
+SHORT, SAME = 1e-9, 2e-3
+"""Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
+count as the same."""
+
+ROUNDINGS = (0.4, 0.2, 0.1, 0.05)
+"""Distances (joints' scales) of the points of a polyline whose corners are rounded."""
 
 Faults = tuple[str, ...]
 
@@ -86,7 +94,7 @@ def plan_trajectory(
     The time limit bounds all of it. A motion whose proof was not finished in time is returned as such: its `.proved`
     is False, and its `.status` says how much of it was followed.
     """
-    task, rates, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -95,10 +103,10 @@ def plan_trajectory(
     for attempt in range(ATTEMPTS):
         task, goals, way = _way(task, first, goal, goals, clock, replace(options, seed=options.seed + attempt))
         if way.points is None:
-            raise _not_found(task, first, goals, way, (rate_limits, rates), clock)
+            raise _not_found(task, first, goals, way, rate_limits, clock)
         reached = way.points[-1]
         end = min(goals, key=lambda each: float(np.abs(each.point - reached).max()))
-        made = _make(task, first, end, way, (rate_limits, rates), options, clock)
+        made = _make(task, first, end, way, rate_limits, options, clock)
         if isinstance(made, Trajectory):
             return made
         faults = made
@@ -139,7 +147,7 @@ def _make(
     first: Equilibrium,
     end: End,
     way: Way,
-    rates: tuple[RateLimits, tuple[Array, Array]],
+    rates: RateLimits,
     options: PlanOptions,
     clock: Clock,
 ) -> Trajectory | Faults:
@@ -148,17 +156,11 @@ def _make(
     searched = clock.seconds
     points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
     raw = task.length(way.points)
-    motions: list[tuple[Motion, str, int, int]] = []
-    own = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock)
-    if options.objective != "none" and own.left > LEAST_SMOOTHING and raw > 1e-9:
-        best = smooth(task, first, points, rates[1], objective=options.objective, extra=options.extra_cost, clock=own)
-        if best is not None:
-            motions.append((best.motion, options.objective, best.iterations, len(best.points)))
-    motions.append((stopping_at(joint_curves(task, points), *rates[1]), "", 0, len(points)))
+    motions = _motions(task, first, points, rates, options, clock)
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
-        built = build(task, first, end, motion, rates[0], clock)
+        built = build(task, first, end, motion, rates, clock)
         if not isinstance(built, Built):
             faults = built
             continue
@@ -166,8 +168,66 @@ def _make(
         done = clock.seconds
         numbers = (way.motions, raw, length, iterations, knots)
         seconds = (searched, smoothed - searched, done - smoothed, done)
-        return built.trajectory(task, first, end, rates[0], PlanStatistics(way.how, how, *numbers, *seconds))
+        return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
     return faults
+
+
+def _motions(
+    task: Task, first: Equilibrium, points: Array, rates: RateLimits, options: PlanOptions, clock: Clock
+) -> list[tuple[Motion, str, int, int]]:
+    """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
+    with the objective of its smoothing, iterations and knots.
+
+    What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
+    slower than that, nor than what is smoothed for length.
+    """
+    limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
+    curves = joint_curves(task, points)
+    resting = stopping_at(curves, limits)
+    own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
+    for name in ("length", "time") if aim == "time" else (aim,):
+        if aim == "none" or own.left < LEAST_SMOOTHING or task.length(points) < SHORT:
+            break
+        best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
+        if best is not None:
+            exact = name == "margin" or extra is not None
+            rounder = None if exact else _rounded(task, first, best.motion.sampled(task.scale)[1], limits, own)
+            motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
+            found.append((motion, name, best.iterations, len(best.points)))
+    if aim in ("length", "time") and extra is None:
+        if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, own)) is not None:
+            found.append((corners, "corners", 0, len(points)))
+        if aim == "time":
+            found = [each for each in found if each[0].duration <= resting.duration]
+            found.sort(key=lambda each: each[0].duration)
+        else:
+            longest, slowest = resting.length(task.scale) * (1 + SAME), resting.duration * (1 + SAME)
+            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
+            found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
+    return [*found, (resting, "", 0, len(points))]
+
+
+def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
+    """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
+    slight rounding leads where the robot may not be, or time is over."""
+    for spacing in ROUNDINGS:
+        if clock.over:
+            return None
+        motion = through(q, task.scale, limits, spacing)
+        if not violated(task, first, motion, clock)[0].any():
+            return motion
+    return None
+
+
+def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
+    """What limits the speed of motions that begin at an equilibrium."""
+
+    def tips(q: Array) -> Array:
+        """Those of the branch of the equilibrium; where it ends, the last one of it."""
+        found = walk(replace(task, obstacles=()), first, q).tip
+        return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
+
+    return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +320,7 @@ def _not_found(
     first: Equilibrium,
     goals: Sequence[End],
     way: Way,
-    rates: tuple[RateLimits, tuple[Array, Array]],
+    rates: RateLimits,
     clock: Clock,
 ) -> SolveError:
     """What to say where the search ended without a way: how close it came, and with what."""
@@ -269,24 +329,24 @@ def _not_found(
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
-        points, motion = _affordable(task, way.closest, rates[1], clock.left)
-        built = () if motion is None else build(task, first, None, motion, rates[0], clock)
+        points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
+        built = () if motion is None else build(task, first, None, motion, rates, clock)
         if isinstance(built, Built) and built.proof.holds and motion is not None:
             end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)
             numbers = (way.motions, 0.0, task.length(points), 0, len(points))
             seconds = (clock.seconds, 0.0, 0.0, clock.seconds)
             statistics = PlanStatistics("partial", "", *numbers, *seconds)
-            partial = built.trajectory(task, first, end, rates[0], statistics)
+            partial = built.trajectory(task, first, end, rates, statistics)
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {way.why}" if way.why else ""
     tried = f"{way.motions} motions were tried in {clock.seconds:.1f} s"
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 
-def _affordable(task: Task, points: Array, rates: tuple[Array, Array], left: float) -> tuple[Array, Motion | None]:
+def _affordable(task: Task, points: Array, limits: Limits, left: float) -> tuple[Array, Motion | None]:
     """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
     while len(points) > 1:
-        motion = stopping_at(joint_curves(task, points), *rates)
+        motion = stopping_at(joint_curves(task, points), limits)
         needed = PROOF + PROOF_SAMPLE * len(motion.sampled(task.scale)[0])
         if needed <= left:
             return points, motion

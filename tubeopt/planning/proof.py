@@ -21,6 +21,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..control.clock import Clock
 from ..control.joints import JointSpace
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
@@ -28,7 +29,7 @@ from ..errors import InputError, finite, positive
 from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..stability.following import _waypoints
+from ..stability.following import checked_waypoints
 from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
@@ -45,7 +46,7 @@ AGREEMENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class Proof(Displayed):
     """What was found on a trajectory that was followed once more.
 
     Attributes:
@@ -56,6 +57,7 @@ class Proof:
             Infinite without obstacles, -inf where none is shown.   measured_clearance: the least that was measured, m.
         largest_rotation_rate, largest_translation_rate: rad/s, m/s; largest accelerations, rad/s^2, m/s^2.
         largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
+        largest_tip_rate: speed of the tip between them, m/s.
         reintegration: largest difference of a tip from DOP853, m.
         equilibria: how many were solved.   end: the last of them.
         faults: in words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved.
@@ -73,6 +75,7 @@ class Proof:
     largest_translation_acceleration: float
     largest_tip_step: float
     tip_length: float
+    largest_tip_rate: float
     reintegration: float
     equilibria: int
     end: Equilibrium
@@ -125,7 +128,7 @@ def verify_trajectory(
     for name, value, kind in (("rate_limits", rate_limits, RateLimits), ("start", start, Equilibrium)):
         if value is not None:
             kind_of(name, value, kind)
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
@@ -207,6 +210,8 @@ def _judge(
     steps = [step.equilibrium for step in passage.steps]
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
+    tip_rate = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, SAMPLES).astype(int))]
     checks = [verify_equilibrium(e).verification for e in picked]
     again = max(check.tip_position for check in checks if check is not None)
@@ -215,7 +220,7 @@ def _judge(
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:
-        faults += too_fast(space, rates, rate_limits)
+        faults += too_fast(space, rates, tip_rate, rate_limits)
     return Proof(
         snap=passage.snap,
         least_margin=passage.margin,
@@ -227,6 +232,7 @@ def _judge(
         largest_translation_acceleration=float(rates[1][1].max(initial=0.0)),
         largest_tip_step=float(moved.max(initial=0.0)),
         tip_length=float(moved.sum()),
+        largest_tip_rate=tip_rate,
         reintegration=again,
         equilibria=follower.count + 1,
         end=steps[-1],

@@ -12,7 +12,6 @@ from ..errors import InputError, finite
 from ..inverse.question import prepared
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of
 from .motion import RateLimits
 from .options import PlanOptions
@@ -26,8 +25,8 @@ def asked(
     rate_limits: RateLimits,
     limits: JointLimits | None,
     options: PlanOptions,
-) -> tuple[Task, tuple[Array, Array], Clock]:
-    """What must hold; (m,) rates and accelerations; and the clock of the time limit, which runs from here.
+) -> tuple[Task, Clock]:
+    """What must hold, and the clock of the time limit, which runs from here.
 
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
@@ -43,4 +42,5 @@ def asked(
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
-    return Task(Chart(space), bodies, floor, options.clearance), rate_limits.of(space), clock
+    rate_limits.of(space)
+    return Task(Chart(space), bodies, floor, options.clearance), clock

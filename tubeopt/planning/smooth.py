@@ -29,9 +29,6 @@ WEIGHTS = {
     "margin": (0.02, 0.05, 0.0, 1.0),
 }
 
-UNHURRIED = ("length", "margin")
-"""Objectives that do not ask for a time; it is made as short as the motion allows."""
-
 INTERVALS = 24
 """Intervals between knots at first."""
 
@@ -124,7 +121,8 @@ def smooth(
     clock: Clock | None = None,
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. `extra` is an own cost, of which the mean along the path counts beside the objective."""
+    the clock is over. How long it takes is told by objectives of time and effort only. `extra` is an own cost, of which
+    the mean along the path counts beside the objective."""
     clock = clock or Clock(20.0)
     own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     z = resample(task, points, INTERVALS + 1)
@@ -140,7 +138,7 @@ def smooth(
             return None
         motion, found, count = solved
         iterations += count
-        bad, short = _violated(task, start, motion, clock)
+        bad, short = violated(task, start, motion, clock)
         if not bad.any():
             return Smoothed(motion, found, iterations)
         if clock.over:
@@ -195,7 +193,7 @@ def _solve(
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
     question = PathQuestion(
-        n, space.carriages, task.chart.eccentric, len(share), len(space.least), task.obstacles, space.length, extra
+        task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, extra
     )
     program = path_program(question)
     q = task.chart.joints(z, task.arms(z))
@@ -229,21 +227,8 @@ def _solve(
     joints, rates = (x[k * size : (k + 1) * size].reshape(q.shape) * scale for k in (0, 1))
     tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
     duration = float(np.sqrt(x[-2])) * unit
-    if objective in UNHURRIED:
-        # The way does not depend on the time that it takes: as fast as it can be passed.
-        duration = _shortest(time, joints, rates, limits)
     motion = Motion(time * duration, joints, rates / duration)
     return motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"])
-
-
-def _shortest(time: Array, joints: Array, rates: Array, limits: tuple[Array, Array]) -> float:
-    """Seconds that a cubic motion over the time 0 to 1 needs within limits of rate and acceleration."""
-    h = np.diff(time)[:, None]
-    delta, a, b = np.diff(joints, axis=0) / h, rates[:-1], rates[1:]
-    early, late = (6 * delta - 4 * a - 2 * b) / h, (2 * a + 4 * b - 6 * delta) / h
-    speed = np.abs(np.vstack([rates, 3 * delta - a - b])) / limits[0]
-    force = np.abs(np.vstack([early, late])) / limits[1]
-    return float(1.01 * max(speed.max(), np.sqrt(force.max()), 1e-3))
 
 
 def begin_rates(q: Array, time: Array) -> Array:
@@ -313,7 +298,7 @@ def _bounds(
     }
 
 
-def _violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tuple[Mask, Array]:
+def violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tuple[Mask, Array]:
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short."""
     time, q = motion.sampled(task.scale)

@@ -21,11 +21,12 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
-from .motion import DEFAULT_RATES, Motion, RateLimits, hurried
+from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, build
+from .plan import Built, actuators, build
 from .question import asked
 from .reach import least_miss
+from .timing import through
 from .trajectory import PlanStatistics, Trajectory
 
 SPACING = 0.008
@@ -75,7 +76,7 @@ def follow_tip_path(
         SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
     """
     positive("tolerance", tolerance)
-    task, _, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     curve = _curve(path, spline)
     furthest, reason = 0.0, "the first point is out of reach"
     for first in _starts(task, curve, start, tolerance, limits, options, clock):
@@ -209,7 +210,7 @@ def _make(
     space = task.chart.space
     q = np.array([space.join(e.rotations, e.translations) for e in equilibria])
     searched = clock.seconds
-    motion = timed(q, task.scale, rates.of(space))
+    motion = through(q, task.scale, actuators(task, equilibria[0], rates))
     end = End(task.chart.of(equilibria[-1]), q[-1], (0,) * space.robot.n_tubes)
     built = build(task, equilibria[0], end, motion, rates, clock)
     if not isinstance(built, Built):
@@ -218,16 +219,6 @@ def _make(
     done = clock.seconds
     statistics = PlanStatistics("tip path", "", len(q), length, length, 0, len(q), searched, 0.0, done - searched, done)
     return built.trajectory(task, equilibria[0], end, rates, statistics, distance_from(curve, built.tip))
-
-
-def timed(q: Array, scale: Array, limits: tuple[Array, Array]) -> Motion:
-    """The motion through joint values (k, m), smooth in between, as fast as limits allow, at rest at both ends."""
-    step = np.linalg.norm(np.diff(q / scale, axis=0), axis=1)
-    if not step.sum() > 1e-9:
-        return Motion(np.zeros(1), q[:1], np.zeros_like(q[:1]))
-    mark = np.concatenate([[0.0], np.cumsum(step)])
-    even = np.linspace(0, mark[-1], max(100, 4 * len(q)))
-    return hurried(np.column_stack([np.interp(even, mark, column) for column in q.T]), *limits)
 
 
 def distance_from(curve: Array, points: Array) -> Array:

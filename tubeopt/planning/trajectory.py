@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from os import PathLike
 
 from ..bodies.obstacles import Obstacle
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, late
 from .motion import RateLimits
 from .proof import Proof
 
@@ -17,9 +18,10 @@ from .proof import Proof
 class PlanStatistics:
     """How a plan was found.
 
-    how: "straight", "detour" or "search"; smoothed: by which objective, "" where the smoothed motion was not allowed or
-    not asked for.   motions: that the search checked.   raw_length, length: of the path in joint space as found and as
-    it is, in units of the joints' scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
+    how: "straight", "detour" or "search"; smoothed: by which objective, "corners" where only those of the way were
+    rounded, "" where it rests at them: what is smoothed was not allowed, no better, or not asked for.   motions: that
+    the search checked.   raw_length, length: of the path in joint space as found and as it is, in units of the joints'
+    scales (1 rad, half the longest tube).   iterations, knots: of smoothing.
     search_seconds, smooth_seconds, proof_seconds, seconds.
     """
 
@@ -37,7 +39,7 @@ class PlanStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Displayed):
     """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
 
     Attributes:
@@ -51,6 +53,8 @@ class Trajectory:
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
     """
+
+    _brief = ("robot", "status", "time")
 
     robot: Robot
     time: Array
@@ -87,6 +91,4 @@ class Trajectory:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
-        from .file import save_trajectory
-
-        save_trajectory(self, path)
+        late("tubeopt.planning.file.save_trajectory")(self, path)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.units import MM, to_si
@@ -19,7 +20,7 @@ from ..stability.following import follow
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Whole, metres, radians
 from .load_file import LoadedStudy
-from .obstacle_file import Bodies, Triple, point
+from .obstacle_file import Bodies, Place, Triple, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -28,7 +29,7 @@ Joints = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class Postures:
+class Postures(Displayed):
     """Answers for one target, best first."""
 
     robot: Robot
@@ -55,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class TargetTable:
+class TargetTable(Displayed):
     """Answers for a table of targets."""
 
     robot: Robot
@@ -70,7 +71,7 @@ class InverseStudy(LoadedStudy):
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: Triple | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    target_mm: Place | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
     direction: Triple | None = Field(
         None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )

@@ -31,6 +31,8 @@ STUDY_KINDS = Kinds(
         "verify": "verify_study.VerifyStudy",
         "workspace": "workspace_study.WorkspaceStudy",
         "heating": "heating_study.HeatingStudy",
+        "led_heating": "firmware_study.LedHeatingStudy",
+        "heating_run": "heating_run.HeatingRunStudy",
         "heating_calibration": "calibration_studies.HeatingCalibrationStudy",
         "mold_plan": "mold_study.MoldStudy",
         "mandrel": "mold_study.MandrelStudy",

@@ -16,7 +16,7 @@ from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
-from .report import Report, report, two_columns
+from .report import Drawing, Report, drawing, report, two_columns
 from .snap_report import JOINTS, STATE
 from .words import counted, in_a_word, millimetres, row
 
@@ -72,15 +72,15 @@ class BearingReport(Report[Bearing]):
         limit = self.answer.limit
         return Group(two_columns(self.title(), self.rows() + ([] if limit is None else rows(limit, LIMIT))))
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write load_limit.png: the robot at the limit, and where it lands as a ghost."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The robot at the limit, and where it lands as a ghost."""
         from .plots import plot_shape  # Matplotlib takes longer to load than a solve
 
         limit = self.answer.limit
         if limit is None:
-            return []
+            return {}
         ghosts = [] if limit.after is None else [limit.after]
-        return self.drawn(directory, {"load_limit.png": plot_shape}, limit.before, ghosts=ghosts)
+        return {"load_limit": drawing(plot_shape, limit.before, ghosts=ghosts)}
 
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (

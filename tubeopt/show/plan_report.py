@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Group
@@ -15,12 +16,12 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import Proof, Trajectory
-from ..planning.file import save_trajectory
+from ..planning.file import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
 from ..runs.verify_study import Checked
 from ..stability import ASSUMING
 from .quantities import Quantity, line, rows, within
-from .report import Report, report, two_columns
+from .report import Drawing, Report, drawing, report, two_columns
 
 HOW = {
     "straight": "straight",
@@ -65,9 +66,14 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("largest_translation_rate_mm_per_s", "of a tube"),
     Quantity("largest_rotation_acceleration_deg_per_s2", "of a tube"),
     Quantity("largest_translation_acceleration_mm_per_s2", "of a tube"),
-    line("way of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
+    line(
+        "way of the tip",
+        "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm, "
+        "at up to {largest_tip_rate_mm_per_s:.2f} mm/s",
+    ),
     Quantity("largest_tip_step_mm", "of the tip between equilibria"),
     Quantity("tip_length_mm", "way of the tip"),
+    Quantity("largest_tip_rate_mm_per_s", "speed of the tip"),
     Quantity("reintegration_mm", "largest difference of a tip to an adaptive re-integration"),
     Quantity("equilibria", "equilibria through which it was followed", label="followed again", words=_again),
 )
@@ -137,10 +143,11 @@ class TrajectoryReport(Report[Trajectory]):
         return super().rows() + rows(self.answer, FOUND)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write trajectory.csv, with robot.yaml beside it, tip.csv, and plan.json."""
-        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv")]
+        """Write trajectory.csv, with robot.yaml beside it, joint_trajectory.json, tip.csv, and plan.json."""
+        paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv", "joint_trajectory.json")]
         save_robot(self.answer.robot, paths[0])
         save_trajectory(self.answer, paths[1], robot_file="robot.yaml")
+        save_joint_trajectory(self.answer, paths[3])
         columns = ["time_s", "x_mm", "y_mm", "z_mm", "margin", "clearance_mm"]
         write_text(paths[2], to_csv(columns, self._tip()))
         return [*paths, self.save_record(directory)]
@@ -151,11 +158,18 @@ class TrajectoryReport(Report[Trajectory]):
             shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write trajectory.png and trajectory.gif."""
+    def tables(self) -> dict[str, Any]:
+        """Joint values, tip and margin over time."""
+        return {"trajectory": self.answer}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The motion, still and moving."""
         from .plots.trajectory import animate_trajectory, plot_trajectory
 
-        return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
+        return {
+            "trajectory": drawing(plot_trajectory, self.answer),
+            "trajectory.gif": drawing(animate_trajectory, self.answer),
+        }
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""

@@ -6,10 +6,11 @@ from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
+from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
-from .verdict import ASSUMING, Finding, Verdict, judge
+from .verdict import ASSUMING, Finding, Verdict
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [

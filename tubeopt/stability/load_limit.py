@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
@@ -28,7 +29,7 @@ STAGE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class LoadLimit:
+class LoadLimit(Displayed):
     """The end of the stable branch that grows from no load.
 
     Attributes:

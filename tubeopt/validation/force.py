@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
@@ -35,7 +36,7 @@ UNSEEN = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class ForceEstimate:
+class ForceEstimate(Displayed):
     """A force at the tip, world axes, and how far it is told.
 
     Attributes:

@@ -7,7 +7,7 @@ from .hysteresis import plot_hysteresis
 from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
-from .shape import plot_shape, plot_shapes
+from .shape import plot_equilibria, plot_shape, plot_shapes
 from .snap import plot_snap
 from .style import save_figure, tube_colour
 from .torsion import plot_torsion, plot_torsions
@@ -16,6 +16,7 @@ __all__ = [
     "plot_bearing",
     "plot_branch",
     "plot_energy_maps",
+    "plot_equilibria",
     "plot_force_estimates",
     "plot_hysteresis",
     "plot_load_limits",
