@@ -125,7 +125,6 @@ def optimize_design(
     workers: int = 1,
     turns: int = 6,
     progress: Progress | None = None,
-    report: Callable[[str, float], object] | None = None,
     begin: Attempt | None = None,
 ) -> DesignSolution:
     """The best robot that keeps all requirements of a task.
@@ -145,8 +144,8 @@ def optimize_design(
         seed: of random starts.
         workers: processes for the starts.
         turns: random full turns forth and back, per translations checked, on which no certified robot may snap.
-        progress: called with the number of starts done, and of all.
-        report: called with stage and measure after each iteration; with one worker.
+        progress: called with the number of starts done, and of all; where it has a method `iteration`, that is called
+            with stage and measure after each iteration, with one worker.
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
 
     Raises:
@@ -155,6 +154,15 @@ def optimize_design(
         InfeasibleDesignError: (a SolveError) no start leads to a feasible design; the message says which limits would
             have to move.
         SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
+
+    Examples:
+        >>> import tubeopt
+        >>> from tubeopt.design import Free, Objective, SnapFree
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> free = [Free("curvature", (0, 1, 2), 0.5, 15.0)]
+        >>> task = tubeopt.DesignTask(robot, free=free, requirements=[SnapFree(0.05)], objective=Objective("change"))
+        >>> tubeopt.optimize_design(task).certificate > 0.0499
+        True
     """
     if not isinstance(task, DesignTask):
         raise InputError(f"task is {task!r}; it must be a DesignTask")
@@ -166,7 +174,8 @@ def optimize_design(
     one = forced(task)
     if one is not None:
         again = partial(optimize_design, method=method, starts=starts, seed=seed, workers=workers, turns=turns)
-        return _bearing(task, one, partial(again, progress=progress, report=report), began)
+        return _bearing(task, one, partial(again, progress=progress), began)
+    report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
     if begin is None:
