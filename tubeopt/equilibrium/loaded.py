@@ -216,7 +216,8 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
     """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
     problem."""
     theta, n = start.point_rotation - start.robot.assembly(start.translations).wound(start.point), len(start.rotations)
-    if len(start.point) == len(problem.softness):
+    s = problem.torsion.arc_length
+    if len(s) == len(start.point) and np.abs(s - start.point).max() <= LARGEST_SHIFT * start.arc_length[-1]:
         return theta, start.point_curvature
     assert start.load is not None
     own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
