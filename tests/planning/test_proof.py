@@ -82,7 +82,7 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
 def test_the_error_of_interpolation_along_the_arm_is_bounded(robot: Robot) -> None:
     e = forward_kinematics(robot, [2.0, 0.5, -1.0])
     arms = Arms.of(Constants.of(robot), [e])
-    finer = forward_kinematics(robot, [2.0, 0.5, -1.0], tolerance=1e-13)
+    finer = forward_kinematics(robot, [2.0, 0.5, -1.0], tolerance=1e-12)
     assert len(finer.arc_length) > 1.5 * len(e.arc_length)
     off = arms.points(np.zeros(len(finer.arc_length), dtype=np.intp), finer.arc_length) - finer.position
     assert 1e-9 < np.linalg.norm(off, axis=1).max() <= arms.shape_error[0] < 5e-6
