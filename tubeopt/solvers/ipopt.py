@@ -12,7 +12,15 @@ import numpy as np
 from ..errors import SolveError
 from ..transcription.arm import Profile, torsion_at
 from ..transcription.model import equation, mapped, places_in_words
-from ..transcription.program import Structure, add_torsion, structure_of, torsion_given, torsion_guess, torsion_numbers
+from ..transcription.program import (
+    Structure,
+    add_torsion,
+    held_stiffness,
+    structure_of,
+    torsion_given,
+    torsion_guess,
+    torsion_numbers,
+)
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 from .newton import NewtonResult
