@@ -33,6 +33,9 @@ MOST_SWITCHES = 6
 MOST_BODIES = 16
 """Obstacles at most: every one costs as much as all of the arm."""
 
+BUILDING = 0.025
+"""Seconds of `building` per cube of the number of tubes, and per obstacle and one."""
+
 MARGIN_ROOM = 1e-4
 """Margin kept above the bound: more than the steps of the Jacobi fields are off."""
 
@@ -48,6 +51,8 @@ def programmable(goal: Goal) -> bool:
 
 def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
+    if goal.left < building(goal):
+        return Search(start, False, 0, 0)
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
     for _ in range(MOST_SWITCHES + 1):
@@ -64,6 +69,11 @@ def solve_program(goal: Goal, start: Posture) -> Search:
             break
         here = other
     return Search(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
+
+
+def building(goal: Goal) -> float:
+    """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
+    return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:

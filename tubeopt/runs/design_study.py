@@ -24,10 +24,10 @@ from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Number, in_file
+from ..files.checked import Entry, NotNegative, Number, Whole, in_file
 from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
-from .base import Count, Progress, RobotPath, Study, Whole
+from .base import Count, Progress, RobotPath, Study
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
 from .stock_file import load_stock
 

@@ -51,6 +51,15 @@ def find_snap(
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
         SolveError: no stable equilibrium at `start`, or none where the robot lands.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> home = [0, 0, 0]
+        >>> snap = tubeopt.find_snap(robot, (home, home), (np.radians([360, 0, 0]), home))
+        >>> round(float(np.degrees(snap.rotations[0])), 3)
+        214.222
     """
     path = JointPath(robot, _joint(robot, "start", start), _joint(robot, "end", end))
     if load is not None:

@@ -256,8 +256,8 @@ class FitProblem:
         return weigh(self.model, self.options, self.sigma)
 
     def _settle(self, start: State, slopes: Array) -> Descent:
-        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least squares of positions it does not
-        matter what it is."""
+        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
+        squares of positions it does not matter what it is."""
         found = descend(self.model, self.weights(), start, first=slopes)
         for _ in range(6):
             last, self.sigma = self.sigma, self._noise(found)
