@@ -12,7 +12,15 @@ import numpy as np
 from ..errors import SolveError
 from ..transcription.arm import Profile, torsion_at
 from ..transcription.model import equation, mapped, places_in_words
-from ..transcription.program import Structure, add_torsion, held_stiffness, structure_of, torsion_guess, torsion_numbers
+from ..transcription.program import (
+    Structure,
+    add_torsion,
+    held_stiffness,
+    structure_of,
+    torsion_given,
+    torsion_guess,
+    torsion_numbers,
+)
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 from .newton import NewtonResult
@@ -44,10 +52,7 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
     """
     grid, pieces = structure.grid, len(structure.section)
     n, degree = grid.n_tubes, grid.degree
-    given = {
-        name: ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
-        for name, (rows, columns) in structure.shapes.items()
-    }
+    given = torsion_given(problem, structure, {})
     base = problem.variable("torsion of the transmissions", n)
     theta = ca.reshape(problem.variable("rotation", n * pieces), n, pieces)
     inner, twist = (

@@ -106,15 +106,21 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
     }
 
 
+def torsion_given(program: Program, structure: Structure, own: Mapping[str, Any]) -> dict[str, Any]:
+    """What is given of an arm, by name: `own` are expressions of the program, the rest parameters, all 0."""
+    given = dict(own)
+    for name, (rows, columns) in structure.shapes.items():
+        if name not in own:
+            given[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
+    return given
+
+
 def add_torsion(program: Program, structure: Structure, rotations: Any, own: Mapping[str, Any]) -> TorsionModel:
     """Add the torsion of an arm whose tubes are held at `rotations` (n,): a square system if all is given.
 
-    Of what is given of it `own` are expressions of the program; the rest become parameters, all 0, of the same names.
+    Of what is given of it `own` are expressions of the program; the rest become parameters, of the same names.
     """
-    given = dict(own)
-    for name, shape in structure.shapes.items():
-        if name not in own:
-            given[name] = ca.reshape(program.parameter(name, np.zeros(shape[0] * shape[1])), *shape)
+    given = torsion_given(program, structure, own)
     place = tuple(given.pop(name) for name in ("offset", "angle") if name in given)
     given = {"stiffness": None, "moment": None, "along": None, **given}
     shapes = sizes(structure.grid.n_tubes, len(structure.section), structure.grid.degree)[:3]
