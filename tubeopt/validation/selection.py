@@ -54,7 +54,6 @@ def pays(gain: float, certainty: float) -> bool:
     return gain >= PAYS and certainty >= (CERTAIN if gain >= SMALL else CERTAIN_OF_SMALL)
 
 
-
 @dataclass(frozen=True)
 class Step:
     """One effect of a comparison, at the state to which it was added, or would be next.
