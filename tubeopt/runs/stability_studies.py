@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
-from ..files.checked import Positive, in_file
+from ..files.checked import Positive, Whole, in_file
 from ..files.units import UNITS, to_si
 from ..robots.calibration import to_model
 from ..robots.concentric import friction_of
@@ -34,7 +34,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, metres, radians
 from .load_file import LoadedStudy
 
 
