@@ -8,11 +8,14 @@ from typing import Any
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI
+from ..robots.concentric import friction_of
+from ..stability import friction_band
+from ..typing import Array
 from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
 from .report import Drawing, Report, drawing, report
-from .words import margin_in_words
+from .words import margin_in_words, millimetres
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
     Quantity("tip_position_mm", "distance of the tips"),
@@ -30,6 +33,9 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("status", "how the solve ended", lambda e: e.status.name),
     Quantity("stable", "whether it is stable"),
     Quantity("tip_position_mm", "tip position", form=".4f"),
+    Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
+             "before, to first order; absent without friction", lambda e: _by_history(e), optional=True),
+    line("friction holds it", lambda e: _held_within(e)),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
     Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
     Quantity("margin", "margin", words=lambda e: margin_in_words(e.margin)),
@@ -45,6 +51,19 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("statistics", "how it was solved", lambda e: dict(vars(e.statistics)), label="solved",
              words=lambda e: _how(e)),
 )  # fmt: skip
+
+
+def _by_history(e: Equilibrium) -> Array | None:
+    """(3,) m; None where the robot's file tells of no friction."""
+    friction = friction_of(e.robot)
+    if friction is None or e.load is not None or e.friction is not None or not e.stable:
+        return None
+    return friction_band(e, friction).tip_half_widths
+
+
+def _held_within(e: Equilibrium) -> str | None:
+    half = _by_history(e)
+    return None if half is None else f"within ± {millimetres(half, '.3f')} along x, y, z, to first order"
 
 
 def _how(e: Equilibrium) -> str:

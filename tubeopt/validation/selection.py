@@ -44,6 +44,15 @@ CERTAIN = 1.0
 """And by so many standard errors of the gain, from the differences between the folds (the one-standard-error rule of
 Breiman et al., Classification and Regression Trees (1984))."""
 
+SMALL, CERTAIN_OF_SMALL = 0.05, 3.0
+"""A gain below the first must be so many standard errors instead: the best of a dozen effects that are not there
+reaches 2 to 2.5 by chance, which a bound for every effect by itself does not know of."""
+
+
+def pays(gain: float, certainty: float) -> bool:
+    """Whether an effect that lowers the held-out error by a part `gain` is worth its parameters."""
+    return gain >= PAYS and certainty >= (CERTAIN if gain >= SMALL else CERTAIN_OF_SMALL)
+
 
 @dataclass(frozen=True)
 class Step:
@@ -268,7 +277,7 @@ class _Search:
         return Step(
             effect=kind,
             parameters=tuple(p.name for p in self.parameters[kind]),
-            kept=gain >= PAYS and certainty >= CERTAIN,
+            kept=pays(gain, certainty),
             gain=gain,
             certainty=certainty,
             held_out=ErrorSummary.of(along[:, 0]),
@@ -291,7 +300,7 @@ class _Search:
             trials = [self._without(kind) for kind in self.now.effects[:-1]]
             best = min(trials, key=lambda trial: float(trial.losses.sum()))
             gain, certainty = self._gain(best.losses, self.now.losses)
-            if gain >= PAYS and certainty >= CERTAIN:
+            if pays(gain, certainty):
                 return
             (kind,) = set(self.now.effects) - set(best.effects)
             self.now = best

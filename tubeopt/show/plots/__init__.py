@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .branch import plot_branch
+from .friction_band import plot_friction_band
 from .hysteresis import plot_hysteresis
 from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
@@ -18,6 +19,7 @@ __all__ = [
     "plot_energy_maps",
     "plot_equilibria",
     "plot_force_estimates",
+    "plot_friction_band",
     "plot_hysteresis",
     "plot_load_limits",
     "plot_path",

@@ -1,0 +1,47 @@
+"""`tubeopt follow` and `fk` with a robot whose file tells of friction."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import Run
+
+ROBOT = """
+kind: concentric
+name: two tubes that rub
+tubes:
+  - {outer_diameter_mm: 1.0, inner_diameter_mm: 0.75, straight_length_mm: 150, curved_length_mm: 90, curvature_per_m: 9,
+     material: nitinol}
+  - {outer_diameter_mm: 1.5, inner_diameter_mm: 1.15, straight_length_mm: 70, curved_length_mm: 60, curvature_per_m: 5,
+     material: nitinol}
+friction: {torque_mN_m_per_m: [8], plate_mN_m: [0.1]}
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[str, str]:
+    robot, way = tmp_path / "robot.yaml", tmp_path / "way.csv"
+    robot.write_text(ROBOT)
+    way.write_text("rotation_1_deg,rotation_2_deg\n0,0\n90,0\n60,-40\n")
+    return str(robot), str(way)
+
+
+def test_follow_takes_the_friction_of_the_file(run: Run, files: tuple[str, str]) -> None:
+    rubbed = json.loads(run("follow", *files, "--json").out)["waypoints"]
+    shaken = json.loads(run("follow", *files, "--shaken", "--json").out)["waypoints"]
+    assert rubbed[0]["tip_position_mm"] == pytest.approx(shaken[0]["tip_position_mm"], abs=1e-6)
+    assert rubbed[0]["friction_heat_mJ"] == 0 < rubbed[1]["friction_heat_mJ"] < rubbed[2]["friction_heat_mJ"]
+    assert "friction_heat_mJ" not in shaken[2]
+    band = json.loads(run("fk", files[0], "--rotations-deg", "60,-40", "--json").out)["tip_by_history_mm"]
+    off = [abs(a - b) for a, b in zip(rubbed[2]["tip_position_mm"], shaken[2]["tip_position_mm"], strict=True)]
+    assert all(0 < a < 1.1 * most for a, most in zip(off, band, strict=True))
+
+
+def test_no_load_beside_friction(run: Run, files: tuple[str, str]) -> None:
+    outcome = run("follow", *files, "--tip-force-mN", "1,0,0")
+    assert outcome.code == 2
+    assert "beside which no load can be given; give shaken too" in outcome.err
+    assert run("follow", *files, "--tip-force-mN", "1,0,0", "--shaken").code == 0
