@@ -11,7 +11,7 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
 from .checks import Rows, items, table, triple, whole
 
@@ -29,11 +29,20 @@ class SnapFree:
         tuple[tuple[float, ...], tuple[float, ...]] | None, unit("mm"), "least and greatest translations"
     ] = None
     tolerance: Annotated[float, POSITIVE, "by which the margin may fall short anywhere in the box"] = 1e-4
+    max_force: Annotated[
+        float,
+        key("max_tip_force_mN"),
+        NOT_NEGATIVE,
+        "the margin is kept whatever pushes on the tip with up to this force, in any direction that it keeps",
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if finite("margin", self.margin) >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
         positive("tolerance of the certificate", self.tolerance)
+        positive("max_force of the certificate", self.max_force, zero=True)
+        if self.max_force and self.box is not None:
+            raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
             object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
         if self.box is not None:

@@ -52,6 +52,12 @@ def load_rig(path: str | PathLike[str]) -> Rig:
 
     Raises:
         InputError: no such file, not YAML, or keys or values that make no rig: one line for every problem.
+
+    Examples:
+        >>> import tubeopt
+        >>> rig = tubeopt.load_rig("configs/rigs/thesis_steel.yaml")
+        >>> rig.mold.material.name
+        'steel'
     """
     return rig_from_dict(load_yaml(path), path)
 
