@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy.optimize
 
 import tubeopt
 from tubeopt import ConcentricRobot, Piece, Tube
@@ -31,7 +32,7 @@ RESERVE = 0.05
 """Certificate that is asked for: the torsional stiffnesses may be this part smaller than thought."""
 
 
-def torsion_factor(bending_factor: float) -> float:
+def torsion_factor(bending_factor: Any) -> Any:
     """Part of the torsional stiffness that slots leave where they leave this part of the bending stiffness."""
     return 1 - (1 - bending_factor) / 2
 
@@ -54,18 +55,14 @@ def patterned(robot: ConcentricRobot, bending_factors: np.ndarray) -> Concentric
 def least_pattern(robot: ConcentricRobot) -> np.ndarray:
     """(n,) bending factors with the least sum of squares of what is cut away, such that the certificate is positive."""
     n = robot.n_tubes
-    found = scipy.optimize.minimize(
-        lambda b: float(((1 - b) ** 2).sum()),
-        np.full(n, 0.35),
-        jac=lambda b: -2 * (1 - b),
-        method="SLSQP",
-        bounds=[(LEAST, 1.0)] * n,
-        constraints={"type": "ineq", "fun": lambda b: tubeopt.snap_free_certificate(patterned(robot, b)) - RESERVE},
-        options={"ftol": 1e-10},
-    )
-    if not found.success:
-        raise tubeopt.SolveError(f"no pattern was found: {found.message}")
-    return np.asarray(found.x)
+    whole = tubeopt.forward_kinematics(patterned(robot, np.ones(n)), np.zeros(n))
+    problem = tubeopt.Problem()
+    bending = problem.variable("bending factors", n, guess=0.35, lower=LEAST, upper=1.0)
+    tubes = {"piece_bending_factor": bending, "piece_torsion_factor": torsion_factor(bending)}
+    block = tubeopt.EquilibriumBlock(problem, whole, tubes=tubes)
+    block.certificate_at_least(RESERVE)
+    problem.minimize(ca.sumsqr(1 - bending))
+    return np.asarray(problem.solve().value(bending))
 
 
 def main(out: Path, samples: int = 30) -> list[Path]:

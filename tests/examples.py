@@ -21,6 +21,7 @@ CONFIGS = Path(__file__).parents[1] / "configs" / "robots"
 THESIS = load_robot(CONFIGS / "thesis_ctr.yaml")
 CRL = load_robot(CONFIGS / "crl_ctr.yaml")
 TWO_TUBE = load_robot(CONFIGS / "two_tube.yaml")
+PIECES = load_robot(CONFIGS / "example_pieces.yaml")
 
 MM, DEG = 1e-3, np.pi / 180
 

@@ -47,6 +47,7 @@ from .planning import (
 from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
+from .robots.friction import Friction
 from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
@@ -55,10 +56,16 @@ from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
+from .shaping.feedback.feedback import Feedback, lead_by
+from .shaping.feedback.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
 from .shaping.heating.spec import HeatingSpec
+from .shaping.heating.uncertainty import Uncertainty
+from .show.interactive import show_in_3d
+from .show.solids import save_solid
+from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers.problem import Problem
 from .solvers.problem_solution import ProblemSolution, load_problem_solution
 from .solvers.problem_status import ProblemStatus
@@ -76,6 +83,7 @@ from .stability import (
     WorstCertificate,
     WorstMargin,
     certify,
+    deflection_bound,
     energy_map,
     find_equilibria,
     find_load_limit,
@@ -88,7 +96,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
-from .validation.force import ForceEstimate, estimate_force
+from .validation.force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -96,6 +104,7 @@ __version__: str
 __all__ = [
     "NITINOL",
     "Branch",
+    "Camera",
     "Certificate",
     "ConcentricRobot",
     "DesignSolution",
@@ -106,8 +115,11 @@ __all__ = [
     "Equilibrium",
     "EquilibriumBatch",
     "EquilibriumBlock",
+    "Feedback",
     "Finding",
     "ForceEstimate",
+    "ForceRecord",
+    "Friction",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",
@@ -142,17 +154,22 @@ __all__ = [
     "Statistics",
     "Status",
     "Sweep",
+    "Thermocouple",
     "TipGoal",
     "Trajectory",
     "Tube",
+    "TubeResistance",
+    "Uncertainty",
     "Verdict",
     "Verification",
     "Workspace",
     "WorstCertificate",
     "WorstMargin",
     "certify",
+    "deflection_bound",
     "energy_map",
     "estimate_force",
+    "estimate_forces",
     "find_equilibria",
     "find_load_limit",
     "find_snap",
@@ -163,6 +180,7 @@ __all__ = [
     "forward_kinematics_batch",
     "inverse_kinematics",
     "judge",
+    "lead_by",
     "load_equilibrium",
     "load_problem_solution",
     "load_rig",
@@ -175,10 +193,15 @@ __all__ = [
     "predict_tube",
     "save_rig",
     "save_robot",
+    "save_solid",
+    "save_table",
+    "show_in_3d",
     "snap_free_certificate",
     "snapping_loss",
     "stability_map",
     "sweep",
+    "to_dataframe",
+    "to_xarray",
     "trace_branch",
     "verify_trajectory",
     "workspace",

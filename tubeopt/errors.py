@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import math
 from collections.abc import Iterable
 from typing import Any
@@ -95,3 +96,20 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """Return "; did you mean 'x'?" for the known word closest to `word`, or an empty string."""
     match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def extra(module: str, brought_by: str, what: str) -> Any:
+    """A module that is not installed with tubeopt itself, loaded where it is used.
+
+    Args:
+        brought_by: the extra that has it.
+        what: is said to need it, in the plural: "STL files".
+
+    Raises:
+        InputError: it is not installed; with the line that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        needs = f"{what} need {module}: python -m pip install 'tubeopt[{brought_by}]'"
+        raise InputError(needs) from None

@@ -1,15 +1,45 @@
-"""Names of array types, and what every answer has."""
+"""Names of array types, what every answer has, and attributes and methods that are elsewhere."""
 
 from __future__ import annotations
 
+import functools
+import importlib
 from enum import Enum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+T = TypeVar("T")
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+@functools.cache
+def late(name: str) -> Any:
+    """A public function by its full name, for a method of plain data that is a shorthand for it.
+
+    Data do not know what is done with them: what saves or differentiates an equilibrium knows the equilibrium, not the
+    other way. A method such as `equilibrium.save(directory)` is there all the same for who reads from left to right.
+    """
+    module, _, function = name.rpartition(".")
+    return getattr(importlib.import_module(module), function)
+
+
+class Of(Generic[T]):
+    """A value of a part, read at the whole: with `lowest = Of[float]("outcome")`, `plan.outcome.lowest`."""
+
+    def __init__(self, part: str) -> None:
+        self._part, self._name = part, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, whole: Any, owner: type) -> T:
+        if whole is None:
+            return self  # type: ignore[return-value]
+        return getattr(getattr(whole, self._part), self._name)  # type: ignore[no-any-return]
 
 
 class Sentence(Enum):

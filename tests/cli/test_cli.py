@@ -225,9 +225,9 @@ def test_all_problems_are_told_at_once(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("kind: concentric\ntubes: [{outer_diameter_mm: -1, inner_diameter_mm: 0, radius: 3}]\n")
     assert refused(run("fk", str(path), "--rotations-deg", "a", "--tolerance", "-1")) == [
+        f"{path}: tubes[0].curved_length_mm is missing",
         f"{path}: tubes[0].outer_diameter_mm is -1; it must be greater than 0",
         f"{path}: tubes[0].straight_length_mm is missing",
-        f"{path}: tubes[0].curved_length_mm is missing",
         f"{path}: tubes[0].radius is not a known key; did you mean 'radius_mm'?",
         "--rotations-deg[0] is 'a'; it must be a number",
         "--tolerance-rad is -1; it must be greater than 0",
@@ -305,3 +305,43 @@ def test_output_that_nobody_reads_on() -> None:
             check=False,
         )
     assert "Traceback" not in done.stderr
+
+
+# --- what is told besides the answer ----------------------------------------------------------------------------------
+
+
+def test_what_may_go_wrong_with_a_robot_is_told_wherever_it_is_used(run: Run) -> None:
+    words = (
+        "tube 2 has 0.15 mm of radial clearance in tube 3, more than 0.1 mm: its axis may lie beside the outer tube's"
+    )
+    outcome = run("fk", CRL)
+    assert (outcome.code, outcome.err) == (0, f"warning: {words}\n")
+    assert answer(run("fk", CRL, "--json"))["warnings"] == [words]
+    assert answer(run("robot", "show", CRL, "--json"))["warnings"] == [words]
+
+
+def test_quiet_prints_nothing_but_errors(run: Run, tmp_path: Path) -> None:
+    assert run("fk", CRL, "--quiet", "--out", str(tmp_path)) == (0, "", "")
+    assert (tmp_path / "result.json").exists()
+    assert run("fk", "none.yaml", "--quiet").err == "error: none.yaml: there is no such file\n"
+
+
+def test_what_is_logged_is_chosen(run: Run) -> None:
+    assert run("--log", "error", "fk", CRL).err == ""
+    assert "tubeopt.cli" in run("--log", "debug", "fk", CRL).err
+    assert refused(run("--log", "loud", "fk", CRL))[0].startswith("Invalid value")
+
+
+def test_the_help_of_all_commands_loads_none_of_them() -> None:
+    script = "import sys\nfrom tubeopt.cli import main\ntry:\n    main(['--help'])\nfinally:\n    print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=True)
+    loaded = set(done.stdout.split())
+    assert "Forward kinematics" in done.stdout
+    assert not loaded & {"casadi", "scipy", "pydantic", "yaml", "matplotlib", "tubeopt.robots"}
+
+
+def test_commands_complete_in_the_shell() -> None:
+    variables = {"_TUBEOPT_COMPLETE": "complete_bash", "COMP_WORDS": "tubeopt sn", "COMP_CWORD": "1"}
+    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'tubeopt'; from tubeopt.cli import main; main()"]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | variables, cwd=ROOT, check=False)
+    assert done.stdout.split() == ["snap"]

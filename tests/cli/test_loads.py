@@ -107,3 +107,37 @@ def test_certified_whatever_pushes(run: Run) -> None:
     assert strong["finding"] == "OPEN"
     plain = answer(run(*asked[:-1]))
     assert "certificate_under_force" not in plain
+
+
+def test_how_much_the_robot_bears(run: Run, tmp_path: Path) -> None:
+    asked = ["load-limit", THESIS, "--json"]
+    turned = ["--from-deg", "0,0,0", "--rotations-deg", "200,0,0", "--tip-force-mN=-10,0,0"]
+    limit = answer(run(*asked, *turned))["limit"]
+    assert limit["factor"] == pytest.approx(2.1846, abs=1e-4)
+    assert limit["kind"] == "fold"
+    assert limit["tip_jump_mm"] > 50
+    # A pose in a plane with its load: no fold, but a bifurcation.
+    limit = answer(run(*asked, "--tip-force-mN", "0,1500,-1500", "--out", str(tmp_path)))["limit"]
+    assert limit["factor"] == pytest.approx(0.0713476, abs=1e-7)
+    assert limit["kind"] == "bifurcation"
+    assert (tmp_path / "load_limit.png").exists()
+    assert answer(run(*asked, "--tip-force-mN", "1,0,0", "--up-to", "2"))["limit"] is None
+    assert "no load is given" in refused(run(*asked[:-1]))[0]
+
+
+def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
+    recording = str(ROOT / "configs" / "experiments" / "synthetic_forces.csv")
+    data = answer(run("force", THESIS, recording, "--noise-mm", "0.1", "--json", "--out", str(tmp_path)))
+    angle = 2 * np.pi * np.arange(12) / 12
+    true = np.stack([60 * np.sin(angle), 40 * np.cos(angle), np.full(12, -20.0)], axis=1)
+    told = data["estimates"]
+    wrong = np.array([row["force_mN"] for row in told]) - true
+    errors = np.array([row["standard_error_mN"] for row in told])
+    assert data["told"] == 12
+    assert np.abs(wrong / errors).max() < 3.5
+    assert (errors < 10).all()
+    header, *rows = (tmp_path / "forces.csv").read_text().splitlines()
+    assert header.startswith("row,rotation_1_deg,")
+    assert len(rows) == 12
+    moment = run("force", THESIS, recording, "--tip-moment-mN-m", "1,0,0")
+    assert "must keep its direction" in refused(moment)[0]

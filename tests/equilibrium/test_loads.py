@@ -205,6 +205,42 @@ def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot
         assert np.abs(compliance[3:, k] - turned).max() < 1e-6 * np.abs(compliance[3:]).max()
 
 
+@pytest.mark.parametrize(
+    "load", [Load((0.1, -0.05, 0.02), gravity=(0, 0, -9.81)), Load((0.02, 0, 0), (0.002, 0, 0.001))]
+)
+def test_jacobian_under_load_is_that_of_differences(thesis: ConcentricRobot, load: Load) -> None:
+    shift = np.array([-0.02, 0.01, -0.005])
+    here = forward_kinematics(thesis, ROTATIONS, shift, load=load)
+    slopes = here.jacobian()
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-3 if k < 3 else 1e-5
+        sides = [
+            forward_kinematics(thesis, ROTATIONS + s * step[:3], shift + s * step[3:], load=load, guess=here)
+            for s in (1, -1)
+        ]
+        scale = 2 * step[k]
+        moved = (sides[0].tip_position - sides[1].tip_position) / scale
+        assert np.abs(slopes.position[:, k] - moved).max() < 1e-5 * np.abs(slopes.position).max()
+        tips = (sides[0].tip_rotations - sides[1].tip_rotations) / scale
+        assert np.abs(slopes.tip_rotations[:, k] - tips).max() < 1e-5 * np.abs(slopes.tip_rotations).max()
+        if load.has_energy:
+            assert slopes.margin[k] == pytest.approx((sides[0].margin - sides[1].margin) / scale, abs=2e-3)
+        rate = (sides[0].energy - sides[1].energy) / scale
+        assert slopes.energy[k] == pytest.approx(rate, abs=1e-5 * np.abs(slopes.energy).max())
+
+
+def test_jacobian_under_load_to_one_side(thesis: ConcentricRobot) -> None:
+    load = Load((0.1, 0, 0))
+    home = forward_kinematics(thesis, ROTATIONS, load=load)
+    for side in (1, -1):
+        column = home.jacobian(wrt=("translations",), side=side).position[:, 0]
+        moved = forward_kinematics(thesis, ROTATIONS, (side * 1e-6, 0, 0), load=load, guess=home)
+        assert np.allclose(column, (moved.tip_position - home.tip_position) / (side * 1e-6), rtol=0, atol=1e-4)
+    with pytest.raises(InputError, match="under load it must be of 'rotations' and 'translations'"):
+        home.jacobian(wrt=("curvature",))
+
+
 def test_work_done_is_energy_stored(thesis: ConcentricRobot) -> None:
     force = np.array([0.08, 0.05, -0.03])
     nodes, weights = np.polynomial.legendre.leggauss(10)

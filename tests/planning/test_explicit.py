@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from tests.command_line import ROOT
-from tests.examples import CRL, THESIS, TWO_TUBE, eccentric_robot
+from tests.examples import CRL, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics, load_robot
 from tubeopt.control.chart import Chart
 from tubeopt.control.joints import joint_space
 from tubeopt.robots.robot import Robot
 
 
-@pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
+@pytest.mark.parametrize(
+    "robot", [THESIS, CRL, TWO_TUBE, PIECES, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr"
+)
 def test_tips_give_the_joints_the_shape_and_the_margin(robot: Robot) -> None:
     space = joint_space(robot)
     chart = Chart(space)

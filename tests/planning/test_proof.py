@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.examples import DEG, THESIS, TWO_TUBE, eccentric_robot
+from tests.examples import DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import find_snap, forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
@@ -44,12 +44,15 @@ def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
     return arms.points(np.zeros(len(s), dtype=np.intp), s), Outline(e).radius(s)
 
 
-@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.2), SEGMENTED], ids=lambda r: r.name or "etr")
+@pytest.mark.parametrize(
+    "robot", [THESIS, TWO_TUBE, PIECES, eccentric_robot(0.2), SEGMENTED], ids=lambda r: r.name or "etr"
+)
 def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> None:
     n = robot.n_tubes
+    moved = MOVED[:n] / 2 if robot is PIECES else MOVED[:n]
     shift = -0.02 * np.ones(n) if isinstance(robot, SegmentedEccentricRobot) else -0.01 * np.ones(n)
     first = forward_kinematics(robot, np.linspace(0.4, -0.8, n), robot.home_translations + shift)
-    last = between(robot, first, forward_kinematics(robot, first.rotations + MOVED[:n], first.translations + 0.004), 1)
+    last = between(robot, first, forward_kinematics(robot, first.rotations + moved, first.translations + 0.004), 1)
     chain = [between(robot, first, last, share) for share in np.linspace(0, 1, 17)]
     arms = Arms.of(Constants.of(robot), chain)
     one = np.arange(16)
@@ -75,11 +78,12 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
     assert 3 < coarse / found.off[6:8, -1].mean() < 6
 
 
-def test_the_error_of_interpolation_along_the_arm_is_bounded() -> None:
-    e = forward_kinematics(THESIS, [2.0, 0.5, -1.0])
-    arms = Arms.of(Constants.of(THESIS), [e])
-    finer = forward_kinematics(THESIS, [2.0, 0.5, -1.0], tolerance=1e-13)
-    assert len(finer.arc_length) > 1.9 * len(e.arc_length)
+@pytest.mark.parametrize("robot", [THESIS, PIECES], ids=lambda r: r.name)
+def test_the_error_of_interpolation_along_the_arm_is_bounded(robot: Robot) -> None:
+    e = forward_kinematics(robot, [2.0, 0.5, -1.0])
+    arms = Arms.of(Constants.of(robot), [e])
+    finer = forward_kinematics(robot, [2.0, 0.5, -1.0], tolerance=1e-13)
+    assert len(finer.arc_length) > 1.5 * len(e.arc_length)
     off = arms.points(np.zeros(len(finer.arc_length), dtype=np.intp), finer.arc_length) - finer.position
     assert 1e-9 < np.linalg.norm(off, axis=1).max() <= arms.shape_error[0] < 5e-6
 

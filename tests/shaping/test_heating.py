@@ -307,7 +307,7 @@ def test_the_most_likely_schedule_is_no_worse() -> None:
 def test_ensembles_refuse_nonsense() -> None:
     with pytest.raises(InputError, match="samples is 1; it must be at least 2"):
         assess(thesis_plan(), samples=1)
-    with pytest.raises(InputError, match="loss of the uncertainty is 1; it must be below 1"):
+    with pytest.raises(InputError, match=r"loss of the uncertainty is 1; it must be at most 0\.99"):
         Uncertainty(loss=1.0)
 
 

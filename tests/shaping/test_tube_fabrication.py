@@ -68,7 +68,10 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
 
     def cold(tube: Tube, rig: Rig, spec: HeatingSpec) -> HeatingPlan:
         plan = thesis_plan()
-        return replace(plan, tube=tube, rig=rig, spec=spec, temperature=plan.temperature - 30.0, feasible=False)
+        course = replace(plan.course, temperature=plan.temperature - 30.0)
+        return replace(
+            plan, tube=tube, rig=rig, spec=spec, course=course, outcome=replace(plan.outcome, shortfall=30.0)
+        )
 
     monkeypatch.setattr(tube_fabrication, "plan_heating", cold)
     rig = with_mold(thesis_rig(), lead=3e-3)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from PIL import Image
@@ -241,20 +241,24 @@ def test_snap_with_translations_names_them(snap: Snap) -> None:
 def test_stability_map_hatches_what_a_snap_led_to(chart: StabilityMap) -> None:
     figure = plot_stability_map(chart, title="made up")
     axes = figure.axes[0]
-    (hatched,) = [each for each in axes.collections if isinstance(each, PolyCollection) and each.get_hatch()]
-    corners = [np.asarray(path.vertices, dtype=float)[:4] for path in hatched.get_paths()]
-    centres = np.mean(corners, axis=1)
-    wanted = np.degrees(chart.angles[np.argwhere(chart.snaps > 0)])
-    np.testing.assert_allclose(centres, wanted, atol=1e-9)
+    (hatched,) = [each for each in axes.collections if isinstance(each, ContourSet)]
+    assert hatched.hatches == ["////"]
+    shapes = hatched.get_paths()
+    # The map is made up: three directions lead to a snap, and what lies behind it in between is hatched.
+    folds = np.degrees(chart.boundary[np.isfinite(chart.boundary).all(1)])
+    assert any(path.contains_points(1.05 * folds[1:2]).any() for path in shapes)
+    assert not any(path.contains_points(0.95 * folds).any() for path in shapes)
+    assert not any(path.contains_points([[0.0, 0.0], [-90.0, 0.0]]).any() for path in shapes)
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == ["reached through a snap", "snap on the straight way from home", "home"]
 
 
 def test_stability_map_has_the_first_tube_to_the_right(chart: StabilityMap) -> None:
-    turned = replace(chart, margin=np.tile(np.linspace(0, 1, 7)[:, None], 7), tubes=(1, 2))
+    calm = {"snaps": 0 * chart.snaps, "boundary": np.full((8, 2), np.nan)}
+    turned = replace(chart, margin=np.tile(np.linspace(0, 1, 7)[:, None], 7), tubes=(1, 2), **calm)
     axes = plot_stability_map(turned).axes[0]
     image: Any = axes.collections[0]
-    np.testing.assert_allclose(np.reshape(image.get_array(), (7, 7))[3], np.linspace(0, 1, 7))
+    np.testing.assert_allclose(np.reshape(image.get_array(), (361, 361))[180], np.linspace(0, 1, 361), atol=1e-9)
     assert axes.get_xlabel().startswith("rotation of tube 2 ")
     assert axes.get_ylabel().startswith("rotation of tube 3 ")
 

@@ -20,12 +20,14 @@ from tubeopt import (
     EccentricRobot,
     Equilibrium,
     InputError,
+    Load,
     SegmentedEccentricRobot,
+    SolveError,
     Tube,
     forward_kinematics,
     forward_kinematics_batch,
 )
-from tubeopt.equilibrium import kinematics
+from tubeopt.equilibrium import kinematics, loaded
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled import binding
 from tubeopt.solvers.compiled import library as building
@@ -259,3 +261,44 @@ def test_whole_turns_change_nothing() -> None:
     here, there = (forward_kinematics_batch(CRL, alpha + 2 * np.pi * turns) for turns in (0, 150))
     assert there.tip_position == pytest.approx(here.tip_position, abs=1e-13)
     assert there.margin == pytest.approx(here.margin, abs=1e-9)
+
+
+LOADS = (
+    Load((0.1, -0.02, 0.03)),
+    Load((0.05, 0, -0.05), points=((0.06, (0.1, 0.2, -0.1)),), distributed=((0.03, 0.12, (0.3, 0.1, 0.0)),)),
+    Load(gravity=(0, -9.81, 0)),
+)
+
+
+@compiler
+@pytest.mark.parametrize("load", LOADS)
+def test_loaded_equilibria_are_those_of_the_general_solver(load: Load) -> None:
+    random = np.random.default_rng(4)
+    for _ in range(2):
+        alpha, shift = random.uniform(-2, 2, 3), random.uniform([-0.03, -0.02, -0.01], 0.0)
+        turned = alpha + random.uniform(-0.1, 0.1, 3)
+        one = forward_kinematics(THESIS, alpha, shift, load=load)
+        warm = forward_kinematics(THESIS, turned, shift, load=load, guess=one)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(loaded, "solve_loaded_compiled", lambda *_: None)
+            check_same_loaded(one, forward_kinematics(THESIS, alpha, shift, load=load))
+            check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, guess=one))
+
+
+def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:
+    for name in ("tip_position", "position", "frame", "rotation", "tip_rotations"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-12), name
+    for name in ("torsion", "curvature", "point_rotation", "point_curvature", "compliance", "base_wrench"):
+        value = getattr(other, name)
+        assert getattr(one, name) == pytest.approx(value, abs=1e-11 * np.abs(value).max()), name
+    assert one.margin == pytest.approx(other.margin, abs=1e-9)
+    assert one.energy == pytest.approx(other.energy, rel=1e-11)
+    assert one.work == pytest.approx(other.work, rel=1e-11)
+    assert one.mesh_error == pytest.approx(other.mesh_error, rel=0.1, abs=1e-11)
+
+
+@compiler
+def test_loads_beyond_the_kernel_are_left_to_the_general_solver() -> None:
+    with pytest.raises(SolveError, match=r"bifurcates at 7\.13"):
+        forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=Load((0, 1.5, -1.5)))
+    assert np.isnan(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0.01, 0, 0))).margin)

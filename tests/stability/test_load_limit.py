@@ -15,6 +15,7 @@ from tubeopt import (
     Load,
     SolveError,
     Tube,
+    deflection_bound,
     find_equilibria,
     find_load_limit,
     find_snap,
@@ -264,3 +265,31 @@ def test_a_fall_ends_in_a_minimum_below() -> None:
     assert result.converged
     assert loaded_margin(problem, result.state) > -1e-9
     assert result.state.potential < evaluate(problem, np.zeros(1), start.state.x).potential
+
+
+def test_deflection_of_a_column_is_bounded_by_its_compliance_over_the_certificate() -> None:
+    length, stiffness = 0.2, 1e-3
+    for ratio in (0.01, 0.3):
+        force = ratio * UNIT
+        bound = deflection_bound(rod(length, stiffness), max_force=force, arc_length=[0.0, 0.1, length])
+        certificate = snap_free_certificate(rod(length, stiffness), max_force=force)
+        # Compliance at s and at the tip: s^3 / (3 K), which are the squares of what the two can do.
+        reach = np.sqrt(np.array([0.0, 0.1, length]) ** 3 / 3 / stiffness)
+        assert np.allclose(bound, force * reach[-1] * reach / certificate, rtol=1e-12)
+
+
+def test_no_force_moves_the_arm_farther_than_bounded() -> None:
+    robot, shift, force = load_robot("configs/robots/crl_ctr.yaml"), (-0.02, 0.0, 0.0), 0.003
+    bound = deflection_bound(robot, shift, max_force=force)[0]
+    assert np.isfinite(bound)
+    random, moved = np.random.default_rng(3), []
+    for _ in range(20):
+        alpha, push = random.uniform(-np.pi, np.pi, 3), random.normal(size=3)
+        plain = forward_kinematics(robot, alpha, shift)
+        e = forward_kinematics(robot, alpha, shift, load=Load(push * force / np.linalg.norm(push)))
+        moved.append(float(np.linalg.norm(e.tip_position - plain.tip_position)))
+    assert 0.15 * bound < max(moved) <= bound
+    assert np.isinf(deflection_bound(robot, shift, max_force=1.0)[0])
+    assert deflection_bound(robot, shift, max_force=0.0)[0] == 0
+    with pytest.raises(InputError, match="points must lie on the arm"):
+        deflection_bound(robot, shift, max_force=0.01, arc_length=[1.0])

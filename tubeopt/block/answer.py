@@ -16,11 +16,13 @@ from ..errors import SolveError
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..robots.tubes import Tube
 from ..solvers.newton import newton
+from ..transcription.chain import chain_of
 from ..transcription.reduced import margin, to_unknowns
 from .guess import sample
+from .pieces import tubes_at
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -70,6 +72,8 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
 
     A stiffness other than that of tube and material is a given one: diameters and material stay.
     """
+    if is_general(robot):
+        return _of_pieces(robot, numbers)
     given = dimensions_of(robot.tubes)
     if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
         return robot
@@ -85,6 +89,13 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     if straight >= 0:
         return replace(robot, tube=replace(tubes[0], straight_length=straight))
     return replace(robot, tube=tubes[0], transmission_length=0.0)
+
+
+def _of_pieces(robot: Robot, numbers: dict[str, Any]) -> Robot:
+    assert isinstance(robot, ConcentricRobot)
+    own = {**dimensions_of(robot.tubes), **chain_of(robot.tubes).start}
+    same = all(np.array_equal(numbers[name], own[name]) for name in own if name != "curvature")
+    return robot if same else replace(robot, tubes=tubes_at(robot.tubes, numbers))
 
 
 def _tube(tube: Tube, own: dict[str, float]) -> Tube:

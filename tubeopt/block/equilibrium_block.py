@@ -18,18 +18,18 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
-from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from ..robots.breakpoints import order_of, where_of
 from ..solvers.problem_solution import ProblemSolution
 from ..solvers.violation import Violation, violations_of, worst
 from ..transcription.collocated import Grid
 from ..transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
 from ..transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from ..typing import Array
-from .given import LENGTHS, assembly_at, given_of, symbolic
+from .given import LENGTHS, assembly_at, given_of, numbers_at, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
 from .outputs import Outputs
 from .program import as_program
-from .sensitivity import add_jacobian, answers_of
+from .sensitivity import JOINTS, add_jacobian, answers_of
 from .stability import add_certificate, add_margin
 
 if TYPE_CHECKING:
@@ -53,12 +53,16 @@ class EquilibriumBlock(Outputs):
             Tubes of one segment, which move together, share one entry of an expression for their translation.
         tubes: dimensions of the tubes that are expressions or other numbers, (n,) each, by name: any of `curvature`,
             `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`; what is not named stays.
+            With tubes made of pieces these are in proportion for all of a tube, and PIECES (`transcription.chain`) may
+            be named, one entry per piece: `piece_length`, `piece_curvature`, `piece_plane`, `piece_twist`,
+            `piece_bending_factor`, `piece_torsion_factor`.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
         name: what to call it in messages.
 
     Attributes:
+        chain: the pieces of tubes made of such, else None.
         tip_position (3,) m, tip_rotation (3, 3): pose of the tip in the plate frame.
         tip_rotations: (n,) rad, theta of the tubes where the arm ends.
         energy: elastic energy, J.  length: of the arm in front of the plate, m.
@@ -103,13 +107,16 @@ class EquilibriumBlock(Outputs):
         self.near, self.robot, self.program = near, near.robot, as_program(opti)
         self._given = given_of(near, rotations, translations, tubes or {})
         self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
-        self.dimensions = {key: self._given.values[key] for key in DIMENSIONS}
-        self._bundle = assembly_at(self.robot.assembly(near.translations), self._given.start)
-        self._grid = Grid(self.robot.n_tubes, eccentric=self._bundle.eccentric)
+        self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
+        self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
+        self.chain = chain = self._given.chain
+        self._grid = Grid(
+            self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
+        )
         self._moving = self._given.free(*LENGTHS)
-        self._fixed = not self._given.free(*LENGTHS, *DIMENSIONS)
+        self._fixed = not self._given.free("translations", *self.dimensions)
         self._side, self.layout = side, self._lay_out(side, refinement)
-        self._reach = max(float(self.layout.length.sum(0) @ self._places(self._given.start)), 1e-3)
+        self._reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
         called = self.program.enter(self)
         self.name = name or called
         self._label = f"{self.name}: " if self.name else ""
@@ -136,10 +143,6 @@ class EquilibriumBlock(Outputs):
         least = len(order.front) + len(order.behind) if self._moving else 0
         return layout(self._bundle, order, refinement=halvings, least=least)
 
-    def _places(self, numbers: Mapping[str, Array]) -> Array:
-        """(2n,) transitions and ends."""
-        return np.concatenate([numbers["translations"], numbers["translations"] + numbers["curved_length"]])
-
     def _add_unknowns(self) -> None:
         """Unknowns in columns, and the arm that they make."""
         n, pieces, degree, reach = self.robot.n_tubes, self.layout.n_pieces, self._grid.degree, self._reach
@@ -153,16 +156,20 @@ class EquilibriumBlock(Outputs):
         if self._moving:
             self._numbers = self.program.parameter(self._label + "layout", self.layout.numbers())
         unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self._columns, shapes, strict=True))
-        values = {**self._given.values, "place": placed(self._bundle)}
+        values = {**self._given.values, **self._fittings()}
         self.model = model_of(self._grid, numbers_of(self.layout, self._numbers), unknowns, values)
         begin = self._start_model(self._given.start)
         self._set_guess(begin, torsion_of_equilibrium(self.near, *points_of(begin)))
+
+    def _fittings(self) -> dict[str, Any]:
+        """What `model_of` needs beside joint values and dimensions."""
+        return {"place": placed(self._bundle), "chain": self._given.chain}
 
     def _start_model(self, numbers: Mapping[str, Array]) -> Model:
         """The arm at joint values and dimensions in numbers, its unknowns nought."""
         self._begin_numbers = dict(numbers)
         shapes = sizes(self.robot.n_tubes, self.layout.n_pieces, self._grid.degree)
-        values = {**{key: ca.DM(value) for key, value in numbers.items()}, "place": placed(self._bundle)}
+        values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self._fittings()}
         zero = tuple(ca.DM.zeros(*shape) for shape in shapes)
         return model_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
@@ -195,15 +202,15 @@ class EquilibriumBlock(Outputs):
             self._demand(each.name, each.expression, upper=0.0, scale=each.scale, entries=each.entries)
         q, p = model.pose_ends
         self.tip_position, self.tip_rotation = p[:, -1], rotation_matrix(q[:, -1])
-        self.tip_rotations = model.ends[1][:, -1]
+        self.tip_rotations = model.ends[1][:, -1] + self._natural_turn()
         self.energy, self.length = model.energy, ca.sum1(model.lengths)
         if self._moving:
             self._demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
         if self._given.free("translations", "straight_length"):
             held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
-            self._demand("transmissions", model.transmission, scale=reach, entries=held)
+            self._demand("transmissions", model.held, scale=reach, entries=held)
         if not self._moving:
-            gaps = self.layout.gap @ self._places(self._given.start)
+            gaps = self.layout.gap @ where_of(self._bundle)
             if gaps.min(initial=0.0) < -CLOSED * reach:
                 raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")
 
@@ -227,7 +234,8 @@ class EquilibriumBlock(Outputs):
         with 0 the robot cannot snap at any rotations. Concentric robots.
 
         Raises:
-            InputError: a number that is not below 1, or an eccentric robot.
+            InputError: a number that is not below 1, an eccentric robot, or pieces of tubes that vary along their
+                length otherwise than by a natural twist.
         """
         add_certificate(self, margin)
 
@@ -289,8 +297,8 @@ class EquilibriumBlock(Outputs):
             return []
         gaps = np.array(solution.value(self.model.gaps)).ravel()
         rows = np.flatnonzero(np.abs(gaps) < CLOSED * self._reach).tolist()
-        shifted, stretched = self._given.free("translations"), self._given.free("curved_length")
-        free = [shifted or (stretched and any(p.end for p in sides(self.layout.order, row))) for row in rows]
+        shifted, stretched = self._given.free("translations"), self._given.free("curved_length", "piece_length")
+        free = [shifted or (stretched and any(p.end or p.joint for p in sides(self.layout.order, row))) for row in rows]
         return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
 
     def pressing(self, solution: ProblemSolution) -> int | None:
@@ -322,7 +330,7 @@ class EquilibriumBlock(Outputs):
         solved = self.model.at(solution.value)
         numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._given.values.items()}
         order = swapped(self.layout.order, rows[0] if row is None else row)
-        self.restore(layout(assembly_at(self._bundle, numbers), order, pieces=self.layout.n_pieces))
+        self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
         start, inside = points_of(begin)
         theta, twist = sample(solved, start)
@@ -336,10 +344,9 @@ class EquilibriumBlock(Outputs):
         Raises:
             InputError: its breakpoints have an order that the block cannot take.
         """
-        given = {"rotations": equilibrium.rotations, "translations": equilibrium.translations}
-        numbers = {**given, **dimensions_of(equilibrium.robot.tubes)}
+        numbers = numbers_at(equilibrium, self._given.chain)
         if self._moving:
-            bundle = assembly_at(self._bundle, numbers)
+            bundle = assembly_at(self.robot, self._bundle, numbers)
             order = order_of(bundle, self.robot.moving_together, side=self._side)
             if not order.front:
                 raise InputError("the robot lies behind the plate: an arm without length has no equilibrium")

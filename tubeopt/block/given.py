@@ -10,29 +10,32 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import Assembly
+from ..robots.assembly import Assembly, assemble
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
-from ..robots.tubes import must_be_plain
+from ..robots.robot import Robot, is_general
+from ..transcription.chain import OF_TUBE, PIECES, Chain, chain_of
 from ..typing import Array
+from .pieces import piece_numbers, tubes_at
 
 if TYPE_CHECKING:
     from ..equilibrium.result import Equilibrium
 
-LENGTHS = ("translations", "straight_length", "curved_length")
+LENGTHS = ("translations", "straight_length", "curved_length", "piece_length")
 """What moves breakpoints."""
 
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Joint values and DIMENSIONS of n tubes by name, (n,) each: `values` as expressions or numbers, `start` the
-    numbers where a solve begins."""
+    """Joint values and DIMENSIONS of n tubes by name, (n,) each, and PIECES of tubes made of pieces, whose `chain` is
+    known then: `values` as expressions or numbers, `start` the numbers where a solve begins."""
 
     values: dict[str, Any]
     start: dict[str, Array]
+    chain: Chain | None = None
 
     def free(self, *names: str) -> bool:
         """Whether any of these is an expression."""
-        return any(symbolic(self.values[name]) for name in names)
+        return any(symbolic(self.values.get(name)) for name in names)
 
 
 def symbolic(value: Any) -> bool:
@@ -46,21 +49,56 @@ def given_of(near: Equilibrium, rotations: Any, translations: Any, tubes: Mappin
     Raises:
         InputError: an unknown name, or a vector of the wrong length or without meaning.
     """
-    for name in tubes:
-        if name not in DIMENSIONS:
-            known = ", ".join(DIMENSIONS)
-            raise InputError(f"tubes names {name!r}; it may name {known}{nearest(str(name), DIMENSIONS)}")
     robot = near.robot
-    must_be_plain(robot.tubes, "an equilibrium block")
-    start = {"rotations": near.rotations, "translations": near.translations, **dimensions_of(robot.tubes)}
+    chain = chain_of(tuple(robot.tubes)) if is_general(robot) else None
+    names = DIMENSIONS if chain is None else (*DIMENSIONS, *PIECES)
+    for name in tubes:
+        if name not in names:
+            raise InputError(f"tubes names {name!r}; it may name {', '.join(names)}{nearest(str(name), names)}")
+    start = numbers_at(near, chain)
     wanted = {"rotations": rotations, "translations": translations, **tubes}
+    alone = tuple((i,) for i in range(robot.n_tubes))
+    groups = {"rotations": alone} | {name: tuple((k,) for k in range(len(start[name]))) for name in names[5:]}
     values: dict[str, Any] = {}
     for name, otherwise in start.items():
-        carriages = robot.moving_together if name != "rotations" else tuple((i,) for i in range(robot.n_tubes))
-        values[name] = _column(name, wanted.get(name), otherwise, carriages)
+        values[name] = _column(name, wanted.get(name), otherwise, groups.get(name, robot.moving_together))
         if not symbolic(values[name]):
             start[name] = np.array(values[name]).ravel()
-    return Given(values, start)
+    if chain is not None:
+        _in_proportion(chain, values, start, (tubes, dimensions_of(robot.tubes)))
+    return Given(values, start, chain)
+
+
+def numbers_at(near: Equilibrium, like: Chain | None) -> dict[str, Array]:
+    """Joint values and dimensions of an equilibrium."""
+    tubes = near.robot.tubes
+    given = {"rotations": near.rotations, "translations": near.translations, **dimensions_of(tubes)}
+    return given if like is None else {**given, **piece_numbers(tubes, like)}
+
+
+def _in_proportion(
+    chain: Chain, values: dict[str, Any], start: dict[str, Array], known: tuple[Mapping[str, Any], Mapping[str, Array]]
+) -> None:
+    """Let the pieces of a tube follow from its own dimensions, or these from the pieces; `known` are those given and
+    those of the robot.
+
+    Raises:
+        InputError: both are given.
+    """
+    owner, (tubes, robot) = chain.owner.tolist(), known
+    for name, whole in OF_TUBE.items():
+        if name in tubes and whole in tubes:
+            raise InputError(
+                f"tubes names both {whole!r} and {name!r}; of tubes made of pieces it may name one of them"
+            )
+        if whole in tubes:
+            own = robot[whole][owner]
+            part = np.where(own == 0, 1.0, start[name] / np.where(own == 0, 1.0, own))
+            values[name], start[name] = ca.DM(part) * values[whole][owner, :], part * start[whole][owner]
+    if "piece_length" in tubes:
+        rows = ca.DM((np.arange(len(robot["curvature"]))[:, None] == chain.owner).astype(float))
+        values["curved_length"] = rows @ values["piece_length"]
+        start["curved_length"] = np.array(rows @ ca.DM(start["piece_length"])).ravel()
 
 
 def _column(name: str, value: Any, otherwise: Array, carriages: tuple[tuple[int, ...], ...]) -> Any:
@@ -86,9 +124,12 @@ def _column(name: str, value: Any, otherwise: Array, carriages: tuple[tuple[int,
     return ca.DM(numbers)
 
 
-def assembly_at(assembly: Assembly, numbers: Mapping[str, Array]) -> Assembly:
+def assembly_at(robot: Robot, assembly: Assembly, numbers: Mapping[str, Array]) -> Assembly:
     """A bundle with other joint values and dimensions, not cut into sections: `layout` does that."""
-    transmission, transition, end = places(*(numbers[name] for name in LENGTHS))
+    if assembly.general:
+        shift = np.minimum(numbers["translations"], numbers["straight_length"])
+        return assemble(tubes_at(robot.tubes, numbers), shift)
+    transmission, transition, end = places(*(numbers[name] for name in LENGTHS[:3]))
     return replace(
         assembly,
         bending_stiffness=numbers["bending_stiffness"],

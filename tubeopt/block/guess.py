@@ -8,6 +8,7 @@ import numpy as np
 
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
+from ..robots.robot import is_general
 from ..transcription import arm as arms
 from ..transcription import functions
 from ..transcription.model import Model
@@ -31,11 +32,15 @@ def torsion_of_equilibrium(near: Equilibrium, start: Array, inside: Array) -> Sh
     start, inside = np.minimum(start, last), np.minimum(inside, last)
     theta = arms.interpolate(solution.problem, solution.arm, start).T
     twist = np.array([arms.twist_at(solution.problem, solution.arm, s) for s in start]).T
+    if is_general(near.robot):
+        # What is known there is the torque.
+        twist = twist / np.array([[tube.torsional_stiffness] for tube in near.robot.tubes])
     return theta, twist, arms.interpolate(solution.problem, solution.arm, inside).T
 
 
 def sample(model: Model, arc_length: Array) -> tuple[Array, Array]:
-    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m."""
+    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m; of tubes of pieces the elastic
+    rotation."""
     start, _ = points_of(model)
     inside = functions.inside_function(model.grid)
     base = np.array([1.0, 0, 0, 0]), np.zeros(3)

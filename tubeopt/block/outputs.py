@@ -47,11 +47,13 @@ class Outputs:
 
     def rotation(self, fraction: float) -> Any:
         """(n,) rotations theta_i of the tubes, rad, at a fraction of the arm's length."""
-        return self._inside(fraction)[2]
+        _, _, theta, _, _, *natural = self._inside(fraction)
+        return theta + natural[0] if natural else theta
 
     def torsion(self, fraction: float) -> Any:
         """(n,) torsion of the tubes per length of each, rad/m, at a fraction of the arm's length."""
-        return self._inside(fraction)[3]
+        _, _, _, w, _, *natural = self._inside(fraction)
+        return natural[2] * w + natural[1] if natural else w
 
     def _inside(self, fraction: float) -> list[Any]:
         """q, p, theta, w and u at a fraction of the arm's length."""
@@ -87,11 +89,18 @@ class Outputs:
             later = ca.logic_or(later, begun[k])
         weight = ca.vertcat(*reversed(picked))
         n, degree = self.robot.n_tubes, model.grid.degree
-        every = [*model.poses, x.T, model.theta, model.twist, ca.reshape(model.inner, n * degree, pieces)]
-        every += [model.stiffness, model.moment, model.torsional_stiffness, model.lengths.T]
+        every = [*model.poses, x.T, model.theta, model.twist, ca.reshape(model.inner, n * degree, pieces), *model.data]
         one = [part @ weight for part in every]
         one[5] = ca.reshape(one[5], n, degree)
-        return list(functions.inside_function(model.grid)(*one, *model.place))
+        return list(functions.inside_function(model.grid)(*one))
+
+    def _natural_turn(self) -> Any:
+        """Of tubes made of pieces where the arm ends, rad."""
+        if self.model.along is None:
+            return 0.0
+        q, p = self.model.poses
+        last = self.model.n_pieces - 1
+        return functions.inside_function(self.model.grid)(q[:, last], p[:, last], 1.0, *self.model.piece(last))[5]
 
     def strain(self, tube: int) -> Any:
         """(points,) bending strain r |u - u*| / (1 - r |u*|) at the surface of a tube (0 is the innermost), at the
@@ -99,10 +108,9 @@ class Outputs:
         if tube not in range(self.robot.n_tubes):
             raise InputError(f"tube is {tube}; the robot has tubes 0 to {self.robot.n_tubes - 1}")
         model, degree = self.model, self.model.grid.degree
-        bend = model.mapped("bend")(*model.arguments, model.natural)[tube, :]
+        bend, natural = (part[tube, :] for part in model.mapped("bend")(*model.arguments, model.natural))
         radius = self.robot.tubes[tube].outer_diameter / 2
-        rows = (model.natural[tube, :], model.present[tube, :])
-        natural, there = (ca.reshape(ca.repmat(row, degree, 1), 1, -1) for row in rows)
+        there = ca.reshape(ca.repmat(model.present[tube, :], degree, 1), 1, -1)
         strain = ca.vec(there * surface_strain(radius, bend, natural))
         if self._moving:
             return strain

@@ -80,12 +80,10 @@ def _equations(block: EquilibriumBlock) -> tuple[ca.Function, Any, list[str]]:
     parts = ca.vertsplit(x, np.cumsum([0, *rows]).tolist())
     n = block.robot.n_tubes
     names = [*JOINTS, *block.dimensions]
-    symbols = {name: ca.MX.sym(name, n) for name in names}
+    symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
     unknowns = tuple(ca.reshape(part, *shape) for part, shape in zip(parts, shapes, strict=True))
-    model = model_of(
-        block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, "place": block.model.place}
-    )
+    model = model_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block._fittings()})
     table = model.equations(symbols["rotations"], block._reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
     words = [word for each in table for word in each.entries]

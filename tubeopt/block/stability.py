@@ -9,7 +9,9 @@ import numpy as np
 
 from ..errors import InputError, finite
 from ..physics.certificate import base_determinant
+from ..physics.strain import SMOOTH
 from ..transcription import functions
+from ..transcription.panel import CHANNELS
 from .given import symbolic
 from .guess import fields_of
 
@@ -81,8 +83,11 @@ def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
     if model.place:
         raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
     n, pieces = block.robot.n_tubes, model.n_pieces
+    own = model.torsional_stiffness[:, 0], model.transmission, model.stiffness, model.moment
+    if model.along is not None:
+        own = _in_steps(block)
     given = {
-        "torsional_stiffness": ca.SX.sym("kt", n),
+        "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
         "transmission": ca.SX.sym("l", n),
         "length": ca.SX.sym("h", pieces),
         "stiffness": ca.SX.sym("kb", n, pieces),
@@ -91,7 +96,26 @@ def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
     eigenvalue = ca.SX.sym("lambda")
     determinant = base_determinant(eigenvalue, given)
     function = ca.Function("certificate", [eigenvalue, *given.values()], [determinant], {"cse": True})
-    kt = model.torsional_stiffness[:, 0]
-    value = function(1 - floor, kt, model.transmission, model.lengths, model.stiffness, model.moment)
+    value = function(1 - floor, *own[:2], model.lengths, *own[2:])
     block._demand("certificate", value)
     block._certificates.append(floor)
+
+
+def _in_steps(block: EquilibriumBlock) -> tuple[Any, Any, Any, Any]:
+    """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
+
+    Raises:
+        InputError: stiffness or curvature varies along a piece.
+    """
+    model, chain = block.model, block.chain
+    assert chain is not None
+    if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
+        raise InputError(
+            "a tube has a piece whose curvature or stiffness varies; in a program the certificate takes arcs and "
+            "helices of constant stiffness"
+        )
+    detail = model.grid.detail
+    first = [i * (CHANNELS * detail + 2) for i in range(block.robot.n_tubes)]
+    kb, kt, x, y = (model.along[[row + c * detail for row in first], :] for c in range(4))
+    held = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
+    return kt, held, kb, kb * ca.sqrt(x**2 + y**2 + SMOOTH**2)

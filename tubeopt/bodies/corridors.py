@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, positive
+from ..files.marks import POSITIVE, unit
 from ..typing import Array
 from .obstacles import Capsule, Point3, as_points, greater, triple
 from .scene import Scene
@@ -30,16 +31,12 @@ class Corridor:
 
     It is closed at both ends by half balls: let the centreline begin behind the plate and go on beyond the target.
 
-    Args:
-        centreline: (k, 3) points, m, at least two.
-        radius: m.
-
     Raises:
         InputError: fewer than two points, numbers that are not finite, a radius that is not greater than 0.
     """
 
-    centreline: tuple[Point3, ...]
-    radius: float
+    centreline: Annotated[tuple[Point3, ...], unit("mm"), "at least two points"]
+    radius: Annotated[float, unit("mm"), POSITIVE]
 
     def __post_init__(self) -> None:
         try:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, positive, vector
+from ..files.marks import POSITIVE, unit
 from ..typing import Array
 from .scene import scene_of
 
@@ -75,16 +76,12 @@ def triple(name: str, value: ArrayLike) -> Point3:
 class Sphere:
     """A ball.
 
-    Args:
-        centre: (3,) m.
-        radius: m.
-
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
-    centre: Point3
-    radius: float
+    centre: Annotated[Point3, unit("mm")]
+    radius: Annotated[float, unit("mm"), POSITIVE]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", triple("centre of the sphere", self.centre))
@@ -132,17 +129,13 @@ class Sphere:
 class Capsule:
     """All points within `radius` of the segment from `start` to `end`.
 
-    Args:
-        start, end: (3,) m; equal, they make a ball.
-        radius: m.
-
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
-    start: Point3
-    end: Point3
-    radius: float
+    start: Annotated[Point3, unit("mm")]
+    end: Annotated[Point3, unit("mm"), "where it is the start, the body is a ball"]
+    radius: Annotated[float, unit("mm"), POSITIVE]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", triple("start of the capsule", self.start))
@@ -214,16 +207,12 @@ class Capsule:
 class HalfSpace:
     """Everything behind a plane.
 
-    Args:
-        point: (3,) any point of the plane, m.
-        normal: (3,) out of the body, towards where the arm may be; of any length.
-
     Raises:
         InputError: a number that is not finite, a normal without length.
     """
 
-    point: Point3
-    normal: Point3
+    point: Annotated[Point3, unit("mm"), "any of the plane"]
+    normal: Annotated[Point3, "out of the body, towards where the arm may be; of any length"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", triple("point of the half-space", self.point))
@@ -253,15 +242,12 @@ class HalfSpace:
 class Box:
     """A cuboid along the axes of the plate.
 
-    Args:
-        low, high: (3,) opposite corners, m.
-
     Raises:
         InputError: a number that is not finite, a corner `low` that is not below `high` along every axis.
     """
 
-    low: Point3
-    high: Point3
+    low: Annotated[Point3, unit("mm"), "corner with the least coordinates"]
+    high: Annotated[Point3, unit("mm"), "corner with the greatest coordinates"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "low", triple("low corner of the box", self.low))

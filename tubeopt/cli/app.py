@@ -27,6 +27,8 @@ COMMANDS = {
     "equilibria": "stability.equilibria",
     "snap": "stability.snap",
     "follow": "stability.follow",
+    "load-limit": "loads.load_limit",
+    "force": "loads.force",
     "certify": "stability.certify",
     "stability-map": "stability.stability_map",
     "run": "study.run",
@@ -37,6 +39,8 @@ COMMANDS = {
     "workspace": "workspace.workspace",
     "fabricate": "fabrication.fabricate",
     "heat plan": "heat.plan",
+    "heat firmware": "heat.firmware",
+    "heat run": "heat.run",
     "heat calibrate": "heat.calibrate",
     "view": "view.view",
     "plan": "plan.plan",
@@ -75,7 +79,7 @@ def _options(
     pass
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)
 def program() -> TyperGroup:
     """The command `tubeopt` with all that are under it."""
     root = typer.Typer(

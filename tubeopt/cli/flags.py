@@ -30,6 +30,7 @@ from ..files.yaml_file import load_yaml
 from ..robots.fit import fit_warnings
 from ..runs.base import Study
 from ..show.progress import working
+from ..show.report import PICTURE_FORMATS
 from ..show.reports import report
 from .interruption import keeping
 from .messages import LOGGER
@@ -52,9 +53,20 @@ PlotOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors, and with --json the object.")]
+FormatOption = Annotated[
+    str,
+    typer.Option(
+        "--format", metavar="F,..", help="To save in: png, pdf or svg for pictures; parquet; stl, glb, urdf, mjcf."
+    ),
+]
+WidthOption = Annotated[
+    str | None,
+    typer.Option("--width-mm", metavar="MM", help="Lay pictures out for a page: a column has some 88, a page 180."),
+]
 
 SHARED = {"plot": (PlotOption, False), "out": (OutOption, None), "as_json": (JsonOption, False),
-          "quiet": (QuietOption, False)}  # fmt: skip
+          "quiet": (QuietOption, False), "formats": (FormatOption, PICTURE_FORMATS[0]),
+          "width_mm": (WidthOption, None)}  # fmt: skip
 """Flags of every command: field of `Output` -> what it is, and its default."""
 
 
@@ -177,6 +189,7 @@ def ask(study: Study, output: Output) -> Any:
     for words in fit_warnings(robot) if robot is not None else ():
         LOGGER.warning(words)
     kept = study.keeps.format(out=output.out) if study.keeps and output.out else "nothing was saved"
+    LOGGER.debug(f"{study.doing}: {study!r:.200}")
     with working(study.doing, shown=not output.quiet) as progress, keeping(kept):
         try:
             return study.run_in(output.out, progress)

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from ..runs.calibration_studies import HeatingCalibrationStudy
+from ..runs.firmware_study import LedHeatingStudy
+from ..runs.heating_run import LOG_FILE, HeatingRunStudy
 from ..runs.heating_study import HeatingStudy
 from ..shaping.heating.robust import CHARGES
+from ..show.reports import report
+from ..show.rig_page import with_live_page
 from .flags import answer, asks
-from .output import Output
+from .interruption import keeping
+from .output import Output, can_be_saved, present
 
 DEFAULT_CHARGES = ",".join(f"{100 * charge:g}" for charge in CHARGES)
 
@@ -30,6 +35,39 @@ def plan(study: HeatingStudy, output: Output) -> None:
     are shown and saved all the same.
     """
     answer(study, output)
+
+
+@asks(
+    LedHeatingStudy,
+    arguments={"rig": ("RIG.yaml", "Rig file.")},
+    defaults={"objective": "margin"},
+    example="tubeopt heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno --out results",
+)
+def firmware(study: LedHeatingStudy, output: Output) -> None:
+    """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch for a board.
+
+    The schedule is that of `tubeopt heat plan`; the law corrects it by what the sensor reads; its gains follow from the
+    model.
+    Ends with 3 where most rigs do not keep the window, nor the rig as filed.
+    """
+    answer(study, output)
+
+
+@asks(
+    HeatingRunStudy,
+    arguments={},
+    example="tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results",
+)
+def run(study: HeatingRunStudy, output: Output) -> None:
+    """Heat a tube: start the rig, show what it does, and log it for `tubeopt heat calibrate`.
+
+    Ctrl-C stops the rig and ends with 130. Ends with 3 where the rig stopped before it was done.
+    """
+    can_be_saved(output.out)
+    log = "nothing was saved" if output.out is None else f"{output.out / LOG_FILE} holds what was reported so far"
+    with keeping(f"the rig is told to stop; {log}"):
+        found = with_live_page(study, output.out, shown=not output.quiet)
+    present(report(found), output)
 
 
 @asks(

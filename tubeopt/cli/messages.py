@@ -10,7 +10,8 @@ from typing import Any
 import typer
 from rich.console import Console
 
-LOGGER = logging.getLogger("tubeopt")
+LIBRARY = logging.getLogger("tubeopt")
+LOGGER = logging.getLogger("tubeopt.cli")
 LEVELS = ("debug", "info", "warning", "error")
 
 
@@ -42,24 +43,24 @@ class Messages(logging.Handler):
 @contextmanager
 def listening(*, quiet: bool) -> Iterator[None]:
     """Hear what the library logs until the end of the block."""
-    heard, before, level = Messages(quiet), LOGGER.handlers[:], LOGGER.level
-    LOGGER.handlers[:] = [heard]
+    heard, before, level = Messages(quiet), LIBRARY.handlers[:], LIBRARY.level
+    LIBRARY.handlers[:] = [heard]
     try:
         yield
     finally:
-        LOGGER.handlers[:] = before
-        LOGGER.setLevel(level)
+        LIBRARY.handlers[:] = before
+        LIBRARY.setLevel(level)
 
 
 def log_level(value: str) -> str:
     """Let what is logged from a level on be heard; the callback of `--log`."""
     if value not in LEVELS:
         raise typer.BadParameter(f"{value!r}; it must be {', '.join(LEVELS)}")
-    LOGGER.setLevel(value.upper())
+    LIBRARY.setLevel(value.upper())
     return value
 
 
 def warnings() -> list[str]:
     """The warnings that were heard so far."""
-    heard: Any = next((handler for handler in LOGGER.handlers if isinstance(handler, Messages)), None)
+    heard: Any = next((handler for handler in LIBRARY.handlers if isinstance(handler, Messages)), None)
     return [] if heard is None else list(heard.warnings)

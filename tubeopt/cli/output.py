@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,14 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from ..errors import InputError, NotProvedError, SolveError
-from ..show.report import Report, to_text
+from ..errors import InputError, NotProvedError, SolveError, choice
+from ..files.units import TO_MM, parse_number
+from ..show.plots.style import WIDTH
+from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from .failures import error_record, failure
 from .messages import warnings
+
+NARROWEST_MM, WIDEST_MM = 60, 400
 
 
 @dataclass(frozen=True)
@@ -24,12 +30,49 @@ class Output:
 
     out: directory to save into, or None.   plot: whether pictures are drawn without a directory too, and opened.
     as_json: one JSON object in place of the table.   quiet: neither table nor bar nor warnings.
+    formats: in which is saved, with commas between.   width_mm: for which pictures are laid out, as typed; None as is.
+
+    Raises:
+        InputError: a format that is not known, a width that is no number or out of its range.
     """
 
     out: Path | None = None
     plot: bool = False
     as_json: bool = False
     quiet: bool = False
+    formats: str = PICTURE_FORMATS[0]
+    width_mm: str | None = None
+
+    def __post_init__(self) -> None:
+        for form in self.wanted:
+            choice("--format", form, (*PICTURE_FORMATS, *TABLE_FORMATS, *SOLID_FORMATS))
+        if self.width_mm is not None:
+            number = parse_number(self.width_mm)
+            if isinstance(number, str) or not NARROWEST_MM <= number <= WIDEST_MM:
+                raise InputError(
+                    f"--width-mm is {self.width_mm}; it must be a number from {NARROWEST_MM} to {WIDEST_MM}"
+                )
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """The formats."""
+        return tuple(part.strip().lower() for part in self.formats.split(","))
+
+    @property
+    def width(self) -> float | None:
+        """Of pictures, m."""
+        return None if self.width_mm is None else float(self.width_mm) / TO_MM
+
+
+@contextmanager
+def _saved_as(output: Output) -> Iterator[None]:
+    """Let reports write in the formats of an output, and pictures be as wide as it says."""
+    format_token, width_token = FORMATS.set(output.wanted), WIDTH.set(output.width)
+    try:
+        yield
+    finally:
+        FORMATS.reset(format_token)
+        WIDTH.reset(width_token)
 
 
 def present(answer: Report[Any], output: Output) -> None:
@@ -42,8 +85,10 @@ def present(answer: Report[Any], output: Output) -> None:
     pictures: list[Path] = []
     ending: Exception | None = None
     try:
-        files += answer.save(output.out) if output.out else []
-        pictures += answer.draw(output.out or Path()) if output.out or output.plot else []
+        with _saved_as(output):
+            files += answer.save(output.out) if output.out else []
+            pictures += answer.draw(output.out or Path()) if output.out or output.plot else []
+            files += answer.convert(output.out) if output.out else []
         answer.conclude()
     except (InputError, SolveError, NotProvedError, typer.Exit) as error:
         ending = error

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..equilibrium.result import Equilibrium
 from ..transcription.buffered import Buffered
-from ..transcription.explicit import explicit_arm, explicit_parameters, explicit_size
+from ..transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters, explicit_size
 from ..typing import Array, Mask
 from .clock import Clock, LateError
 from .joints import JointSpace
@@ -65,8 +65,8 @@ class Arms:
 
 
 @lru_cache(maxsize=64)
-def _mapped(n: int, eccentric: bool, count: int, thread: int) -> Buffered:
-    return Buffered(explicit_arm(n, eccentric).map(count))
+def _mapped(kind: Kind, count: int, thread: int) -> Buffered:
+    return Buffered(explicit_arm(kind).map(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +77,18 @@ class Chart:
 
     @cached_property
     def parameters(self) -> Array:
-        """(7n,) the robot as numbers."""
+        """The robot as numbers."""
         return explicit_parameters(self.space.robot)
 
     @cached_property
+    def kind(self) -> Kind:
+        """Which function its arms are."""
+        return explicit_kind(self.space.robot)
+
+    @property
     def eccentric(self) -> bool:
         """Whether tubes run off the centreline."""
-        robot = self.space.robot
-        return bool(robot.assembly(np.array(self.space.split(self.space.inside())[1])).eccentric)
+        return self.kind.eccentric
 
     @cached_property
     def radius(self) -> Array:
@@ -94,7 +98,7 @@ class Chart:
     @cached_property
     def size(self) -> int:
         """Operations that one equilibrium takes."""
-        return explicit_size(self.space.robot.n_tubes, self.eccentric)
+        return explicit_size(self.kind)
 
     def of(self, equilibrium: Equilibrium) -> Array:
         """The point of an equilibrium."""
@@ -130,9 +134,9 @@ class Chart:
         return Arms(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
 
     def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
-        n, count = len(tip[0]), len(tip)
+        count = len(tip)
         size = BATCH if count > 1 else 1
-        function = _mapped(n, self.eccentric, size, threading.get_ident())
+        function = _mapped(self.kind, size, threading.get_ident())
         pad = size - count
         if pad:
             tip, shift, margin = (np.pad(each, ((0, pad), (0, 0)), mode="edge") for each in (tip, shift, margin))

@@ -11,11 +11,13 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.continuation import LARGEST_SHIFT, LARGEST_TURN
 from ..equilibrium.derivatives import Derivatives
+from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..equilibrium.state import arm_of_equilibrium, problem_of
 from ..errors import InputError, SolveError
+from ..robots.robot import is_general
 from ..typing import Array, Mask
 from .joints import JointSpace
 from .outline import Contacts, Outline
@@ -53,16 +55,18 @@ class Posture:
         return polish(self.equilibrium, DEFAULT_DISCRETISATION)
 
     @cached_property
-    def _forward(self) -> Derivatives:
+    def _forward(self) -> Derivatives | GeneralMotion:
         """Derivatives for translations that grow, where they differ to either side."""
         return self._derivatives(1)
 
     @property
-    def derivatives(self) -> Derivatives:
+    def derivatives(self) -> Derivatives | GeneralMotion:
         """Those by rotations and translations, which grow."""
         return self._forward
 
-    def _derivatives(self, side: int) -> Derivatives:
+    def _derivatives(self, side: int) -> Derivatives | GeneralMotion:
+        if is_general(self.space.robot):
+            return GeneralMotion(self.equilibrium, side)
         assembly = self.space.robot.assembly(self.equilibrium.translations)
         arm = arm_of_equilibrium(self.equilibrium, assembly)
         own = partial(problem_of, self.equilibrium)
@@ -165,5 +169,5 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium) -> Posture:
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations), equilibrium)
 
 
-def _reduced(of: Derivatives, space: JointSpace) -> tuple[Array, Array, Array]:
+def _reduced(of: Derivatives | GeneralMotion, space: JointSpace) -> tuple[Array, Array, Array]:
     return of.tip_position @ space.spread, of.tip_rotation @ space.spread, of.margin @ space.spread

@@ -27,7 +27,7 @@ from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
 from .order import ordered_places
-from .program import BOUNDED, Program, objective_value, state_at, total_objective
+from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
 from .rows import joint_rows, order_rows
 from .solve_one import Attempt, attempt
@@ -51,6 +51,8 @@ OPTIONS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
     "max_iter": 300,
+    # The start is feasible: a larger barrier would drive it far away first, through designs that no branch connects.
+    "mu_init": 1e-4,
     "tol": 1e-8,
     "constr_viol_tol": 1e-10,
     "bound_relax_factor": 0.0,
@@ -103,7 +105,7 @@ class _Collocated:
         self._known: dict[Quantity, Any] = {}
         self._linear()
         self._requirements()
-        size = max(abs(total_objective(program, self.state)[0]), 1e-3)
+        size = objective_size(program, self.state)
         aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
         self.opti.minimize(sum(aims) / size)
 

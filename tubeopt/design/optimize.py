@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
 from ..robots.concentric import ConcentricRobot
@@ -57,7 +58,7 @@ class DesignStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class DesignSolution:
+class DesignSolution(Displayed):
     """A design that meets its task.
 
     Attributes:
@@ -75,6 +76,8 @@ class DesignSolution:
         verification: all promises, checked again.
         seconds: of the whole computation.
     """
+
+    _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
     robot: ConcentricRobot

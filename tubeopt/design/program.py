@@ -42,6 +42,9 @@ BOUNDED = {"strain": 1e-2, "margin": 0.1}
 DEPTH_TOLERANCE = 1e-6
 """How exactly (m) the pose of the objective reach_radius keeps its depth."""
 
+LEAST_SIZE = 1e-3
+"""Size (SI) of an objective that is next to 0, unless all unknowns together change it by less."""
+
 
 @dataclass(frozen=True)
 class Added:
@@ -312,6 +315,14 @@ def total_objective(program: Program, state: State) -> tuple[float, Array]:
         total += one.sign * one.weight * value
         slope = slope + one.sign * one.weight * change
     return total, slope
+
+
+def objective_size(program: Program, state: State) -> float:
+    """By what the objective is divided for a solver: its value, or what the unknowns change it by where that is more,
+    since it may vanish; volumes and energies in SI are small numbers."""
+    value, slope = total_objective(program, state)
+    moved = float(np.abs(slope * program.scale).max(initial=0.0))
+    return max(abs(value), min(moved, LEAST_SIZE)) or LEAST_SIZE
 
 
 def state_at(program: Program, x: Array) -> State:

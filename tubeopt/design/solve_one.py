@@ -11,7 +11,7 @@ import scipy
 from ..errors import SolveError
 from ..solvers.smooth import Optimum, Values, minimise
 from ..typing import Array
-from .program import Program, evaluate, fixed_rows, groups, nowhere, stack, state_at, total_objective
+from .program import Program, evaluate, fixed_rows, groups, nowhere, objective_size, stack, state_at, total_objective
 from .rows import HELD, Rows
 from .state import State
 
@@ -181,7 +181,7 @@ def improve(
     if known is None:
         raise SolveError("no equilibrium was found at the start of a design")
     count = len(_all_rows(known, form, rows)[0])
-    size = max(abs(total_objective(program, known[0])[0]), 1e-3)
+    size = objective_size(program, known[0])
 
     seen: list[tuple[float, Array]] = []
 

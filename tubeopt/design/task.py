@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
+from ..display import Displayed
 from ..errors import InputError
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import must_follow_section
@@ -33,7 +34,7 @@ from .requirements import (
 
 
 @dataclass(frozen=True)
-class DesignTask:
+class DesignTask(Displayed):
     """What to design.
 
     robot: where to start.  free: dimensions that may change.  requirements: all of which must hold.

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
 from ..transcription.collocated import ENDS
 from ..transcription.linear import rotation_change, rotation_rates_at, rotations_at, slopes_at
 from ..typing import Array
 from .derivatives import Derivatives
+from .general_motion import GeneralMotion
 
 
-def position_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
+def position_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array, Array]:
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.arm.position
     change = of.position.copy()
@@ -24,8 +26,14 @@ def position_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
     return weights @ table[own], np.tensordot(weights, change[own], 1) + fraction * np.outer(rates @ table[own], longer)
 
 
-def curvature_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
-    """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
+def curvature_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array, Array]:
+    """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q).
+
+    Raises:
+        InputError: a tube is made of pieces.
+    """
+    if isinstance(of, GeneralMotion):
+        raise InputError("an expression speaks of the curvature inside a pose; tubes made of pieces have none for it")
     if not of.arm.n_pieces:
         return np.zeros(2), of.per_tube(np.zeros((2, of.size)))
     arm, n = of.arm, of.arm.n_tubes
@@ -39,19 +47,19 @@ def curvature_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
     return at.curvature[k, 0], change + fraction * np.outer(moved, _longer(of))
 
 
-def _longer(of: Derivatives) -> Array:
+def _longer(of: Derivatives | GeneralMotion) -> Array:
     """(Q,) change of the arm's length."""
     return np.asarray(of.per_tube(of.arm.frame[-1][:, 2] @ of.pushed))
 
 
-def _place(of: Derivatives, fraction: float) -> tuple[int, float]:
+def _place(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, float]:
     """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
     s = fraction * of.cuts[-1]
     k = int(np.clip(np.searchsorted(of.arm.start, s, side="right") - 1, 0, of.arm.n_pieces - 1))
     return k, float((s - of.arm.start[k]) / of.arm.length[k])
 
 
-def _weights(of: Derivatives, fraction: float) -> tuple[int, Array, Array]:
+def _weights(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, Array, Array]:
     """The piece in which a fraction of the length lies, and weights (5,) of its shape points in value and change per m,
     by the polynomial through them."""
     k, x = _place(of, fraction)

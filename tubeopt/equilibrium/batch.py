@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask
-from .kinematics import check_turn, forward_kinematics
+from .kinematics import check_turn, forward_kinematics, measure
 from .result import Equilibrium
 
 CHUNK = 2048
@@ -24,7 +25,7 @@ CHUNK = 2048
 
 
 @dataclass(frozen=True, eq=False)
-class EquilibriumBatch:
+class EquilibriumBatch(Displayed):
     """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN.
 
     Attributes:
@@ -83,7 +84,8 @@ def forward_kinematics_batch(
         rotations: (N, n) rad.
         translations: (N, n) m, or (n,) for all; None is home.
         load: on every configuration; solved one by one.
-        tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm.
+        tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm, with tubes
+            made of pieces of 10 mm.
         workers: threads of the kernel; 0 is one per core.
         on_failure: "return" marks what has no stable equilibrium; "raise" raises SolveError for the first.
         progress: called with the number of configurations done, now and then.
@@ -187,7 +189,7 @@ def _solve_rows(
         left = np.arange(rows.start, rows.stop)
     else:
         found, declined = solved
-        length = _lengths(robot, shift[rows])
+        length = measure(robot, _lengths(robot, shift[rows]))
         n = robot.n_tubes
         coarse = np.maximum(found[:, n + 14], found[:, n + 15] / length) > tolerance
         table[rows] = found

@@ -1,20 +1,19 @@
 """A robot whose tubes rub, on its way: the state after every increment, and what the next one remembers of it.
 
-What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip is
-what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
+What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip
+is what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
 theta_i(s - dz_i) then: the memory is the material's.
 """
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..errors import InputError, SolveError
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
@@ -111,7 +110,7 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
             raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
         x = np.concatenate([relaxed.state.z, np.zeros(contact.loose.shape[1])])
         state, nothing = evaluate_contact(contact, equilibrium.rotations, x), np.zeros(len(contact.capacity))
-        found = Increment(state, nothing, nothing.astype(np.int8), nothing, True, 0.0, 0.0)
+        found = Increment(state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
         return Held(contact, equilibrium.rotations, shift, found, 0.0)
     state = evaluate_contact(contact, equilibrium.rotations, x)
     torque = np.array(own.torque)
@@ -119,18 +118,25 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
         raise SolveError("start bears friction that does not balance it: it is of another robot")
     slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
-    found = Increment(state, torque, signs, np.zeros(len(torque)), True, 0.0, own.violation)
+    found = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
     return Held(contact, equilibrium.rotations, shift, found, own.heat)
 
 
 def step(robot: Robot, held: Held, rotations: Array, translations: Array) -> Held | None:
     """The state after an increment to other joint values (n,), by Newton's method; None where it is not at ease."""
     contact, before, x = carried(robot, held, rotations, translations)
-    found = increment(contact, rotations, x, before, held.found.signs if contact is held.contact else None)
+    same = contact is held.contact
+    slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - held.translations)
+    found = increment(contact, rotations, x, before, held.found.signs if same else None, slid)
     if found is None or not found.converged:
         return None
-    heat = held.heat + float(contact.capacity @ np.abs(found.slip))
-    return Held(contact, rotations, translations, found, heat)
+    return Held(contact, rotations, translations, found, held.heat + found.heat)
+
+
+def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
+    """(R,) sliding of the tubes along each other, over the radius at which they rub, rad."""
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    return np.asarray(np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair])
 
 
 def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> tuple[Contact, Array, Array]:
@@ -139,20 +145,19 @@ def carried(robot: Robot, held: Held, rotations: Array, translations: Array) -> 
     if not moved.any():
         return held.contact, held.found.state.turned, held.found.state.x
     contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
-    before = np.zeros(len(contact.capacity))
-    for tube in range(robot.n_tubes):
-        rows = np.flatnonzero((contact.pair == tube) | (contact.pair + 1 == tube))
-        sign = np.where(contact.pair[rows] == tube, -1.0, 1.0)
-        before[rows] += sign * held.theta(contact.arc_length[rows] - moved[tube])[:, tube]
+    pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
+    where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
+    theta = held.theta(np.concatenate(where))
+    at, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in where])[:-1])
+    row, spot = np.arange(len(pair)), np.arange(len(contact.place))
+    before = outer[row, pair + 1] - inner[row, pair]
     turned = rotations - held.rotations
-    points = held.theta(contact.problem.arc_length) + turned
-    between = (held.theta(contact.place) + turned)[np.arange(len(contact.place)), contact.tube]
-    return contact, before, unknowns_of(contact, rotations, points, between)
+    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube])
+    return contact, before, x
 
 
 def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
     """A state with friction as an equilibrium, with its shape, energy and error estimates."""
-    began = time.perf_counter()
     contact, state, problem = held.contact, held.found.state, held.contact.problem
     size = problem.size
     torsion = replace(state.torsion, gradient=(state.gradient + contact.rows.T @ held.found.torque)[:size])
@@ -183,7 +188,10 @@ def _smooth_error(held: Held) -> float:
     nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
     theta = arms.rotations_at(problem, held.profile, tuple(nodes.tolist()))[mesh.collocated]
     if problem.here is None:
-        chosen = [np.repeat(part[mesh.collocated], len(nodes), axis=0) for part in (problem.piece_stiffness, problem.piece_moment)]
+        chosen = [
+            np.repeat(part[mesh.collocated], len(nodes), axis=0)
+            for part in (problem.piece_stiffness, problem.piece_moment)
+        ]
         kt, direction = problem.assembly.torsional_stiffness, theta.reshape(-1, n)
     else:
         there = sections_at(problem.assembly, mesh, nodes)

@@ -13,7 +13,8 @@ quotient, at its mode.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -41,8 +42,8 @@ WRT = ("rotations", "translations", *(name for name in DIMENSIONS if name != "cu
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What one parameter changes: alpha (n,), int ds / kt up to the plate (n,), lengths of the pieces (P,), and at all
-    their points (P, K, n) 1 / kt, kb, m and phase."""
+    """What Q parameters change: alpha (Q, n), int ds / kt up to the plate (Q, n), lengths of the pieces (Q, P), and at
+    all their points (Q, P, K, n) 1 / kt, kb, m and phase."""
 
     base: Array
     transmission: Array
@@ -51,6 +52,31 @@ class Change:
     stiffness: Array
     moment: Array
     phase: Array
+
+    @property
+    def columns(self) -> Array:
+        """(Q, P, K, 3n) of phase, kb and m."""
+        return np.concatenate([self.phase, self.stiffness, self.moment], axis=3)
+
+
+@dataclass(frozen=True, eq=False)
+class Wound:
+    """Moments (P, K, n) at the points, the torque (P, K, n) that they make there, and at the plate (n,)."""
+
+    moments: Array
+    torque: Array
+    base: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What changes do: `whole` with the turn of all pulls as its phase, phi (Q, P + 1, n) between the pieces, u and the
+    turn vector per piece (Q, P, K, 2), (Q, P, K, 3) at the points."""
+
+    whole: Change
+    between: Array
+    bent: Array
+    turn: Array
 
 
 def general_columns(
@@ -67,20 +93,34 @@ def general_columns(
     for name in wrt:
         if name not in WRT:
             raise InputError(f"wrt names {name!r}; with tubes made of pieces it may name {', '.join(WRT)}")
-    here = _Linear(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
-    columns = []
-    for name in wrt:
-        for tube in range(equilibrium.robot.n_tubes):
-            at = here
-            if name == "translations" and _coincides(here.problem, tube):
-                at = _nudged(equilibrium, tube, side)
-            columns.append(at.column(at.change(name, tube)))
-    table = np.array(columns).T
-    n = equilibrium.robot.n_tubes
+    here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
+    table, n = columns_of(changes_of(here, equilibrium, wrt, side)), equilibrium.robot.n_tubes
     return table[:3], table[3:6], table[6 : 6 + n], table[6 + n], table[7 + n]
 
 
-def _coincides(problem: ReducedProblem, tube: int) -> bool:
+def changes_of(
+    here: Linearised, equilibrium: Equilibrium, wrt: Sequence[str], side: int
+) -> list[tuple[Linearised, Change]]:
+    """What every parameter changes, and of which equilibrium: one to the side where breakpoints coincide."""
+    out = []
+    for name in wrt:
+        for tube in range(equilibrium.robot.n_tubes):
+            aside = name == "translations" and coincides(here.problem, tube)
+            at = nudged(equilibrium, tube, side) if aside else here
+            out.append((at, at.change(name, tube)))
+    return out
+
+
+def columns_of(changes: Sequence[tuple[Linearised, Change]]) -> Array:
+    """(8 + n, Q) columns of changes of equilibria."""
+    out = np.zeros((8 + changes[0][0].n, len(changes)))
+    for at in {id(one): one for one, _ in changes}.values():
+        mine = [k for k, (one, _) in enumerate(changes) if one is at]
+        out[:, mine] = at.columns([changes[k][1] for k in mine]).T
+    return out
+
+
+def coincides(problem: ReducedProblem, tube: int) -> bool:
     """Whether a breakpoint of a tube lies at the plate or at one of another tube."""
     own = _breakpoints(problem, tube)
     others = [0.0]
@@ -95,17 +135,17 @@ def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
     return [s - float(problem.assembly.transmission[tube]) for s in table.cuts[tube][1:]]
 
 
-def _nudged(equilibrium: Equilibrium, tube: int, side: int) -> _Linear:
+def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little."""
     from .kinematics import forward_kinematics
 
     shift = equilibrium.translations.copy()
     shift[tube] += side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
-    return _Linear(polish(moved, discretisation_of(equilibrium)), moved)
+    return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
 
 
-class _Linear:
+class Linearised:
     """A solved problem, linearised."""
 
     def __init__(self, solution: Solution, equilibrium: Equilibrium) -> None:
@@ -124,9 +164,9 @@ class _Linear:
         self.torsion = solution.arm
         self.moments = np.zeros(self.shape)
         self.moments[problem.mesh.collocated] = solution.result.state.moment.reshape(-1, *self.shape[1:])
+        self.own = self._wound(self.moments)
         arm = evaluate_arm(problem, solution.rotations, solution.result.state, self.torsion)
-        self.tip = arm.position[-1]
-        self.tip_direction = arm.frame[-1][:, 2]
+        self.arm, self.tip = arm, arm.position[-1]
         self.frame, self.position = poses_at_points(self.t, self.length, (arm.frame, arm.position, arm.curvature))
         self._look()
         self.factors = scipy.linalg.lapack.dgetrf(solution.result.state.hessian)[:2]
@@ -175,22 +215,24 @@ class _Linear:
 
     def change(self, name: str, tube: int) -> Change:
         """What a parameter of a tube changes."""
-        one, zero = (np.arange(self.n) == tube).astype(float), np.zeros(self.shape)
-        none = np.zeros(self.n)
-        nothing = Change(none, none, np.zeros(len(self.length)), zero, zero, zero, zero)
-        own, kt = self.robot.tubes[tube], self.here.rate * one
-        kb, m = (part.reshape(self.shape) * one for part in (self.here.sections.stiffness, self.here.sections.moment))
+        one, zero = (np.arange(self.n) == tube).astype(float)[None], np.zeros((1, *self.shape))
+        none = np.zeros((1, self.n))
+        nothing = Change(none, none, np.zeros((1, len(self.length))), zero, zero, zero, zero)
+        own, kt = self.robot.tubes[tube], (self.here.rate * one)[None]
+        kb, m = (
+            (part.reshape(self.shape) * one)[None] for part in (self.here.sections.stiffness, self.here.sections.moment)
+        )
         if name == "rotations":
-            return _with(nothing, base=one)
+            return replace(nothing, base=one)
         if name == "straight_length":
-            return _with(nothing, transmission=one / self.table.values(np.zeros((1, self.n)))[1][0])
+            return replace(nothing, transmission=one / self.table.values(np.zeros((1, self.n)))[1][0])
         if name == "curvature":
-            return _with(nothing, moment=m / own.curvature if own.curvature else kb * self._bendable(tube))
+            return replace(nothing, moment=m / own.curvature if own.curvature else kb * self._bendable(tube))
         if name == "bending_stiffness":
-            return _with(nothing, stiffness=kb / own.bending_stiffness, moment=m / own.bending_stiffness)
+            return replace(nothing, stiffness=kb / own.bending_stiffness, moment=m / own.bending_stiffness)
         if name == "torsional_stiffness":
             softer = -1.0 / own.torsional_stiffness
-            return _with(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
+            return replace(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
         return self._moved(tube, one)
 
     def _bendable(self, tube: int) -> Array:
@@ -214,105 +256,121 @@ class _Linear:
         place = (start[:, None] + length[:, None] * self.t.nodes)[..., None] - one
         kb, m, phase, rate = (part * place for part in self.passing)
         held = 1 / self.table.values(assembly.transmission[None])[1][0]
-        return Change(np.zeros(self.n), -one * held, length, rate, kb, m, phase)
+        return Change(np.zeros((1, self.n)), -one * held, length[None], rate[None], kb[None], m[None], phase[None])
 
-    def turned(self, moments: Array, change: Change, gained: Array) -> tuple[Array, Array]:
-        """Change of phi (P, K, n) at the points and (P + 1, n) between pieces, of integrated moments (P, K, n) that
-        change by `gained`."""
-        t, h, dh = self.t, self.length[:, None, None], change.length[:, None, None]
+    def _wound(self, moments: Array) -> Wound:
+        """Moments (P, K, n) with the torque that they make."""
         torsion = integrate_torque(self.problem, np.zeros(self.n), moments[self.problem.mesh.collocated])
-        torque = self._torque(torsion)
-        more = dh * moments + h * gained
-        begin = -np.cumsum((t.weights @ more)[::-1], axis=0)[::-1]
-        slope = (begin[:, None] + t.adjoint @ more) * self.here.rate + torque * change.rate
-        turning = dh * torque * self.here.rate + h * slope
-        twist = torsion.twist[0] if len(torsion.twist) else np.zeros(self.n)
-        first = change.base + change.transmission * twist + self.here.transmission * (begin[0] if len(begin) else 0.0)
-        between = np.concatenate([first[None], first + np.cumsum(t.weights @ turning, axis=0)])
-        return between[:-1, None] + t.matrix @ turning, between
+        return Wound(moments, self._torque(torsion), torsion.twist[0] if len(torsion.twist) else np.zeros(self.n))
+
+    def turned(self, by: Wound, change: Change, gained: Array) -> tuple[Array, Array]:
+        """(Q, P, K, n) and (Q, P + 1, n): change of phi at the points and between pieces, of moments that change by
+        `gained`."""
+        t, h, dh = self.t, self.length[:, None, None], change.length[:, :, None, None]
+        more = dh * by.moments + h * gained
+        begin = -np.cumsum((t.weights @ more)[:, ::-1], axis=1)[:, ::-1]
+        slope = (begin[:, :, None] + t.adjoint @ more) * self.here.rate + by.torque * change.rate
+        turning = dh * by.torque * self.here.rate + h * slope
+        first = change.base + change.transmission * by.base + self.here.transmission * begin[:, :1].sum(1)
+        up_to = first[:, None] + np.cumsum(t.weights @ turning, axis=1)
+        between = np.concatenate([first[:, None], up_to], axis=1)
+        return between[:, :-1, None] + t.matrix @ turning, between
 
     def _explicit(self, slope: Array, change: Change) -> Array:
-        """Change of what has derivatives `slope` (P, K, r, 3n), at fixed phi."""
-        columns = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
-        return np.asarray((slope @ columns[..., None])[..., 0])
+        """(Q, P, K, r) change of what has derivatives `slope` (P, K, r, 3n), at fixed phi."""
+        return np.asarray((slope @ change.columns[..., None])[..., 0])
 
-    def column(self, change: Change) -> Array:
-        """(8 + n,) tip position and rotation, tip rotations, margin, energy."""
-        problem, n = self.problem, self.n
+    def answer(self, change: Change) -> Answer:
+        """What changes do along the arm."""
         given = self._explicit(self.moment_slope, change)
-        explicit, _ = self.turned(self.moments, change, given)
+        explicit, _ = self.turned(self.own, change, given)
         phi = self._solved(explicit)
-        whole = _with(change, phase=change.phase + phi)
+        whole = replace(change, phase=change.phase + phi)
         gained = self._explicit(self.moment_slope, whole)
-        inside, between = self.turned(self.moments, change, gained)
-        whole = _with(change, phase=change.phase + inside)
+        inside, between = self.turned(self.own, change, gained)
+        whole = replace(change, phase=change.phase + inside)
         bent = self._explicit(self.u_slope, whole)
-        weights, dh = self.t.weights[:, None], change.length[:, None, None]
-        turn = self.frame[..., :2] @ (weights * (dh * self.u + self.length[:, None, None] * bent))[..., None]
-        rotation = turn.sum((0, 1))[:, 0]
-        stretch = (self.frame[..., 2] * (weights * dh)).sum((0, 1))
-        position = np.cross(turn[..., 0], self.tip - self.position).sum((0, 1)) + stretch
+        turning = change.length[:, :, None, None] * self.u + self.length[:, None, None] * bent
+        return Answer(whole, between, bent, (self.frame[..., :2] @ turning[..., None])[..., 0])
+
+    def columns(self, changes: Sequence[Change]) -> Array:
+        """(Q, 8 + n) of every change: tip position and rotation, tip rotations, margin, energy."""
+        problem, n, change = self.problem, self.n, together(changes)
+        answer, weights = self.answer(change), self.t.weights[:, None]
+        turn = answer.turn * weights
+        stretch = (self.frame[..., 2] * (weights * change.length[:, :, None, None])).sum((1, 2))
+        position = np.cross(turn, self.tip - self.position).sum((1, 2)) + stretch
         cuts = np.append(problem.mesh.start, problem.assembly.total_length)
         index = np.abs(cuts - np.clip(problem.assembly.end, 0.0, cuts[-1])[:, None]).argmin(1)
-        tips = between[index, np.arange(n)]
-        return np.concatenate([position, rotation, tips, [self._margin(whole), self._energy(change)]])
+        tips = answer.between[:, index, np.arange(n)]
+        last = np.column_stack([self._margin(answer.whole), self._energy(change)])
+        return np.concatenate([position, turn.sum((1, 2)), tips, last], axis=1)
 
     def _solved(self, explicit: Array) -> Array:
-        """(P, K, n) change of phi at the coupled points for that of alpha - S B M at fixed phi."""
-        problem, mesh = self.problem, self.problem.mesh
-        out = np.zeros(self.shape)
+        """(Q, P, K, n) change of phi at the coupled points for that of alpha - S B M at fixed phi."""
+        problem, chosen, count = self.problem, self.problem.mesh.collocated, len(explicit)
+        out = np.zeros((count, *self.shape))
         if not problem.size:
             return out
-        inner = np.zeros((int(mesh.collocated.sum()) * self.shape[1], self.n))
-        right = explicit[mesh.collocated].ravel()[problem.flat]
-        z = scipy.linalg.lapack.dtrtrs(problem.factor, right, lower=1)[0]
+        right = explicit[:, chosen].reshape(count, -1)[:, problem.flat]
+        z = scipy.linalg.lapack.dtrtrs(problem.factor, right.T, lower=1)[0]
         z, failed = scipy.linalg.lapack.dgetrs(*self.factors, z)
         if failed or not np.isfinite(z).all():
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
-        inner.ravel()[problem.flat] = problem.factor @ z
-        out[mesh.collocated] = inner.reshape(-1, *self.shape[1:])
+        inner = np.zeros((count, int(chosen.sum()) * self.shape[1] * self.n))
+        inner[:, problem.flat] = (problem.factor @ z).T
+        out[:, chosen] = inner.reshape(count, -1, *self.shape[1:])
         return out
 
-    def _softer(self, moments: Array, change: Change) -> float:
-        """f' dS f of forces f = weights x moments (P, K, n), where alpha stays."""
-        fixed = _with(change, base=np.zeros(self.n))
+    def _softer(self, by: Wound, change: Change) -> Array:
+        """(Q,) f' dS f of forces f = weights x moments, where alpha stays."""
+        fixed = replace(change, base=np.zeros_like(change.base))
         weights = self.length[:, None, None] * self.t.weights[:, None]
-        scale = np.where(self.length > 0, change.length / self.length, 0.0)[:, None, None]
-        inside, _ = self.turned(moments, fixed, -moments * scale)
-        return -float((weights * moments * inside).sum())
+        scale = np.where(self.length > 0, change.length / self.length, 0.0)[:, :, None, None]
+        inside, _ = self.turned(by, fixed, -by.moments * scale)
+        return -np.asarray((weights * by.moments * inside).sum((1, 2, 3)))
 
-    def _energy(self, change: Change) -> float:
-        """Of the elastic energy, by the envelope theorem, J."""
+    def _energy(self, change: Change) -> Array:
+        """(Q,) of the elastic energy, by the envelope theorem, J."""
         weights = self.t.weights * self.length[:, None]
-        bending = (self.t.weights * change.length[:, None] * self.bending).sum()
-        bending += (weights * self._explicit(self.bending_slope[:, :, None], change)[..., 0]).sum()
+        bending = (self.t.weights * change.length[:, :, None] * self.bending).sum((1, 2))
+        bending += (weights * self._explicit(self.bending_slope[:, :, None], change)[..., 0]).sum((1, 2))
         force = (weights[..., None] * self.moments).sum((0, 1))
-        return float(bending - self._softer(self.moments, change) / 2 + force @ change.base)
+        return np.asarray(bending - self._softer(self.own, change) / 2 + change.base @ force)
 
-    def _margin(self, whole: Change) -> float:
-        """Of the margin, with phase + phi the change of the direction of the pulls; NaN of a double eigenvalue."""
-        problem, mesh = self.problem, self.problem.mesh
+    def _margin(self, whole: Change) -> Array:
+        """(Q,) of the margin, with phase + phi the change of the direction of the pulls; NaN of a double eigenvalue."""
+        problem, chosen, count = self.problem, self.problem.mesh.collocated, len(whole.base)
         if not problem.size or self.solution.margin >= FLAT:
-            return 0.0
+            return np.zeros(count)
+        if self._mode is None:
+            return np.full(count, np.nan)
+        value, form, gradient, by = self._mode
+        changed = whole.columns[:, chosen].reshape(count, *gradient.shape)
+        scale = np.repeat((whole.length / self.length)[:, chosen], self.shape[1], axis=1)
+        out = (problem.weight * scale) @ form + (gradient * changed).sum(2) @ problem.weight
+        return np.asarray(out + (value - 1) * self._softer(by, whole))
+
+    @cached_property
+    def _mode(self) -> tuple[float, Array, Array, Wound] | None:
+        """Least eigenvalue, y' dM y (N,) of its mode, the gradient of that (N, 3 n), and the forces that turn by y;
+        None of a double eigenvalue."""
+        problem, collocated = self.problem, self.problem.mesh.collocated
         values, vectors = np.linalg.eigh(self.solution.result.state.hessian)
         if len(values) > 1 and values[1] - values[0] < 1e-9:
-            return float("nan")
-        collocated = mesh.collocated
+            return None
         y = np.zeros((int(collocated.sum()) * self.shape[1], self.n))
         y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
         args = self.direction[collocated].reshape(-1, self.n), problem.stiffness, problem.moment, y
         form, gradient = (part.copy() for part in section_function("variation", len(y), self.n, False)(*args))
-        columns = np.concatenate([whole.phase, whole.stiffness, whole.moment], axis=2)[collocated].reshape(len(y), -1)
-        weights = problem.weight
-        scale = np.repeat((whole.length / self.length)[collocated], self.shape[1])
-        out = float((weights * scale) @ form[:, 0] + weights @ (gradient.reshape(columns.shape) * columns).sum(1))
         # f = S^-1 y, by the triangular factor of S.
         force = np.zeros_like(y)
         force.ravel()[problem.flat] = scipy.linalg.lapack.dtrtrs(problem.factor, vectors[:, 0], lower=1, trans=1)[0]
         moments = np.zeros(self.shape)
-        moments[collocated] = (force / weights[:, None]).reshape(-1, *self.shape[1:])
-        return out + (float(values[0]) - 1) * self._softer(moments, whole)
+        moments[collocated] = (force / problem.weight[:, None]).reshape(-1, *self.shape[1:])
+        return float(values[0]), form[:, 0], gradient.reshape(len(y), -1), self._wound(moments)
 
 
-def _with(change: Change, **parts: Array) -> Change:
-    return Change(**{**change.__dict__, **parts})
+def together(changes: Sequence[Change]) -> Change:
+    """Several changes as one of so many columns."""
+    return Change(*(np.concatenate([getattr(one, field.name) for one in changes]) for field in fields(Change)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..parallel.blas import small
 from ..robots.robot import is_general
@@ -24,7 +25,7 @@ JOINTS = ("rotations", "translations")
 
 
 @dataclass(frozen=True, eq=False)
-class Jacobian:
+class Jacobian(Displayed):
     """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
 
     Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
@@ -77,13 +78,18 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         wrt: any of "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
             "torsional_stiffness"; n columns each. Lengths change with the translations held: a longer straight part
             is a longer transmission. Of a tube made of pieces the curvature bends all of them in proportion, and a
-            stiffness makes all of it stiffer; its curved length is the sum of its pieces and no parameter.
+            stiffness makes all of it stiffer; its curved length is the sum of its pieces and no parameter. Under load,
+            of rotations and translations only.
         side: 1 for breakpoints that move towards the tip, -1 for those that move towards the plate.
 
     Raises:
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
+    if equilibrium.load is not None:
+        from .loaded_jacobian import loaded_columns
+
+        return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
     if is_general(equilibrium.robot):
         return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))
     of = derivatives_of(equilibrium, wrt, side=side)

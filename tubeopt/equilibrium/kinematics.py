@@ -13,7 +13,6 @@ from ..errors import InputError, SolveError, choice, positive, vector
 from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
-from ..robots.tubes import must_be_plain
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
@@ -73,6 +72,9 @@ def _method(given: str | Newton | Ipopt) -> Method:
 FINEST = 6
 """Most times that the pieces of the mesh are halved."""
 
+SHORT = 0.01
+"""Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
+
 HOMOTOPY_STEP = np.pi / 8
 """Largest turn (rad) of a tube per step of the way from home."""
 
@@ -105,7 +107,8 @@ def forward_kinematics(
         method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
             nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
             solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`.
-        tolerance: wanted accuracy of theta(s), rad; the mesh is refined until the estimate is below.
+        tolerance: wanted accuracy of theta(s), rad, and of the tip as a fraction of the length of the arm, with tubes
+            made of pieces of 10 mm; the mesh is refined until the estimate is below.
         verify: also re-integrate adaptively and report the difference in `.verification`.
         discretisation: collocation family and degree.
 
@@ -123,8 +126,6 @@ def forward_kinematics(
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
     by = _method(method)
     positive("tolerance", tolerance)
-    if method != "newton" and is_general(robot):
-        must_be_plain(robot.tubes, f"method {method!r}")
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
@@ -196,9 +197,14 @@ def _to_tolerance(
 
 
 def _error(equilibrium: Equilibrium) -> float:
-    """Estimated error of theta(s), rad, or of the tip as a fraction of the arm, whichever is larger."""
-    length = max(float(equilibrium.arc_length[-1]), 1e-300)
+    """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, whichever is larger."""
+    length = float(measure(equilibrium.robot, equilibrium.arc_length[-1]))
     return max(equilibrium.mesh_error, equilibrium.tip_error / length)
+
+
+def measure(robot: Robot, length: ArrayLike) -> Array:
+    """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
+    return np.clip(length, 1e-300, SHORT if is_general(robot) else None)
 
 
 def _compiled(

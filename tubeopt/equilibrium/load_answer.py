@@ -10,7 +10,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
-from ..transcription.loaded import LoadedProblem, base_wrench, compliance, evaluate, tip_position, tip_slopes
+from ..transcription.loaded import base_wrench, compliance, evaluate, tip_position, tip_slopes
 from ..transcription.loaded_arm import loaded_arm
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS, loaded_problem

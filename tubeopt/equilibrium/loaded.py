@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -177,15 +176,15 @@ def compiled(
     turn = rotations - start.rotations
     if not start.margin > 0:
         return None
+    given: tuple[Array, Array | None]
     if start.load is None:
         if turn.any() or not np.array_equal(start.translations, shift):
             return None
-        given = (sample_rotation(start, problem.torsion.arc_length), None)
-        word = "the load before, from none"
-    else:
-        if not _small(start, turn, shift):
-            return None
+        given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
+    elif _small(start, turn, shift):
         given, word = _at_points(start, problem), "guess"
+    else:
+        return None
     found = solve_loaded_compiled(problem, finer, (rotations, turn), given, start.margin)
     refinement = 0
     while found is not None and _too_coarse(found, problem, tolerance):

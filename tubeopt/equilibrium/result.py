@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array, Mask, Sentence
+from ..typing import Array, Mask, Sentence, late
 
 if TYPE_CHECKING:
     from .jacobian import Jacobian
@@ -37,7 +38,7 @@ class Status(Sentence):
 
 
 @dataclass(frozen=True)
-class Statistics:
+class Statistics(Displayed):
     """How a solve went: method, iterations, elements of the mesh and their degree, how the answer was reached, and on
     which points: family of collocation, and how often the pieces of the default mesh were halved."""
 
@@ -52,7 +53,7 @@ class Statistics:
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(Displayed):
     """Difference between the solution and an adaptive re-integration of its initial values (DOP853, 1e-12)."""
 
     tip_position: float
@@ -90,7 +91,7 @@ class FrictionState:
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
+class Equilibrium(Displayed):
     """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
 
     Attributes:
@@ -118,6 +119,8 @@ class Equilibrium:
         point_curvature (N, 2): curvature at the collocation points under load; empty without one.
         friction: what friction does, and where a motion with friction goes on from; None without friction.
     """
+
+    _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
     robot: Robot
     rotations: Array
@@ -168,28 +171,23 @@ class Equilibrium:
     def compliance(self) -> Array:
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last."""
-        from .loaded import compliance_of
-
-        return compliance_of(self)
+        found: Array = late("tubeopt.equilibrium.loaded.compliance_of")(self)
+        return found
 
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
-        from .loaded import base_wrench_of
-
-        return base_wrench_of(self)
+        found: Array = late("tubeopt.equilibrium.loaded.base_wrench_of")(self)
+        return found
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
-        from .jacobian import jacobian
-
-        return jacobian(self, wrt=wrt, side=side)
+        found: Jacobian = late("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
+        return found
 
     def save(self, directory: str | PathLike[str]) -> None:
         """Write `result.json` and `arrays.npz` into `directory`; `load_equilibrium` reads them back."""
-        from .file import save_equilibrium
-
-        save_equilibrium(self, directory)
+        late("tubeopt.equilibrium.file.save_equilibrium")(self, directory)
 
 
 def refuse_load(equilibrium: Equilibrium) -> None:

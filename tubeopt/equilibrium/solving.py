@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
@@ -30,7 +31,7 @@ from .result import Equilibrium, Statistics, Status, refuse_load
 
 
 @dataclass(frozen=True)
-class Discretisation:
+class Discretisation(Displayed):
     """How the torsion problem is transcribed: collocation family and degree, and halvings of the default pieces."""
 
     family: str = "gauss"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -20,7 +21,10 @@ from pydantic import (
 )
 
 from ..errors import InputError, nearest
+from .plausible import converted, models, suspects
 from .units import decimal, shown
+
+LOGGER = logging.getLogger(__name__)
 
 Number = Annotated[Decimal, BeforeValidator(decimal)]
 """A finite number as it was written; neither text nor true/false."""
@@ -79,13 +83,19 @@ def check(
             relative to.
         names: what the caller calls a top-level key that is not from there; "" leaves it out.
 
+    Numbers that no such thing has are logged as warnings, with what was probably meant.
+
     Raises:
         InputError: one line for every problem.
     """
     try:
-        return model.model_validate(data, context={"directory": Path(where).parent})
+        entry = model.model_validate(data, context={"directory": Path(where).parent})
     except ValidationError as error:
         problems = error.errors(include_url=False)
+    else:
+        for words in suspects(entry, names=names):
+            LOGGER.warning(f"{where}: {words}" if str(where) else words)
+        return entry
     called = names or {}
     sentences = []
     for problem in problems:
@@ -122,7 +132,8 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "missing":
             return [f"{path} is missing"]
         case "extra_forbidden":
-            return [f"{path} is not a known key{nearest(str(loc[-1]), _known_keys(model, loc[:-1]))}"]
+            known, key = _known_keys(model, loc[:-1]), str(loc[-1])
+            return [f"{path} is not a known key{converted(key, known) or nearest(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):
@@ -168,18 +179,11 @@ def _path(loc: Sequence[int | str], names: Mapping[str, str]) -> str:
 
 def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
     """The keys that are known at a place in the data of `model`."""
-    models = [model]
+    places = [model]
     for part in loc:
-        inner = [one.model_fields[part].annotation for one in models if part in one.model_fields]
-        models = [found for annotation in inner for found in _models(annotation)] or models
-    return [key for one in models for key in one.model_fields]
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _models(inner)
+        inner = [one.model_fields[part].annotation for one in places if part in one.model_fields]
+        places = [found for annotation in inner for found in models(annotation)] or places
+    return [key for one in places for key in one.model_fields]
 
 
 def _either(words: Sequence[str]) -> str:

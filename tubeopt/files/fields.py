@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass
 from decimal import Decimal
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
@@ -118,12 +118,15 @@ def values(what: type[Any], entry: Any) -> dict[str, Any]:
     return read
 
 
-def to_data(what: Any) -> dict[str, Any]:
-    """A dataclass whose fields describe themselves, with the keys and units of a file; what is None is left out."""
+def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
+    """A dataclass whose fields describe themselves, with the keys and units of a file.
+
+    Fields that are None, or named in `leave_out`, are left out.
+    """
     return {
         field.key: field.write(getattr(what, field.name))
         for field in described(type(what))
-        if getattr(what, field.name) is not None
+        if field.name not in leave_out and getattr(what, field.name) is not None
     }
 
 

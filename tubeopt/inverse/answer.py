@@ -9,6 +9,7 @@ from functools import cached_property
 from ..block.own import OwnObjective, OwnRequirement
 from ..bodies.scene import Scene
 from ..control.outline import Outline
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, positive
 from ..robots.robot import Robot
@@ -53,7 +54,7 @@ class JointWay:
 
 
 @dataclass(frozen=True, eq=False)
-class InverseSolution:
+class InverseSolution(Displayed):
     """Joint values that bring the tip to a target, and the equilibrium that the robot takes there.
 
     Attributes:
@@ -77,6 +78,8 @@ class InverseSolution:
         active: in words, what holds the joint values: ends of ranges, tubes that touch, margin, obstacles.
         status, statistics: how the search ended, and its cost.
     """
+
+    _brief = ("robot", "rotations", "translations", "position_error", "margin", "status")
 
     robot: Robot
     target_position: Array
@@ -118,7 +121,7 @@ class InverseSolution:
 
 
 @dataclass(frozen=True)
-class InverseOptions:
+class InverseOptions(Displayed):
     """Details of the question and of the search.
 
     Args:

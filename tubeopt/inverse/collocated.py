@@ -31,6 +31,7 @@ from ..transcription.collocated import Grid, symbols, torsion_of
 from ..transcription.fields import marched_fields
 from ..transcription.functions import determinant_function
 from ..transcription.model import TorsionModel
+from ..transcription.panel import slid
 from ..transcription.program import Structure, add_torsion
 
 STEPS = 2
@@ -77,8 +78,10 @@ def inverse_program(question: Question) -> Problem:
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
-    (n,) at translations 0; `position`, `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,);
-    `reference` and `weights` of the joints; `order` (closings, G) and its `bound`.
+    (n,) at translations 0; of tubes made of pieces `ease` (n,) at the plate, and `cuts` (P + 1,) between the pieces
+    where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,); `position`,
+    `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the
+    joints; `order` (closings, G) and its `bound`.
     """
     structure, length = question.structure, question.length
     n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
@@ -98,6 +101,12 @@ def inverse_program(question: Question) -> Problem:
         "transmission": given("transmission at 0", n) - moved,
         "lengths": given("lengths at 0", pieces) + given("lengths per translation", pieces, groups) @ shift,
     }
+    if structure.grid.detail:
+        own["transmission"] += (1 - given("ease", n)) * moved
+        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - given("cuts", pieces + 1)
+        out = moved - given("translations of the mesh", n)
+        table = given("along", *structure.shapes["along"])
+        own["along"] = slid(table, structure.grid.detail, given("lengths of the mesh", pieces), (passed, out))
     arm = add_torsion(problem, structure, turn, own)
     frame, tip, points, bend = _shape(arm)
     direction, wanted, weight = frame[:, 2], given("direction", 3), given("direction weight")
@@ -190,7 +199,7 @@ def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
     y, v = ca.MX(ca.DM.eye(n)), ca.MX(ca.DM.zeros(n, n))
     out = []
     for k in reversed(range(arm.n_pieces)):
-        if coupled[k]:
+        if coupled[k] or arm.grid.detail:
             y, v = ca.vertsplit(_piece_fields(arm.grid)(ca.vertcat(y, v), margin, *arm.piece(k)), n)
         else:
             y = y - arm.lengths[k] * v

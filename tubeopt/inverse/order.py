@@ -75,11 +75,13 @@ def breakpoint_order(goal: Goal, at: Posture) -> Order:
 
 
 def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
-    """Transitions and ends of the tubes of one carriage, each place once."""
+    """Transitions, ends, and places where pieces meet, of the tubes of one carriage, each place once."""
     mine = list(tubes)
     ends, transitions = assembly.end[mine], assembly.transition[mine]
     bent = ends - transitions > 1e-12
-    return sorted({round(float(s), 12) for s in [*ends, *transitions[bent]]})
+    joints = zip(assembly.breakpoints, assembly.breakpoint_tubes, strict=True)
+    cuts = [s for s, i in joints if i in mine] if assembly.general else []
+    return sorted({round(float(s), 12) for s in [*ends, *transitions[bent], *cuts]})
 
 
 def apart(goal: Goal, at: Posture) -> Posture:

@@ -17,7 +17,7 @@ from ..solvers.newton import newton
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution
 from ..solvers.problem_status import ProblemStatus
-from ..transcription.program import structure_of, torsion_guess, torsion_numbers
+from ..transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
 from ..transcription.reduced import margin, to_unknowns
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
@@ -123,7 +123,16 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     program, space, problem = inverse_program(_question(goal, at, order)), goal.space, at.solution.problem
     n, mesh = space.robot.n_tubes, problem.mesh
     numbers = torsion_numbers(problem)
-    numbers["transmission at 0"] = numbers.pop("transmission") + (space.spread @ at.q)[n:]
+    shift = (space.spread @ at.q)[n:]
+    if problem.here is not None:
+        cuts = np.append(mesh.start, problem.assembly.total_length)
+        numbers |= {
+            "ease": ease_at_plate(problem),
+            "cuts": cuts,
+            "lengths of the mesh": mesh.length,
+            "translations of the mesh": shift,
+        }
+    numbers["transmission at 0"] = numbers.pop("transmission") + numbers.get("ease", 1.0) * shift
     del numbers["lengths"]
     numbers |= {
         "lengths at 0": order.length,

@@ -18,7 +18,6 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..robots.tubes import must_be_plain
 from ..typing import Array
 from .answer import InverseOptions
 from .extra import extras
@@ -45,7 +44,6 @@ def pose_question(
     """The question, checked; `places` are seed and reference."""
     if not hasattr(robot, "n_tubes") or not hasattr(robot, "assembly"):
         raise InputError(f"robot is {robot!r}; it must be a ConcentricRobot, an EccentricRobot, or the like")
-    must_be_plain(robot.tubes, "inverse kinematics")
     instance("options", options, InverseOptions)
     if limits is not None:
         instance("limits", limits, JointLimits)

@@ -11,13 +11,16 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..control.joints import Configuration
-from ..errors import InputError, choice
+from ..errors import InputError, choice, vector
 from ..parallel.blas import small
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
+from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
-from .question import pose_question, seed_posture
+from .loaded import under_load
+from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
 
@@ -33,6 +36,7 @@ def inverse_kinematics(
     limits: JointLimits | None = ...,
     weights: tuple[ArrayLike, ArrayLike] | None = ...,
     obstacles: Sequence[Obstacle] = ...,
+    load: Load | None = ...,
     on_failure: str = ...,
     all_solutions: Literal[False] = ...,
     reachable: bool = ...,
@@ -52,6 +56,7 @@ def inverse_kinematics(
     limits: JointLimits | None = ...,
     weights: tuple[ArrayLike, ArrayLike] | None = ...,
     obstacles: Sequence[Obstacle] = ...,
+    load: Load | None = ...,
     on_failure: str = ...,
     all_solutions: Literal[True],
     reachable: bool = ...,
@@ -71,6 +76,7 @@ def inverse_kinematics(
     limits: JointLimits | None = None,
     weights: tuple[ArrayLike, ArrayLike] | None = None,
     obstacles: Sequence[Obstacle] = (),
+    load: Load | None = None,
     on_failure: str = "raise",
     all_solutions: bool = False,
     reachable: bool = False,
@@ -92,6 +98,8 @@ def inverse_kinematics(
         weights: of the joints' distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad and 2
             per length of the longest tube.
         obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
+        load: forces that push on the robot and keep their direction: tip, margin and clearance are those under it,
+            grown from none. One answer; whether a way leads there is not told.
         on_failure: "raise", or "closest" to get the closest pose where the target is out of reach.
         all_solutions: return all distinct answers that are found, best first: nearest to the reference where there is
             one, else the largest margin.
@@ -106,6 +114,30 @@ def inverse_kinematics(
     """
     began = time.perf_counter()
     choice("on_failure", on_failure, ("raise", "closest"))
+    if load is not None:
+        if all_solutions or reachable or on_failure != "raise":
+            raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
+
+        def without(
+            at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
+        ) -> InverseSolution:
+            return inverse_kinematics(
+                robot,
+                at,
+                direction=along,
+                seed=seed if last is None else last,
+                reference=reference,
+                min_margin=floor,
+                limits=limits,
+                weights=weights,
+                obstacles=obstacles,
+                options=asked,
+            )
+
+        towards = None if direction is None else unit_vector("direction", direction)
+        return under_load(
+            without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
+        )
     goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")

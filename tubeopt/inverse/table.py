@@ -19,6 +19,7 @@ import numpy as np
 
 from ..control.clock import Clock
 from ..control.joints import JointSpace
+from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.files import atomic_write
@@ -140,7 +141,7 @@ def cache_directory() -> Path:
 
 def _key(space: JointSpace, size: int) -> str:
     """Hash of all that the table depends on."""
-    tubes = repr((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
+    tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
     assembly = space.robot.assembly(space.joint(space.inside())[space.robot.n_tubes :])
     digest = hashlib.sha256(tubes.encode())
     for array in (

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, wraps
+from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -19,7 +19,7 @@ _INSIDE = [0]
 """How many blocks are being worked at."""
 
 
-@cache
+@lru_cache(maxsize=1)
 def _libraries() -> list[Any]:
     """Those of linear algebra that NumPy and SciPy have loaded."""
     import scipy.linalg  # noqa: F401  which brings its own

@@ -6,6 +6,7 @@ every item, as they come. `executor` is the bare `concurrent.futures.Executor` b
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -128,6 +129,7 @@ def _processes(count: int, common: object) -> ProcessPoolExecutor:
 def _begin(packed: bytes) -> None:
     """Start of a worker process: its parent handles interrupts, and it does not outlive its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.getLogger("tubeopt").setLevel(logging.ERROR)  # what is to be warned of, the parent has seen
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()

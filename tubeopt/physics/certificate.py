@@ -65,15 +65,23 @@ def worst_function(n: int) -> ca.Function:
 
 
 def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
-    """D(lambda) of tubes with torsional_stiffness kt (n,), transmission (n,), and per section, base to tip,
-    length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m)."""
+    """D(lambda) of tubes with torsional_stiffness kt (n,) or (n, m), transmission (n,), and per section, base to tip,
+    length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m).
+
+    Where kt changes from section to section kt y' is continuous, and `transmission` is kt of the first one times
+    int ds / kt up to the plate.
+    """
     n, sections = given["stiffness"].shape
+    kt = ca.horzsplit(given["torsional_stiffness"])
+    kt = kt if len(kt) == sections else kt * sections
     identity = ca.DM.eye(n)
     y: Any = identity
     slope: Any = ca.DM.zeros(n, n)
     for k in reversed(range(sections)):
         coupling = laplacian(given["stiffness"][:, k], given["moment"][:, k])
-        rate = ca.diag(1 / given["torsional_stiffness"]) @ coupling / eigenvalue
+        rate = ca.diag(1 / kt[k]) @ coupling / eigenvalue
+        if k + 1 < sections and kt[k] is not kt[k + 1]:
+            slope = ca.diag(kt[k + 1] / kt[k]) @ slope
         h = given["length"][k] / SPLITS
         cos, sinc, turned = _transfer(rate, h)
         for _ in range(SPLITS):

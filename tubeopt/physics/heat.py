@@ -33,14 +33,15 @@ GRIP, CLEARANCE, LEAD, CURVED = range(4)
 PROPERTIES = (
     "heat", "heat_slope", "reference", "conduction", "conduction_slope", "resistance", "resistance_slope", "to_clamp",
     "to_air", "radiating", "gap", "wall", "mold_k", "mold_heat", "outer", "leak", "series", "contact", "clamp_heat",
-    "clamp_loss", "voltage", "voltage_slope", "internal", "sag", "sag_time", "capacity", "ambient", "grip", "curved",
+    "clamp_loss", "voltage", "voltage_slope", "internal", "sag", "sag_time", "capacity", "lost", "ambient", "grip",
+    "curved",
 )  # fmt: skip
 """Numbers of tube and rig, SI. Of the tube per length, at the temperature `reference`: heat capacity, conductivity
 times section, resistance, with their relative slopes per K; heat transfer per length to clamp, air (and radiation) and
 through the gap. Of the mold: resistance of its innermost half shell to heat, conductivity, heat capacity per volume,
 transfer from the outermost shell per length, and conductance beside the tube to current. Resistances in series with
-the tube, and the contacts' part of them; heat capacity and loss of a clamp; the battery; lengths of clamp and half of
-the curved part."""
+the tube, and the contacts' part of them; heat capacity and loss of a clamp; the battery; the part of a period
+that every pulse loses while the current rises; lengths of clamp and half of the curved part."""
 
 Properties = dict[str, Any]
 
@@ -200,6 +201,12 @@ def source_voltage(used: Any, g: Properties) -> Any:
 def loop_resistance(half: Any, g: Properties) -> Any:
     """Everything that the battery feeds, with its own resistance, ohm."""
     return g["internal"] + g["series"] + 2 * half * tube_share(half, g)
+
+
+def conducting(duty: Any, g: Properties) -> Any:
+    """Part of the time in which the full current would give the power of pulses of this duty: less than the duty, since
+    the loop's inductance lets the current rise late; a switch that is never off loses nothing."""
+    return ca.if_else(duty < 1, ca.fmax(duty - g["lost"], 0.0), duty)
 
 
 def battery_rates(load: Load, sagged: Any, g: Properties) -> tuple[Any, Any]:

@@ -49,7 +49,8 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
         return half, (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
 
     half, total = circuit(at.tube)
-    load = heat.Load(half, duty * total, duty * total**2)
+    on = heat.conducting(duty, g)
+    load = heat.Load(half, on * total, on * total**2)
     flows = heat.heat_flows(at, load, v, g)
     discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
     capacity = heat.by_cell(heat.tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)

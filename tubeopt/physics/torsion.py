@@ -40,22 +40,32 @@ def cross_section(theta: Any, stiffness: Any, moment: Any, offset: Any = None, a
     Args:
         theta: (n,) rotations, rad.
         stiffness: (n,) kb_i of the tubes present, 0 for the others, N m^2.
-        moment: (n,) m_i = kb_i kappa_i of the tubes curved here, 0 for the others, N m.
+        moment: (n,) m_i = kb_i kappa_i of the tubes curved here, 0 for the others, N m; or (n, 2), kb_i times the
+            precurvature about both axes of the tube.
         offset, angle: (n,) d_i (m), phi_i (rad); None where all tubes are concentric.
 
     Returns:
         curvature u (2,), stretch g (n,), moment M (n,), bending energy per centreline length (N).
     """
-    total = _pull(theta, moment)
+    total = _total(_pulls(theta, moment))
     if offset is None:
         return _at_curvature(total / ca.sum1(stiffness), theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
     u = _offset_curvature(total, stiffness, offset, angle)
     return _at_curvature(u, theta, stiffness, moment, _stretch(u, offset, angle))
 
 
-def _pull(theta: Any, moment: Any) -> Any:
-    """sum_i m_i (cos theta_i, sin theta_i)."""
-    return ca.vertcat(ca.dot(moment, ca.cos(theta)), ca.dot(moment, ca.sin(theta)))
+def _pulls(theta: Any, moment: Any) -> Any:
+    """(n, 2) m_i (cos theta_i, sin theta_i), or both moments of a tube turned by theta_i."""
+    cos, sin = ca.cos(theta), ca.sin(theta)
+    about_x = ca.horzcat(moment[:, 0] * cos, moment[:, 0] * sin)
+    if moment.shape[1] == 1:
+        return about_x
+    return about_x + ca.horzcat(-moment[:, 1] * sin, moment[:, 1] * cos)
+
+
+def _total(pulls: Any) -> Any:
+    """(2,) sum of the pulls of all tubes."""
+    return ca.sum1(pulls).T
 
 
 def _stretch(u: Any, offset: Any, angle: Any) -> Any:
@@ -64,12 +74,12 @@ def _stretch(u: Any, offset: Any, angle: Any) -> Any:
 
 
 def _at_curvature(u: Any, theta: Any, stiffness: Any, moment: Any, stretch: Any) -> CrossSection:
-    cos, sin = ca.cos(theta), ca.sin(theta)
+    pulls = _pulls(theta, moment)
     tube_u = ca.repmat(u.T, theta.shape[0], 1) / ca.horzcat(stretch, stretch)
-    bend = ca.sum2(tube_u**2) * stiffness / 2 - moment * (tube_u[:, 0] * cos + tube_u[:, 1] * sin)
+    bend = ca.sum2(tube_u**2) * stiffness / 2 - ca.sum2(tube_u * pulls)
     # m^2 / kb, with kb = 0 for a tube that is not there.
-    natural = moment**2 / ca.if_else(stiffness > 0, stiffness, 1) / 2
-    return CrossSection(u, stretch, moment * (u[0] * sin - u[1] * cos), ca.dot(bend + natural, stretch))
+    natural = ca.sum2(moment**2) / ca.if_else(stiffness > 0, stiffness, 1) / 2
+    return CrossSection(u, stretch, u[0] * pulls[:, 1] - u[1] * pulls[:, 0], ca.dot(bend + natural, stretch))
 
 
 def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> Any:
@@ -100,7 +110,7 @@ def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, 
         return ca.densify(flat[0]), ca.densify(flat[1]), ca.DM.zeros(theta.shape[0], wrt.numel())
     u = ca.SX.sym("u", 2)
     stretch = _stretch(u, *place)
-    balance = u * ca.sum1(stiffness / stretch) - _pull(theta, moment)
+    balance = u * ca.sum1(stiffness / stretch) - _total(_pulls(theta, moment))
     at = _at_curvature(u, theta, stiffness, moment, stretch)
     turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, wrt)
     moments = ca.jacobian(at.moment, wrt) + ca.jacobian(at.moment, u) @ turned
@@ -153,3 +163,12 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         mode = sum(ca.dot(w, v) for w, v in zip(weights, (stiff @ y, stretched @ y, here.stretch), strict=True))
         table["mode"] = ([*inputs, y, *weights], [mode, ca.densify(ca.gradient(mode, given))])
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
+
+
+@lru_cache(maxsize=16)
+def bent_anyhow(n: int) -> ca.Function:
+    """(theta, kb, m (n, 2)) -> M, dM/dtheta (n, n) of n concentric tubes with precurvature about both of their axes."""
+    theta, stiffness, moment = ca.SX.sym("theta", n), ca.SX.sym("kb", n), ca.SX.sym("m", n, 2)
+    here = cross_section(theta, stiffness, moment)
+    slope = ca.densify(ca.jacobian(here.moment, theta))
+    return ca.Function("balance", [theta, stiffness, moment], [here.moment, slope], {"cse": True})

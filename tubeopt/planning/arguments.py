@@ -7,14 +7,12 @@ from typing import Any
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
 from ..robots.limits import JointLimits
-from ..robots.tubes import must_be_plain
 
 
 def check_robot(robot: Any, limits: Any) -> None:
     """Raise InputError for what is no robot, or no joint limits (None is those of the robot)."""
     if not hasattr(robot, "n_tubes") or not hasattr(robot, "assembly"):
         raise InputError(f"robot is {robot!r}; it must be a ConcentricRobot, an EccentricRobot, or the like")
-    must_be_plain(robot.tubes, "planning")
     if limits is not None:
         kind_of("limits", limits, JointLimits)
 

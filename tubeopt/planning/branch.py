@@ -15,6 +15,9 @@ solution for every t, on which DF is never singular: no fold, no crossing, and n
 half of the time nearer to the other end is reached from there. Every bound is in closed form and holds for all
 rotations. Then, |u| being known to within what e and curved paths of theta make of it, the points of the arm are no
 farther than `off` from the straight line between where they are at both ends.
+
+Tubes that are chains of arcs and helices of constant stiffness change nothing of this. Their natural turn is linear
+along each, and so linear in t at a fixed fraction of a section: added to both sides of F = 0, it leaves F_tt as it is.
 """
 
 from __future__ import annotations
@@ -56,14 +59,12 @@ class _Bounds:
 
     def __init__(self, intervals: Intervals, stiffness: Array) -> None:
         self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness
-        c, arms = intervals.arms.constants, intervals.arms
-        self.kt, self.offset = c.torsional, c.offset
+        self.kt, self.offset = intervals.torsional, intervals.arms.constants.offset
+        """kt (B, K, n), that of section 0 also where the tubes are held; offset (n,)."""
         self.long = linear(*intervals.length)
-        beta = arms.transmission
-        self.transmission = linear(beta[intervals.one], beta[intervals.other])
-        self.reach = np.maximum(intervals.begin, intervals.end)[:, 1:, None] + self.transmission.v[:, None]
-        """(B, K, n) from where a tube is held to the end of a section."""
-        own = np.sqrt(self.reach / self.kt)
+        self.transmission = linear(*intervals.transmission)
+        reach = [np.cumsum(length[..., None] / self.kt, axis=1) for length in intervals.length]
+        own = np.sqrt(np.maximum(*reach) + (self.transmission.v / self.kt[:, 0])[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
@@ -90,9 +91,10 @@ class _Bounds:
 
     def twist(self, moment: Jet) -> tuple[Jet, Jet]:
         """w (B, K, n) at both ends of every section, of moments with these bounds."""
-        gain = (self._h() * moment).over(self.kt)
+        gain = self._h() * moment
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
-        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
+        end = Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
+        return begin.over(self.kt), end.over(self.kt)
 
     def rotation(self, moment: Jet, stretch: Jet) -> Jet:
         """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
@@ -116,7 +118,7 @@ class _Bounds:
         more = self._stretch(self.bending.change(turn[0])) * whole
         a, b = grown * begin.v + more, grown * end.v + more
         along = (self.long.v[..., None] * self.kt * (a**2 + a * b + b**2) / 3).sum((1, 2))
-        held = (self.kt * self.transmission.v * begin.v[:, 0] ** 2).sum(1)
+        held = (self.kt[:, 0] * self.transmission.v * begin.v[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt(along + held))
 
     def response(self, turn: Turn) -> Turn:

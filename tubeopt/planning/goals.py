@@ -16,6 +16,7 @@ from ..control.clock import Clock
 from ..control.joints import JointSpace, configuration
 from ..control.posture import posture_of
 from ..control.task import Task
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
@@ -48,7 +49,7 @@ LEAST_SECONDS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class TipGoal:
+class TipGoal(Displayed):
     """A pose of the tip: position (3,), m, and the direction (3,) along which it points; None is free."""
 
     position: Array

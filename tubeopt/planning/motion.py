@@ -9,6 +9,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..control.joints import JointSpace
+from ..display import Displayed
 from ..errors import InputError, positive
 from ..typing import Array
 
@@ -27,7 +28,7 @@ OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_ac
 
 
 @dataclass(frozen=True)
-class RateLimits:
+class RateLimits(Displayed):
     """How fast the actuators are.
 
     Args:

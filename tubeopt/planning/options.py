@@ -8,12 +8,13 @@ import numpy as np
 
 from ..block.own import OwnObjective
 from ..control.search import SEARCHES
+from ..display import Displayed
 from ..errors import InputError, choice, positive
 from .smooth import OBJECTIVES
 
 
 @dataclass(frozen=True)
-class PlanOptions:
+class PlanOptions(Displayed):
     """Details of a plan.
 
     Args:

@@ -27,7 +27,7 @@ import numpy as np
 from ..block.quantities import Expression, Quantity
 from ..bodies.corridors import MeshObstacle
 from ..bodies.obstacles import Obstacle
-from ..transcription.explicit import explicit_arm, explicit_joints
+from ..transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..typing import Array
 
 SHARPNESS = 400.0
@@ -75,14 +75,13 @@ m."""
 class PathQuestion:
     """What makes two programs the same but for numbers.
 
-    n tubes, carriages (groups of tubes, from 0), eccentric; intervals between knots; rows of the order of the joints;
+    kind of the arm; carriages (groups of tubes, from 0); intervals between knots; rows of the order of the joints;
     obstacles; length (m) of the robot; an own cost: its expression of the quantities of one pose, and its weight, which
     is negative where more of it is better.
     """
 
-    n: int
+    kind: Kind
     carriages: tuple[tuple[int, ...], ...]
-    eccentric: bool
     intervals: int
     rows: int
     obstacles: tuple[Obstacle, ...]
@@ -118,9 +117,9 @@ def parameter_values(**values: Any) -> Array:
 @lru_cache(maxsize=32)
 def path_program(question: PathQuestion) -> PathProgram:
     """The program of a question, built once."""
-    n, groups, intervals = question.n, len(question.carriages), question.intervals
+    n, groups, intervals = question.kind.n, len(question.carriages), question.intervals
     m, knots = n + groups, question.intervals + 1
-    sizes = {"robot": 7 * n, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
+    sizes = {"robot": question.kind.size, "offset": n, "scale": m, "rate": m, "acceleration": m, "weights": 4}
     sizes |= {"order": question.rows * m, "step": intervals, "twist": intervals, "radius": n}
     p = {name: ca.MX.sym(name, sizes[name]) for name in PARAMETERS}
     joints, rates, tip = ca.MX.sym("q", m, knots), ca.MX.sym("v", m, knots), ca.MX.sym("z", n, knots)
@@ -130,7 +129,7 @@ def path_program(question: PathQuestion) -> PathProgram:
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
     robots = ca.repmat(p["robot"], 1, knots)
     shown = bool(question.obstacles) or question.extra is not None
-    block = (explicit_arm if shown else explicit_joints)(n, question.eccentric).map(knots)
+    block = (explicit_arm if shown else explicit_joints)(question.kind).map(knots)
     rotations, fields, *arm = block(tip, shift, ca.repmat(margin, 1, knots), robots)
     early, middle, late = _cubic(joints, rates, ca.repmat(p["step"].T, m, 1))
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
@@ -225,11 +224,11 @@ def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Fu
 
 def _distance(question: PathQuestion) -> ca.Function:
     """(obstacles,) smooth least distances of one arm, never larger than they are."""
-    n = question.n
-    count = explicit_arm(n, question.eccentric).size2_out(2)
+    n = question.kind.n
+    count = explicit_arm(question.kind).size2_out(2)
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
-    inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", 7 * n), ca.MX.sym("r", n)]
-    places, thick = _places(n, count)(*inputs)
+    inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", question.kind.size), ca.MX.sym("r", n)]
+    places, thick = _places(question.kind, count)(*inputs)
     sharp = SHARPNESS / question.length
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
@@ -251,12 +250,11 @@ def _inside(places: Any, axes: tuple[Array, Array, Array]) -> Any:
     return ca.fmin(ca.fmax(places, low), high)
 
 
-def _places(n: int, count: int) -> ca.Function:
+def _places(kind: Kind, count: int) -> ca.Function:
     """Points along an arm (3, a), and its radius there (1, a)."""
     points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
-    shift, robot, radius = ca.SX.sym("d", n), ca.SX.sym("robot", 7 * n), ca.SX.sym("r", n)
-    _, _, _, straight, whole, _, _ = ca.vertsplit(robot, n)
-    end = shift - straight + whole
+    shift, robot, radius = ca.SX.sym("d", kind.n), ca.SX.sym("robot", kind.size), ca.SX.sym("r", kind.n)
+    end = shift + kind.reach(robot)
     places, thick = [], []
     for k in range(count - 1):
         h = s[k + 1] - s[k]

@@ -21,6 +21,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..control.clock import Clock
 from ..control.joints import JointSpace
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
@@ -28,7 +29,7 @@ from ..errors import InputError, finite, positive
 from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..stability.following import _waypoints
+from ..stability.following import checked_waypoints
 from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
@@ -45,7 +46,7 @@ AGREEMENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class Proof(Displayed):
     """What was found on a trajectory that was followed once more.
 
     Attributes:
@@ -127,7 +128,7 @@ def verify_trajectory(
     for name, value, kind in (("rate_limits", rate_limits, RateLimits), ("start", start, Equilibrium)):
         if value is not None:
             kind_of(name, value, kind)
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")

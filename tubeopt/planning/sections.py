@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
+from ..robots.steps import Steps, steps_of
 from ..typing import Array, Mask
 
 Index = NDArray[np.intp]
 
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""
+
+JUMP = 1e-9
+"""So far (m) to either side of a point one looks for what jumps there."""
 
 PARTS = 4
 """Stretches into which every section is cut to begin with."""
@@ -27,11 +31,11 @@ SHAPE_ERROR = 1 / 96, 1 / 384
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What no joint changes; (n,) each: straight and whole length, kb, kt, |kb kappa|, offset and its direction (n, 2),
-    outer radius of the arm."""
+    """What no joint changes of n tubes of C stretches: `steps` of the tubes; kb and |kb u*_xy| (n, C + 1), 0 where a
+    tube has ended, and kt; (n,) offset and its direction (n, 2), outer radius of the arm.
+    """
 
-    straight: Array
-    whole: Array
+    steps: Steps
     bending: Array
     torsional: Array
     moment: Array
@@ -41,23 +45,49 @@ class Constants:
 
     @staticmethod
     def of(robot: Robot) -> Constants:
-        """Those of a robot."""
-        home = robot.assembly(robot.home_translations)
+        """Those of a robot.
+
+        Raises:
+            InputError: tubes made of pieces that vary along their length.
+        """
+        home, steps = robot.assembly(robot.home_translations), steps_of(robot.tubes, "planning")
         return Constants(
-            straight=home.transition + home.transmission,
-            whole=home.end + home.transmission,
-            bending=home.bending_stiffness,
-            torsional=home.torsional_stiffness,
-            moment=np.abs(home.bending_stiffness * home.curvature),
+            steps=steps,
+            bending=np.pad(steps.bending, ((0, 0), (0, 1))),
+            torsional=np.pad(steps.torsional, ((0, 0), (0, 1)), mode="edge"),
+            moment=np.pad(steps.bending * steps.curvature, ((0, 0), (0, 1))),
             offset=np.abs(home.offset),
             direction=home.across[:, ::-1] * [1.0, -1.0],
             radius=np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + home.offset,
         )
 
+    @property
+    def ended(self) -> int:
+        """The stretch behind the end of a tube, C."""
+        return int(self.steps.cuts.shape[1])
+
     def breakpoints(self, translations: Array) -> Array:
-        """(..., 2n) transitions and ends of tubes at translations (..., n), behind the plate below 0."""
-        beta = np.minimum(translations - self.straight, 0.0)
-        return np.concatenate([beta + self.straight, beta + self.whole], axis=-1)
+        """(..., C n) places where stretches of tubes at translations (..., n) end, behind the plate below 0."""
+        beta = np.minimum(translations - self.steps.cuts[:, 0], 0.0)
+        places = beta[..., None, :] + self.steps.cuts.T
+        return np.asarray(places.reshape(*places.shape[:-2], -1))
+
+    def stretch(self, s: Array, breakpoints: Array) -> Index:
+        """(..., n) in which stretch of each tube arc lengths (...) lie, whose breakpoints are (..., C n)."""
+        places = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
+        return np.asarray((s[..., None, None] >= places).sum(-2), dtype=np.intp)
+
+    def at(self, table: Array, stretch: Index) -> Array:
+        """(..., n) of a table (n, C + 1) in these stretches."""
+        return np.asarray(table[np.arange(len(table)), stretch])
+
+    def transmission(self, translations: Array) -> Array:
+        """(..., n) int ds / kt from where tubes are held to the plate, times kt at the plate, m."""
+        held = np.maximum(self.steps.cuts[:, 0] - translations, 0.0)
+        begin = np.pad(self.steps.cuts, ((0, 0), (1, 0)))[:, :-1]
+        inside = np.clip(held[..., None] - begin, 0.0, self.steps.cuts - begin)
+        at = np.minimum((held[..., None] >= self.steps.cuts).sum(-1), self.ended - 1)
+        return np.asarray((inside / self.steps.torsional).sum(-1) * self.at(self.torsional, at))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +125,8 @@ class Arms:
         return np.array([e.translations for e in self.equilibria])
 
     @cached_property
-    def transmission(self) -> Array:
-        """(E, n) |beta|, m."""
-        return np.maximum(self.constants.straight - self.translations, 0.0)
-
-    @cached_property
     def breakpoints(self) -> Array:
-        """(E, 2n) m."""
+        """(E, C n) m."""
         return self.constants.breakpoints(self.translations)
 
     @cached_property
@@ -110,7 +135,17 @@ class Arms:
         owner = np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
         return self.arc_length + owner * stride, stride
 
-    def _hermite(self, which: Index, s: Array, value: Array, slope: Array) -> Array:
+    @cached_property
+    def _onwards(self) -> Array:
+        """theta' at the points on the side away from the plate, where it jumps between pieces of a tube."""
+        c, owner = self.constants, np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
+        cuts, kt, twist = self.breakpoints[owner], c.torsional, np.pad(c.steps.twist, ((0, 0), (0, 1)))
+        sides = [c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1)]
+        torque = (self.torsion - c.at(twist, sides[0])) * c.at(kt, sides[0])
+        jumps = (sides[0] != sides[1]) & (self.arc_length > JUMP)[:, None]
+        return np.where(jumps, torque / c.at(kt, sides[1]) + c.at(twist, sides[1]), self.torsion)
+
+    def _hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
         key, stride = self._key
         low, high = self.first[which], np.maximum(self.first[which + 1] - 2, self.first[which])
         k = np.clip(np.searchsorted(key, s + which * stride, side="right") - 1, low, high)
@@ -118,15 +153,15 @@ class Arms:
         h = self.arc_length[after] - self.arc_length[k]
         x = np.clip(np.where(h > 0, (s - self.arc_length[k]) / np.where(h > 0, h, 1.0), 0.0), 0.0, 1.0)[..., None]
         ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[after] * x**2 * (3 - 2 * x)
-        return np.asarray(ends + h[..., None] * (slope[k] * x * (1 - x) ** 2 - slope[after] * x**2 * (1 - x)))
+        return np.asarray(ends + h[..., None] * (slopes[0][k] * x * (1 - x) ** 2 - slopes[1][after] * x**2 * (1 - x)))
 
     def points(self, which: Index, s: Array) -> Array:
         """(..., 3) centreline of equilibria (...) at arc lengths (...), cubic between the points of the solution."""
-        return self._hermite(which, s, self.position, self.tangent)
+        return self._hermite(which, s, self.position, (self.tangent, self.tangent))
 
     def rotations(self, which: Index, s: Array) -> Array:
         """(..., n) theta of equilibria (...) at arc lengths (...)."""
-        return self._hermite(which, s, self.rotation, self.torsion)
+        return self._hermite(which, s, self.rotation, (self._onwards, self.torsion))
 
     @cached_property
     def shape_error(self) -> Array:
@@ -141,12 +176,10 @@ class Arms:
         if not len(inner):
             return out
         h, middle = np.diff(self.arc_length)[inner], (self.arc_length[inner] + self.arc_length[inner + 1]) / 2
-        transition, end = np.split(self.breakpoints[owner[inner]], 2, axis=1)
-        present = middle[:, None] < end
-        curved = present & (middle[:, None] > transition)
-        bend = Bending.of(c, present, curved)
-        gain = bend.pairs.sum(2) / c.torsional
-        speed = np.maximum(np.abs(self.torsion[inner]), np.abs(self.torsion[inner + 1])) + h[:, None] * gain
+        stretch = c.stretch(middle, self.breakpoints[owner[inner]])
+        bend = Bending.of(c, stretch)
+        gain = bend.pairs.sum(2) / c.at(c.torsional, stretch)
+        speed = np.maximum(np.abs(self._onwards[inner]), np.abs(self.torsion[inner + 1])) + h[:, None] * gain
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
         gain = gain * (1 + c.offset * bend.most[:, None])
         u = bend.most
@@ -181,11 +214,11 @@ class Bending:
     yielding: Array
 
     @staticmethod
-    def of(c: Constants, present: Mask, curved: Mask) -> Bending:
-        """Of cross-sections in which tubes (..., n) are present and curved."""
-        moment, kb = c.moment * curved, c.bending * present
+    def of(c: Constants, stretch: Index) -> Bending:
+        """Of cross-sections in these stretches (..., n) of the tubes."""
+        moment, kb = c.at(c.moment, stretch), c.at(c.bending, stretch)
         # Where no tube is present there is nothing to bend.
-        straight = np.where(present.any(-1), kb.sum(-1), 1.0)
+        straight = np.where((stretch < c.ended).any(-1), kb.sum(-1), 1.0)
         tilt = np.linalg.norm(kb @ c.direction, axis=-1)
         pull = moment.sum(-1)
         most = pull / straight
@@ -214,8 +247,8 @@ class Bending:
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """Neighbouring equilibria `one` and `other` (B,) of `arms`: K = 2n sections, some without length, of which `begin`
-    and `end` (B, K + 1) are the breakpoints at either; which tubes are present and curved (B, K, n).
+    """Neighbouring equilibria `one` and `other` (B,) of `arms`: K = C n sections, some without length, of which `begin`
+    and `end` (B, K + 1) are the breakpoints at either; in which stretch each tube is there (B, K, n).
 
     A place of an interval is a section with a fraction x of it: its arc length changes linearly with time.
     """
@@ -225,8 +258,7 @@ class Intervals:
     other: Index
     begin: Array
     end: Array
-    present: Mask
-    curved: Mask
+    stretch: Index
     ordered: Mask
 
     @staticmethod
@@ -243,21 +275,30 @@ class Intervals:
             sides.append(np.maximum.accumulate(sorted_points, axis=1))
         # One that is behind the plate at one end and in front of it at the other meets the plate in between.
         ordered &= ~((a < -SWAPPED) & (b > SWAPPED) | (a > SWAPPED) & (b < -SWAPPED)).any(1)
-        inside = ((sides[2][:, :-1] + sides[2][:, 1:]) / 2)[..., None]
-        transition, tip = np.split(middle, 2, axis=1)
-        present = inside < tip[:, None, :]
-        curved = present & (inside > transition[:, None, :])
-        return Intervals(arms, one, other, sides[0], sides[1], present, curved, ordered)
+        stretch = arms.constants.stretch((sides[2][:, :-1] + sides[2][:, 1:]) / 2, middle[:, None])
+        return Intervals(arms, one, other, sides[0], sides[1], stretch, ordered)
 
     @cached_property
     def bending(self) -> Bending:
         """Bounds of curvature, (B, K)."""
-        return Bending.of(self.arms.constants, self.present, self.curved)
+        return Bending.of(self.arms.constants, self.stretch)
+
+    @cached_property
+    def torsional(self) -> Array:
+        """(B, K, n) kt, N m^2."""
+        return self.arms.constants.at(self.arms.constants.torsional, self.stretch)
+
+    @cached_property
+    def transmission(self) -> tuple[Array, Array]:
+        """(B, n) at either end: int ds / kt from where tubes are held to the plate, times kt there, m."""
+        constants, shift = self.arms.constants, self.arms.translations
+        return constants.transmission(shift[self.one]), constants.transmission(shift[self.other])
 
     @cached_property
     def radius(self) -> Array:
         """(B, K) radius of the arm in each section, m."""
-        return np.asarray(np.where(self.present, self.arms.constants.radius, 0.0).max(2))
+        present = self.stretch < self.arms.constants.ended
+        return np.asarray(np.where(present, self.arms.constants.radius, 0.0).max(2))
 
     @cached_property
     def length(self) -> tuple[Array, Array]:

@@ -193,7 +193,7 @@ def _solve(
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, (rate, acceleration) = task.scale, limits
     question = PathQuestion(
-        n, space.carriages, task.chart.eccentric, len(share), len(space.least), task.obstacles, space.length, extra
+        task.chart.kind, space.carriages, len(share), len(space.least), task.obstacles, space.length, extra
     )
     program = path_program(question)
     q = task.chart.joints(z, task.arms(z))

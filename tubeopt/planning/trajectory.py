@@ -11,9 +11,10 @@ import numpy as np
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..control.outline import Outline
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, late
 from .motion import RateLimits
 from .proof import Proof
 
@@ -43,7 +44,7 @@ class PlanStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Displayed):
     """A motion on one stable branch, T samples of n tubes; joint values are linear between samples. SI units.
 
     Attributes:
@@ -58,6 +59,8 @@ class Trajectory:
         deviation: (T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm
             from the path of its tip, m; None for other plans.
     """
+
+    _brief = ("robot", "status", "time")
 
     robot: Robot
     time: Array
@@ -100,6 +103,4 @@ class Trajectory:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
-        from .file import save_trajectory
-
-        save_trajectory(self, path)
+        late("tubeopt.planning.file.save_trajectory")(self, path)

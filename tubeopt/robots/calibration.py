@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, finite, positive
+from ..files.marks import Absent, unit
 from ..typing import Array
 from .limits import JointLimits, default_limits
 from .tubes import Tube
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from .robot import Robot
 
 Numbers = tuple[float, ...]
+"""A number for every tube."""
+
+LEFT_OUT = Absent(None)
 
 
 @dataclass(frozen=True)
@@ -28,26 +32,20 @@ class Calibration:
 
     The library works in the model's joint values throughout; the command line takes and gives readings.
 
-    Args:
-        rotation_offsets (rad), translation_offsets (m): n numbers each.
-        rotation_gains, translation_gains: n numbers each; 1 is a drive that reads true.
-        rotation_play: n half widths of the backlash, rad: the tube follows its drive once it has turned by as much.
-            It depends on the way, so `to_model` leaves it out.
-        latency: s by which measured tips come later than the readings with the same time stamp.
-        found_by: what it was found by, in words.
-
     Raises:
         InputError: tables of different length, a number that is not finite, a gain that is not positive, or a play
             below 0.
     """
 
-    rotation_offsets: Numbers
-    translation_offsets: Numbers
-    rotation_gains: Numbers
-    translation_gains: Numbers
-    rotation_play: Numbers
-    latency: float = 0.0
-    found_by: str = ""
+    rotation_offsets: Annotated[Numbers, unit("deg"), LEFT_OUT, "added to the rotations; 0 where not given"]
+    translation_offsets: Annotated[Numbers, unit("mm"), LEFT_OUT, "added to the translations; 0 where not given"]
+    rotation_gains: Annotated[Numbers, LEFT_OUT, "factors on the rotations; 1 is a drive that reads true"]
+    translation_gains: Annotated[Numbers, LEFT_OUT, "factors on the translations; 1 where not given"]
+    rotation_play: Annotated[Numbers, unit("deg"), LEFT_OUT, "half widths of the backlash; known, not applied"]
+    """The tube follows its drive once it has turned by as much: it depends on the way, so `to_model` leaves it out."""
+
+    latency: Annotated[float, unit("s"), "by which measured tips come later than readings with the same time"] = 0.0
+    found_by: Annotated[str, "the data that it was found by"] = ""
 
     def __post_init__(self) -> None:
         count = len(self.rotation_offsets)
@@ -97,7 +95,7 @@ class Calibration:
         return JointLimits(rotations=rotations, translations=translations)
 
 
-TABLES = tuple(field.name for field in fields(Calibration) if field.type == "Numbers")
+TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).startswith("Annotated[Numbers"))
 """Names of what a calibration holds for every tube."""
 
 

@@ -8,16 +8,19 @@ from os import PathLike
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
-from ..typing import Array
+from ..typing import Array, late
 from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
+from .friction import Friction, check_friction
 from .limits import JointLimits
+from .robot import Robot
 from .tubes import Tube
 
 
 @dataclass(frozen=True)
-class ConcentricRobot:
+class ConcentricRobot(Displayed):
     """A concentric tube robot.
 
     Args:
@@ -25,16 +28,18 @@ class ConcentricRobot:
         name: what to call it in tables and pictures.
         joint_limits: what the actuators allow, in their readings; None is what the lengths allow (see `limits`).
         calibration: how readings of the drives become joint values; None where they read true.
+        friction: between neighbouring tubes, for those who ask for motion with it; None where none is known.
 
     Raises:
-        InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits for another
-            number of tubes.
+        InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits, a
+            calibration or a friction for another number of tubes.
     """
 
     tubes: tuple[Tube, ...]
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
+    friction: Friction | None = None
 
     def __post_init__(self) -> None:
         tubes = tuple(self.tubes)
@@ -57,6 +62,7 @@ class ConcentricRobot:
                 f"limits are given for {len(self.joint_limits.rotations)} tubes; the robot has {len(tubes)}"
             )
         check_calibration(self.calibration, len(tubes))
+        check_friction(self.friction, len(tubes))
 
     @property
     def n_tubes(self) -> int:
@@ -89,6 +95,9 @@ class ConcentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
+        late("tubeopt.robots.file.save_robot")(self, path)
 
-        save_robot(self, path)
+
+def friction_of(robot: Robot) -> Friction | None:
+    """The friction that a robot is known to have; None where none is known."""
+    return robot.friction if isinstance(robot, ConcentricRobot) else None

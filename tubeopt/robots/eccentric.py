@@ -6,11 +6,14 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from os import PathLike
+from typing import Annotated
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, positive
-from ..typing import Array
+from ..files.marks import NOT_NEGATIVE, unit
+from ..typing import Array, late
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import JointLimits
@@ -26,7 +29,7 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
 
 
 @dataclass(frozen=True)
-class EccentricRobot:
+class EccentricRobot(Displayed):
     """A one-segment eccentric tube robot: three equal tubes at 0, 120 and -120 deg around the centreline.
 
     The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
@@ -46,8 +49,10 @@ class EccentricRobot:
     """
 
     tube: Tube
-    offset: float | None = None
-    transmission_length: float = 0.0
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the tubes touch"
+    ] = None
+    transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight tube behind the plate"] = 0.0
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -125,13 +130,11 @@ class EccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)
 
 
 @dataclass(frozen=True)
-class SegmentedEccentricRobot:
+class SegmentedEccentricRobot(Displayed):
     """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.
 
     The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass
@@ -148,7 +151,9 @@ class SegmentedEccentricRobot:
     """
 
     segments: tuple[Tube, ...]
-    offset: float | None = None
+    offset: Annotated[
+        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the outermost tubes touch"
+    ] = None
     name: str = ""
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
@@ -245,6 +250,4 @@ class SegmentedEccentricRobot:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        from .file import save_robot
-
-        save_robot(self, path)
+        late("tubeopt.robots.file.save_robot")(self, path)

@@ -11,123 +11,80 @@ from decimal import Decimal
 from os import PathLike
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
-from ..files.fields import Part
-from ..files.units import DEG, GPA, MM, PER_M, PERCENT, in_unit, to_si
+from ..files.fields import Part, asking, to_data, values
+from ..files.marks import Usual
+from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml, save_yaml
-from .calibration import Calibration
 from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
+from .friction_file import FrictionEntry, friction_to_dict
 from .limits import JointLimits
-from .materials import NITINOL, ZERO_CELSIUS, Material, ThermalData
-from .piece_file import N_MM2, PieceEntry, given_stiffness, piece_to_dict
+from .materials import MATERIALS, NITINOL, Material
+from .piece_file import PieceEntry, check_stiffness, piece_to_dict
 from .robot import Robot
 from .tubes import OfCrossSection, Tube
 
-
-def _percent(strain: float) -> Decimal:
-    return Decimal(str(in_unit(strain, PERCENT)))
-
-
-class ThermalEntry(Part):
-    """Constants for heating; slopes are relative changes per K from the reference temperature."""
-
-    density_kg_per_m3: Positive
-    heat_capacity_J_per_kg_K: Positive
-    conductivity_W_per_m_K: Positive
-    resistivity_ohm_m: Positive
-    expansion_per_K: Positive
-    emissivity: Positive
-    heat_capacity_slope_per_K: Number = Decimal(0)
-    conductivity_slope_per_K: Number = Decimal(0)
-    resistivity_slope_per_K: Number = Decimal(0)
-    reference_degC: Number = Decimal(25)
-
-    def build(self) -> ThermalData:
-        """The constants in SI."""
-        return ThermalData(
-            density=float(self.density_kg_per_m3),
-            heat_capacity=float(self.heat_capacity_J_per_kg_K),
-            conductivity=float(self.conductivity_W_per_m_K),
-            resistivity=float(self.resistivity_ohm_m),
-            expansion=float(self.expansion_per_K),
-            emissivity=float(self.emissivity),
-            heat_capacity_slope=float(self.heat_capacity_slope_per_K),
-            conductivity_slope=float(self.conductivity_slope_per_K),
-            resistivity_slope=float(self.resistivity_slope_per_K),
-            reference_temperature=float(self.reference_degC + Decimal(str(ZERO_CELSIUS))),
-        )
-
-
-class MaterialEntry(Part):
-    """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
-
-    name: str
-    youngs_modulus_GPa: Positive
-    shear_modulus_GPa: Positive | None = None
-    poisson_ratio: NotNegative | None = None
-    working_strain_percent: Positive = _percent(Material.working_strain)
-    superelastic_strain_percent: Positive = _percent(Material.superelastic_strain)
-    thermal: ThermalEntry | None = Field(None, description="for heating; by default known only of nitinol")
-
-    def build(self) -> Material:
-        """The material in SI."""
-        modulus = to_si(self.youngs_modulus_GPa, GPA)
-        if (self.shear_modulus_GPa is None) == (self.poisson_ratio is None):
-            raise ValueError(_one_of("shear_modulus_GPa", "poisson_ratio", both=self.poisson_ratio is not None))
-        if self.shear_modulus_GPa is not None:
-            material = Material(self.name, modulus, to_si(self.shear_modulus_GPa, GPA))
-        else:
-            material = Material.from_poisson_ratio(self.name, modulus, float(self.poisson_ratio or 0))
-        material = replace(
-            material,
-            working_strain=to_si(self.working_strain_percent, PERCENT),
-            superelastic_strain=to_si(self.superelastic_strain_percent, PERCENT),
-            thermal=None if self.thermal is None else self.thermal.build(),
-        )
-        # Nitinol by its constants is the nitinol that has a name.
-        return NITINOL if material == replace(NITINOL, thermal=None) else material
+STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
 
 def _one_of(key: str, other: str, *, both: bool) -> str:
     return f"gives {f'both {key} and' if both else f'neither {key} nor'} {other}; it must give one of them"
 
 
+@asking(Material)
+class MaterialEntry(Part):
+    """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
+
+    shear_modulus_GPa: Positive | None = Field(None, description="or Poisson's ratio in its place")
+    poisson_ratio: NotNegative | None = None
+
+    def build(self) -> Material:
+        """The material in SI."""
+        given = values(Material, self)
+        if ("shear_modulus" in given) == (self.poisson_ratio is not None):
+            raise ValueError(_one_of("shear_modulus_GPa", "poisson_ratio", both=self.poisson_ratio is not None))
+        if self.poisson_ratio is not None:
+            isotropic = Material.from_poisson_ratio(given["name"], given["youngs_modulus"], float(self.poisson_ratio))
+            given["shear_modulus"] = isotropic.shear_modulus
+        material = Material(**given)
+        # Nitinol by its constants is the nitinol that has a name.
+        return NITINOL if material == replace(NITINOL, thermal=None) else material
+
+
 MaterialChoice = Annotated[
-    Annotated[Literal["nitinol"], Tag("<name>")] | Annotated[MaterialEntry, Tag("<mapping>")],
+    Annotated[Literal["nitinol"], BeforeValidator(str.lower), Tag("<name>")]
+    | Annotated[MaterialEntry, Tag("<mapping>")],
     Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>"),
 ]
 """A material by name or by its constants."""
 
 
-G_PER_M = Decimal("1e-3")
+def material_of(choice: str | MaterialEntry) -> Material:
+    """The material that was chosen."""
+    return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
 
+@asking(Tube)
 class TubeEntry(Part):
     """A tube: a straight part, then a curved part whose curvature or radius is given, or pieces."""
 
-    outer_diameter_mm: Positive
-    inner_diameter_mm: NotNegative
-    straight_length_mm: NotNegative
     pieces: list[PieceEntry] | None = Field(
         None, min_length=1, description="what the tube is made of behind its straight part"
     )
-    curved_length_mm: NotNegative | None = Field(
+    curved_length_mm: Annotated[NotNegative | None, Usual(1e-3, 10.0)] = Field(
         None, validate_default=True, description="length of the curved part; with pieces it may be left out"
     )
-    curvature_per_m: Number | None = Field(
+    curvature_per_m: Annotated[Number | None, Usual(0.1, 2000.0)] = Field(
         None, description="precurvature; 0 for a straight tube, negative to the other side"
     )
     radius_mm: Positive | None = Field(None, description="radius of the precurvature, in place of curvature_per_m")
     material: MaterialChoice = "nitinol"
-    bending_stiffness_N_mm2: Positive | None = Field(None, description="as measured; by default E I")
-    torsional_stiffness_N_mm2: Positive | None = Field(None, description="as measured; by default G J")
-    mass_per_length_g_per_m: Positive | None = None
 
     @field_validator("curved_length_mm")
     @classmethod
@@ -138,23 +95,14 @@ class TubeEntry(Part):
 
     def build(self) -> Tube:
         """The tube in SI."""
-        tube = Tube(
-            outer_diameter=to_si(self.outer_diameter_mm, MM),
-            inner_diameter=to_si(self.inner_diameter_mm, MM),
-            straight_length=to_si(self.straight_length_mm, MM),
-            curved_length=to_si(self.curved_length_mm or Decimal(1), MM) if self.curved_length_mm != 0 else 0.0,
-            curvature=0.0 if self.pieces else self._curvature(),
-            material=NITINOL if isinstance(self.material, str) else self.material.build(),
-            mass_per_length=None
-            if self.mass_per_length_g_per_m is None
-            else to_si(self.mass_per_length_g_per_m, G_PER_M),
-        )
-        own: dict[str, Any] = {}
-        for name in ("bending_stiffness", "torsional_stiffness"):
-            given = getattr(self, f"{name}_N_mm2")
-            if given is not None:
-                own[name] = given_stiffness(f"{name}_N_mm2", given, getattr(tube, name))
-        tube = replace(tube, **own)
+        given = values(Tube, self) | {"material": material_of(self.material)}
+        if self.pieces is None:
+            given["curvature"] = self._curvature()
+        stiffness = {name: given.pop(name) for name in STIFFNESSES if name in given}
+        plain = Tube(**{"curved_length": 0.0 if self.curved_length_mm == 0 else 1e-3, "curvature": 0.0} | given)
+        for name, value in stiffness.items():
+            check_stiffness(f"{name}_N_mm2", value, getattr(plain, name))
+        tube = replace(plain, **stiffness)
         return tube if self.pieces is None else self._of_pieces(tube, self.pieces)
 
     def _curvature(self) -> float:
@@ -193,85 +141,68 @@ Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 """Least and greatest value."""
 
 
+@asking(JointLimits)
 class LimitsEntry(Part):
     """Least and greatest value of every joint, one pair per tube."""
 
-    rotations_deg: list[Range]
-    translations_mm: list[Range]
-
     def build(self) -> JointLimits:
         """The limits in SI."""
-        return JointLimits(
-            rotations=tuple((to_si(low, DEG), to_si(high, DEG)) for low, high in self.rotations_deg),
-            translations=tuple((to_si(low, MM), to_si(high, MM)) for low, high in self.translations_mm),
-        )
+        return JointLimits(**values(JointLimits, self))
 
 
-class ConcentricEntry(Part):
+class RobotEntry(Part):
+    """What all kinds of robot have in common."""
+
+    kind: str
+    name: str = ""
+    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
+    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
+
+    def common(self) -> dict[str, Any]:
+        """Name, limits and calibration in SI."""
+        return {
+            "name": self.name,
+            "joint_limits": self.limits.build() if self.limits else None,
+            "calibration": self.calibration.build() if self.calibration else None,
+        }
+
+
+class ConcentricEntry(RobotEntry):
     """A concentric tube robot, tubes inner to outer."""
 
     kind: Literal["concentric"]
-    name: str = ""
     tubes: list[TubeEntry] = Field(min_length=1)
-    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
-    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
+    friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
-        tubes = tuple(tube.build() for tube in self.tubes)
-        return ConcentricRobot(tubes, self.name, _limits(self.limits), _calibration(self.calibration))
+        friction = self.friction.build() if self.friction else None
+        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), **self.common(), friction=friction)
 
 
-class EccentricEntry(Part):
+@asking(EccentricRobot)
+class EccentricEntry(RobotEntry):
     """A one-segment eccentric tube robot: three equal tubes side by side in a sheath."""
 
     kind: Literal["eccentric"]
-    name: str = ""
     tube: TubeEntry
-    offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the tubes touch")
-    transmission_length_mm: NotNegative = Decimal(0)
-    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
-    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def build(self) -> EccentricRobot:
         """The robot in SI."""
-        return EccentricRobot(
-            self.tube.build(),
-            offset=None if self.offset_mm is None else to_si(self.offset_mm, MM),
-            transmission_length=to_si(self.transmission_length_mm, MM),
-            name=self.name,
-            joint_limits=_limits(self.limits),
-            calibration=_calibration(self.calibration),
-        )
+        return EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
 
 
-class SegmentedEccentricEntry(Part):
+@asking(SegmentedEccentricRobot)
+class SegmentedEccentricEntry(RobotEntry):
     """An eccentric tube robot of telescoping segments, inner to outer."""
 
     kind: Literal["segmented_eccentric"]
-    name: str = ""
     segments: list[TubeEntry] = Field(min_length=1)
-    offset_mm: NotNegative | None = Field(None, description="from the centreline; by default where the outermost touch")
-    limits: LimitsEntry | None = Field(None, description="what the actuators allow; by default what the lengths allow")
-    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
 
     def build(self) -> SegmentedEccentricRobot:
         """The robot in SI."""
-        return SegmentedEccentricRobot(
-            tuple(tube.build() for tube in self.segments),
-            offset=None if self.offset_mm is None else to_si(self.offset_mm, MM),
-            name=self.name,
-            joint_limits=_limits(self.limits),
-            calibration=_calibration(self.calibration),
-        )
-
-
-def _limits(entry: LimitsEntry | None) -> JointLimits | None:
-    return entry.build() if entry else None
-
-
-def _calibration(entry: CalibrationEntry | None) -> Calibration | None:
-    return entry.build() if entry else None
+        segments = tuple(tube.build() for tube in self.segments)
+        return SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
 
 
 AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
@@ -325,72 +256,28 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     if isinstance(robot, ConcentricRobot):
         data = {"kind": "concentric", "name": robot.name, "tubes": [tube_to_dict(tube) for tube in robot.tubes]}
     elif isinstance(robot, EccentricRobot):
-        data = {
-            "kind": "eccentric",
-            "name": robot.name,
-            "tube": tube_to_dict(robot.tube),
-            "offset_mm": in_unit(robot.distance, MM),
-            "transmission_length_mm": in_unit(robot.transmission_length, MM),
-        }
+        data = {"kind": "eccentric", "name": robot.name, "tube": tube_to_dict(robot.tube)} | to_data(robot)
     elif isinstance(robot, SegmentedEccentricRobot):
         segments = [tube_to_dict(tube) for tube in robot.segments]
-        offset = in_unit(robot.distance, MM)
-        data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments, "offset_mm": offset}
+        data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments} | to_data(robot)
     else:
         raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
     if robot.joint_limits is not None:
-        data["limits"] = {
-            "rotations_deg": [[in_unit(x, DEG) for x in pair] for pair in robot.joint_limits.rotations],
-            "translations_mm": [[in_unit(x, MM) for x in pair] for pair in robot.joint_limits.translations],
-        }
+        data["limits"] = to_data(robot.joint_limits)
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
+    if isinstance(robot, ConcentricRobot) and robot.friction is not None:
+        data["friction"] = friction_to_dict(robot.friction)
     return data
 
 
 def tube_to_dict(tube: Tube) -> dict[str, Any]:
     """`tube` with the keys and units of a robot file."""
-    data: dict[str, Any] = {
-        "outer_diameter_mm": in_unit(tube.outer_diameter, MM),
-        "inner_diameter_mm": in_unit(tube.inner_diameter, MM),
-        "straight_length_mm": in_unit(tube.straight_length, MM),
-    }
+    derived = [name for name in STIFFNESSES if isinstance(getattr(tube, name), OfCrossSection)]
     if tube.pieces:
+        data = to_data(tube, [*derived, "curved_length", "curvature"])
         data["pieces"] = [piece_to_dict(piece) for piece in tube.pieces]
     else:
-        data["curved_length_mm"] = in_unit(tube.curved_length, MM)
-        data["curvature_per_m"] = in_unit(tube.curvature, PER_M)
-    data["material"] = NITINOL.name if tube.material == NITINOL else _material(tube.material)
-    for name in ("bending_stiffness", "torsional_stiffness"):
-        own = getattr(tube, name)
-        if not isinstance(own, OfCrossSection):
-            data[f"{name}_N_mm2"] = in_unit(own, N_MM2)
-    if tube.mass_per_length is not None:
-        data["mass_per_length_g_per_m"] = in_unit(tube.mass_per_length, G_PER_M)
+        data = to_data(tube, derived)
+    data["material"] = NITINOL.name if tube.material == NITINOL else to_data(tube.material)
     return data
-
-
-def _material(material: Material) -> dict[str, Any]:
-    data = {
-        "name": material.name,
-        "youngs_modulus_GPa": in_unit(material.youngs_modulus, GPA),
-        "shear_modulus_GPa": in_unit(material.shear_modulus, GPA),
-        "working_strain_percent": in_unit(material.working_strain, PERCENT),
-        "superelastic_strain_percent": in_unit(material.superelastic_strain, PERCENT),
-    }
-    return data if material.thermal is None else data | {"thermal": _thermal(material.thermal)}
-
-
-def _thermal(data: ThermalData) -> dict[str, Any]:
-    return {
-        "density_kg_per_m3": data.density,
-        "heat_capacity_J_per_kg_K": data.heat_capacity,
-        "conductivity_W_per_m_K": data.conductivity,
-        "resistivity_ohm_m": data.resistivity,
-        "expansion_per_K": data.expansion,
-        "emissivity": data.emissivity,
-        "heat_capacity_slope_per_K": data.heat_capacity_slope,
-        "conductivity_slope_per_K": data.conductivity_slope,
-        "resistivity_slope_per_K": data.resistivity_slope,
-        "reference_degC": Decimal(repr(data.reference_temperature)) - Decimal(str(ZERO_CELSIUS)),
-    }

@@ -23,7 +23,8 @@ class Friction:
         ends: N m where the outer one ends.
         sliding: whether sliding of the tubes along each other uses up friction, so that what slips fast along the axis
             bears less torque about it. The radius at which they rub is that of the inner tube's outside.
-        refinement: how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks.
+        refinement: how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks;
+            -1 and -2 make it coarser, for answers in less time.
 
     Raises:
         InputError: a number that is not finite or below 0, or tables of different length.
@@ -47,8 +48,8 @@ class Friction:
             raise InputError(
                 f"friction is given for {' and '.join(map(str, sorted(lengths)))} pairs of tubes; it must be as many"
             )
-        if isinstance(self.refinement, bool) or self.refinement not in range(5):
-            raise InputError(f"refinement of friction is {self.refinement!r}; it must be a whole number from 0 to 4")
+        if isinstance(self.refinement, bool) or self.refinement not in range(-2, 5):
+            raise InputError(f"refinement of friction is {self.refinement!r}; it must be a whole number from -2 to 4")
 
     def of(self, name: str) -> tuple[float, ...]:
         """The numbers of one of PAIRWISE, as given."""

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
+from ..files.marks import unit
 from .tubes import Tube
 
 Ranges = tuple[tuple[float, float], ...]
+"""Least and greatest value, one pair per tube."""
 
 
 @dataclass(frozen=True)
-class JointLimits:
-    """Least and greatest value of every joint: rotations (rad) and translations (m) as (n, 2) pairs.
+class JointLimits(Displayed):
+    """Least and greatest value of every joint, one pair per tube.
 
     Raises:
         InputError: a range is not two finite numbers in order, or the two tables differ in length.
     """
 
-    rotations: Ranges
-    translations: Ranges
+    rotations: Annotated[Ranges, unit("deg"), "least and greatest rotation of every tube"]
+    translations: Annotated[Ranges, unit("mm"), "least and greatest translation of every tube"]
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):

@@ -9,6 +9,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError, choice, finite, positive, vector
 from ..typing import Array
 
@@ -35,7 +36,7 @@ class PointForce:
 
 
 @dataclass(frozen=True)
-class Load:
+class Load(Displayed):
     """External forces and moments on a robot; world axes are those of the plate.
 
     Args:

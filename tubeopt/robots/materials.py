@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
-from ..errors import InputError, finite, positive
+from ..display import Displayed
+from ..errors import InputError
+from ..files.marks import POSITIVE, Range, Usual, check_fields, key, unit
 
 ZERO_CELSIUS = 273.15
 """0 degC in K."""
@@ -16,64 +19,50 @@ class ThermalData:
 
     A property with a slope is value * (1 + slope * (T - reference_temperature)).
 
-    Args:
-        density: kg/m^3.
-        heat_capacity, heat_capacity_slope: J/(kg K), 1/K.
-        conductivity, conductivity_slope: thermal, W/(m K), 1/K.
-        resistivity, resistivity_slope: electrical, ohm m, 1/K.
-        expansion: coefficient of linear thermal expansion, 1/K.
-        emissivity: total, in (0, 1].
-        reference_temperature: K.
-
     Raises:
         InputError: a constant is not positive, a slope is not finite, or the emissivity is above 1.
     """
 
-    density: float
-    heat_capacity: float
-    conductivity: float
-    resistivity: float
-    expansion: float
-    emissivity: float
-    heat_capacity_slope: float = 0.0
-    conductivity_slope: float = 0.0
-    resistivity_slope: float = 0.0
-    reference_temperature: float = 25.0 + ZERO_CELSIUS
+    density: Annotated[float, unit("kg_per_m3"), POSITIVE]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), POSITIVE]
+    conductivity: Annotated[float, unit("W_per_m_K"), POSITIVE, "of heat"]
+    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Usual(1e-9, 1e-4), "to electric current"]
+    expansion: Annotated[float, unit("per_K"), POSITIVE, Usual(1e-7, 1e-3), "of its length"]
+    emissivity: Annotated[float, Range(above=0.0, most=1.0), "over all wavelengths"]
+    heat_capacity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
+    conductivity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
+    resistivity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
+    reference_temperature: Annotated[
+        float, key("reference_degC"), POSITIVE, "temperature at which the properties are those given"
+    ] = 25.0 + ZERO_CELSIUS
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            check = finite if field.name.endswith("_slope") else positive
-            object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
-        if self.emissivity > 1:
-            raise InputError(f"emissivity is {self.emissivity:g}; it must be at most 1")
+        check_fields(self)
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Displayed):
     """An isotropic, linear-elastic tube material.
 
-    Args:
-        name: what to call it.
-        youngs_modulus: E in Pa.
-        shear_modulus: G in Pa; E/3 < G <= E/2, so that Poisson's ratio lies in [0, 1/2).
-        working_strain: strain up to which a tube may be cycled without thought.
-        superelastic_strain: strain beyond which a tube does not spring back.
-        thermal: constants for heating; None where they are not known.
+    Poisson's ratio E / (2 G) - 1 lies in [0, 1/2), so E/3 < G <= E/2.
 
     Raises:
         InputError: a modulus or strain is not positive, or Poisson's ratio lies outside [0, 1/2).
     """
 
-    name: str
-    youngs_modulus: float
-    shear_modulus: float
-    working_strain: float = 0.01
-    superelastic_strain: float = 0.06
-    thermal: ThermalData | None = None
+    name: Annotated[str, "what to call it"]
+    youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(5e9, 5e11), "E"]
+    shear_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(2e9, 2e11), "G; or Poisson's ratio in its place"]
+    working_strain: Annotated[
+        float, unit("percent"), POSITIVE, "strain up to which a tube may be cycled without thought"
+    ] = 0.01
+    superelastic_strain: Annotated[
+        float, unit("percent"), POSITIVE, "strain beyond which a tube does not spring back"
+    ] = 0.06
+    thermal: Annotated[ThermalData | None, "constants for heating; by default known only of nitinol"] = None
 
     def __post_init__(self) -> None:
-        for field in ("youngs_modulus", "shear_modulus", "working_strain", "superelastic_strain"):
-            object.__setattr__(self, field, positive(f"{field} of material {self.name!r}", getattr(self, field)))
+        check_fields(self, f"material {self.name!r}")
         if not -1e-9 <= self.poisson_ratio < 0.5:
             raise InputError(
                 f"shear_modulus of material {self.name!r} is {self.shear_modulus:g} Pa, which makes Poisson's ratio "
@@ -120,3 +109,6 @@ suppliers give 0.82 (austenite, the usual data sheet) to 1.0 micro-ohm m (SMA In
 with it the lower value at 25 degC becomes 1.03 at 525 degC. Heat capacity: 3R per mole of atoms (Dulong and Petit) is
 468 J/(kg K); the slope is assumed. The 837 J/(kg K) (0.20 cal/(g K)) of many data sheets is 1.8 times that of a solid
 of these atoms. Emissivity of the oxidised surface: assumed, calibrate."""
+
+MATERIALS = {NITINOL.name: NITINOL}
+"""Materials that a file may name."""

@@ -215,15 +215,13 @@ def _sum(a: Quantity, b: Quantity) -> Quantity:
     return Series(a.breaks, tuple(table))
 
 
-def given_stiffness(name: str, value: Decimal, of_section: float) -> float:
-    """A stiffness (N mm^2) of a tube in SI; raises InputError where it can be none of that tube."""
-    stiffness = to_si(value, N_MM2)
-    if not LEAST_STIFFNESS * of_section <= stiffness <= MOST_STIFFNESS * of_section:
+def check_stiffness(name: str, value: float, of_section: float) -> None:
+    """Raise InputError where a stiffness (N m^2) can be none of a tube whose cross-section has another."""
+    if not LEAST_STIFFNESS * of_section <= value <= MOST_STIFFNESS * of_section:
         raise InputError(
-            f"{name} is {value}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
+            f"{name} is {value * 1e6:.10g}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
             f"{LEAST_STIFFNESS:g} to {MOST_STIFFNESS:g} times that"
         )
-    return stiffness
 
 
 def piece_to_dict(piece: Piece) -> dict[str, Any]:

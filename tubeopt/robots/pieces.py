@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError, finite, positive
 from ..typing import Array
 from .series import Quantity, Series, expand, extremes, spline, times
@@ -20,7 +21,7 @@ Along = float | Series | Callable[[float], float]
 
 
 @dataclass(frozen=True)
-class Piece:
+class Piece(Displayed):
     """A stretch of a tube with a precurvature and stiffnesses of its own.
 
     Args:

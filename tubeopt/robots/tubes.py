@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
+from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
@@ -27,35 +29,38 @@ class OfCrossSection(float):
 
 
 @dataclass(frozen=True)
-class Tube:
+class Tube(Displayed):
     """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
 
-    Args:
-        outer_diameter, inner_diameter: m; 0 <= inner < outer.
-        straight_length, curved_length: m, >= 0 and not both 0; of a tube of pieces, curved_length is their sum.
-        curvature: precurvature of the curved part, 1/m; the sign is the side to which it bends. Of a tube of pieces the
-            largest |u*_xy|: another value bends all pieces in proportion.
-        material: elastic constants.
-        bending_stiffness, torsional_stiffness: as measured, N m^2, of the straight part and of the pieces without one
-            of their own. Left out, or None, they are E I and G J, and stay so when `dataclasses.replace` changes the
-            diameters or the material; given ones stay as they are.
-        mass_per_length: kg/m, or None where it is not known.
-        pieces: what the tube is made of behind its straight part; none is one constant curvature.
+    Of a tube of pieces `curved_length` is the sum of theirs, and `curvature` the largest |u*_xy|: another value bends
+    all pieces in proportion. The stiffnesses are those of the straight part and of the pieces without one of their own;
+    left out, or None, they are E I and G J, and stay so when `dataclasses.replace` changes the diameters or the
+    material; given ones stay as they are.
 
     Raises:
         InputError: a field is not finite or out of its range, or the curve is tighter than the tube is thick.
     """
 
-    outer_diameter: float
-    inner_diameter: float
-    straight_length: float
-    curved_length: float
-    curvature: float
+    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1), "less than the outer diameter"]
+    straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "from the held end"]
+    curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "behind the straight part"]
+    curvature: Annotated[
+        float, unit("per_m"), Usual(0.1, 2000.0), "precurvature; 0 for a straight tube, negative to the other side"
+    ]
     material: Material = NITINOL
     # None only on the way in: a tube that exists has its stiffnesses.
-    bending_stiffness: float = field(default=None, kw_only=True)  # type: ignore[assignment]
-    torsional_stiffness: float = field(default=None, kw_only=True)  # type: ignore[assignment]
-    mass_per_length: float | None = field(default=None, kw_only=True)
+    bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "as measured; by default E I"] = field(
+        default=None,  # type: ignore[assignment]
+        kw_only=True,
+    )
+    torsional_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "as measured; by default G J"] = field(
+        default=None,  # type: ignore[assignment]
+        kw_only=True,
+    )
+    mass_per_length: Annotated[float | None, unit("g_per_m"), POSITIVE, Usual(1e-6, 1.0), "for its weight"] = field(
+        default=None, kw_only=True
+    )
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ from ..files.fields import Part
 from ..files.units import DEG, MM, PER_M, PERCENT, to_si
 from ..robots.file import Range
 from .base import Whole
-from .obstacle_file import Bodies, Triple, point
+from .obstacle_file import Bodies, Place, Triple, point
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""
@@ -143,7 +143,7 @@ class LengthEntry(Part):
 class TargetEntry(Part):
     """Where the tip must get."""
 
-    position_mm: Triple
+    position_mm: Place
     tolerance_mm: Positive = Decimal("0.1")
     direction: Triple | None = None
     direction_tolerance_deg: Positive = Decimal(2)

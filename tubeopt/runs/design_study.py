@@ -23,6 +23,7 @@ from ..design import (
 from ..design.exchange import certified_at
 from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
+from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Number, in_file
 from ..files.units import MM, to_si
@@ -55,7 +56,7 @@ class StockStudy(Entry):
 
 
 @dataclass(frozen=True, eq=False)
-class DesignAnswer:
+class DesignAnswer(Displayed):
     """A design, and what was asked besides: its spread in manufacture, the front it lies on, the choice from stock."""
 
     solution: DesignSolution

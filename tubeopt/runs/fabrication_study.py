@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ..display import Displayed
 from ..files.checked import Positive
 from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import Uncertainty
 from ..shaping.heating.spec import HeatingSpec
+from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
@@ -35,7 +36,7 @@ class TubeParts:
 
 
 @dataclass(frozen=True, eq=False)
-class Fabrication:
+class Fabrication(Displayed):
     """Everything that it takes to make a robot's tubes.   left_out: tubes that are not, in words."""
 
     robot: Robot

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.fields import asking, values
 from ..files.units import PERCENT, to_si
@@ -16,8 +17,9 @@ from ..shaping.heating.files import slot_milliseconds
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import Band, Uncertainty, assess, charge_tables, most_likely
+from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
+from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.materials import mold_material
 from .base import Progress, RobotPath, Study, TubeNumber, Whole
 from .rig_file import load_rig
@@ -36,7 +38,7 @@ class Ensemble:
 
 
 @dataclass(frozen=True, eq=False)
-class Heating:
+class Heating(Displayed):
     """A plan, its tables by the battery's charge, and its band over uncertain rigs, None where that was not asked for.
 
     scale: by which its duties were scaled to the most likely success.
@@ -105,31 +107,19 @@ class TubeOnRig(Study):
         return chosen
 
 
-@asking(HeatingSpec)
-class HeatingStudy(TubeOnRig):
-    """The schedule that holds the curved part of a tube within a window of temperature."""
+class HeatedTube(TubeOnRig):
+    """What studies of plans share: a rig as it is set up; what is asked of the heating comes with `asking`."""
 
-    doing = "planning the heating"
-
-    kind: Literal["heating"]
     material: str | None = Field(None, description="mold material in place of the rig's")
     battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
-    charges_percent: list[Positive] = Field(
-        [], description="also tables for these states of charge; none for no tables"
-    )
-    loss_percent: NotNegative = Field(
-        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
-    )
-    robust: bool = Field(False, description="scale the duties to the most likely success")
-    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        self._rig()
-        slot_milliseconds(self._spec().slot)
+        self.set_up()
+        slot_milliseconds(self.spec().slot)
         return self
 
-    def _rig(self) -> Rig:
+    def set_up(self) -> Rig:
         """The rig with the material and the voltage that are given."""
         rig = self.rig
         if self.material is not None:
@@ -138,8 +128,26 @@ class HeatingStudy(TubeOnRig):
             rig = rig.with_charge(rig.battery.charge_at(float(self.battery_V)))
         return rig
 
-    def _spec(self) -> HeatingSpec:
+    def spec(self) -> HeatingSpec:
+        """What is asked of the heating."""
         return HeatingSpec(**values(HeatingSpec, self))
+
+
+@asking(HeatingSpec)
+class HeatingStudy(HeatedTube):
+    """The schedule that holds the curved part of a tube within a window of temperature."""
+
+    doing = "planning the heating"
+
+    kind: Literal["heating"]
+    charges_percent: list[Positive] = Field(
+        [], description="also tables for these states of charge; none for no tables"
+    )
+    loss_percent: NotNegative = Field(
+        Decimal(15), lt=100, description="half-width of what is not known of the heat loss; 0 for no band"
+    )
+    robust: bool = Field(False, description="scale the duties to the most likely success")
+    samples: Annotated[Whole, Field(ge=0)] = Field(0, description="uncertain rigs in the ensemble; 0 for no band")
 
     def run(self, progress: Progress | None = None) -> Heating:
         """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
@@ -150,4 +158,4 @@ class HeatingStudy(TubeOnRig):
             ensemble = Ensemble(uncertainty, self.samples, scaled=self.robust)
         if progress is not None:
             progress(0, 1 + len(charges) + (ensemble is not None))
-        return heating_of(plan_heating(self.heated(), self._rig(), self._spec()), charges, ensemble, progress)
+        return heating_of(plan_heating(self.heated(), self.set_up(), self.spec()), charges, ensemble, progress)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, in_file
 from ..files.units import MM, to_si
@@ -17,8 +18,9 @@ from ..robots.calibration import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Bodies, Triple, point
+from .base import OnePerTube, Progress, RobotPath, Whole, metres, radians
+from .load_file import LoadedStudy
+from .obstacle_file import Bodies, Place, Triple, point
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -27,7 +29,7 @@ Joints = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class Postures:
+class Postures(Displayed):
     """Answers for one target, best first."""
 
     robot: Robot
@@ -54,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class TargetTable:
+class TargetTable(Displayed):
     """Answers for a table of targets."""
 
     robot: Robot
@@ -62,14 +64,14 @@ class TargetTable:
     followed: bool = False
 
 
-class InverseStudy(Study):
+class InverseStudy(LoadedStudy):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
     doing = "solving targets"
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: Triple | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    target_mm: Place | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
     direction: Triple | None = Field(
         None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )
@@ -122,6 +124,8 @@ class InverseStudy(Study):
             raise ValueError("direction_weight is given without a direction")
         if self.objective == "nearest" and self.start is None and self._reference() is None:
             raise ValueError("objective is nearest; it needs a start or a reference to be near to")
+        if self.pushing() is not None and (self.all or self.follow or self.closest):
+            raise ValueError("all, follow and closest are for a robot without load")
         return self
 
     def _reference(self) -> tuple[Array, Array] | None:
@@ -165,13 +169,14 @@ class InverseStudy(Study):
             "seed": self._seed(),
             "reference": self._reference(),
             "on_failure": on_failure,
-            "reachable": self.reachable,
+            "reachable": self.reachable and self.pushing() is None,
         }
         position = point(self.target_mm)
         if self.all:
-            found = inverse_kinematics(self.robot, position, all_solutions=True, **given, **self._common())
-            return Postures(self.robot, tuple(found))
-        return Postures(self.robot, (inverse_kinematics(self.robot, position, **given, **self._common()),))
+            every = inverse_kinematics(self.robot, position, all_solutions=True, **given, **self._common())
+            return Postures(self.robot, tuple(every))
+        found = inverse_kinematics(self.robot, position, load=self.pushing(), **given, **self._common())
+        return Postures(self.robot, (found,))
 
     def _table(self, targets: Targets, on_failure: str, progress: Progress | None) -> TargetTable:
         rows: list[Row] = []
@@ -189,7 +194,8 @@ class InverseStudy(Study):
                         seed=self._seed(),
                         reference=self._reference(),
                         on_failure=on_failure,
-                        reachable=self.reachable,
+                        reachable=self.reachable and self.pushing() is None,
+                        load=self.pushing(),
                         **self._common(),
                     )
                     rows.append(Row(k + 1, position, direction, solution, ""))

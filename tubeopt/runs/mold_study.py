@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, in_file
 from ..files.units import MM, to_si
 from ..robots.materials import ZERO_CELSIUS
@@ -24,7 +25,7 @@ from .mold_file import load_mold_spec, load_springback
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
+class Ranking(Displayed):
     """Mold materials for a tube, best first.   heat: the heating that they are for."""
 
     ratings: tuple[MaterialRating, ...]

@@ -15,7 +15,7 @@ from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
-from .obstacle_file import Bodies, Triple, point
+from .obstacle_file import Bodies, Place, Triple, point
 
 Default = PlanOptions()
 
@@ -52,7 +52,7 @@ class PlanStudy(Study):
     goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
     modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
-    tip_mm: Triple | None = Field(None, description="goal as a position of the tip")
+    tip_mm: Place | None = Field(None, description="goal as a position of the tip")
     tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"

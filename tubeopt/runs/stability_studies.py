@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, in_file
 from ..files.units import UNITS, to_si
@@ -36,7 +37,7 @@ from .load_file import LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibria:
+class Equilibria(Displayed):
     """All equilibria of a robot at given joint values, the lowest energy first."""
 
     robot: Robot
@@ -66,7 +67,7 @@ class EquilibriaStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class Way(Displayed):
     """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one.
 
     start, end: (rotations (n,), translations (n,)), rad and m.
@@ -117,7 +118,7 @@ class SnapStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Displayed):
     """What a robot does along waypoints."""
 
     robot: Robot
@@ -150,7 +151,7 @@ class FollowStudy(LoadedStudy):
 
 
 @dataclass(frozen=True, eq=False)
-class Certification:
+class Certification(Displayed):
     """The verdict on a robot, at the translations of the least certificate in `box` where a box was asked for.
 
     robot_file: what the commands that repeat it name.
@@ -230,7 +231,7 @@ def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotMap:
+class RobotMap(Displayed):
     """A stability map, and the robot that it is of."""
 
     robot: Robot
@@ -249,9 +250,9 @@ class StabilityMapStudy(Study):
     tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field(
         [1, 2], description="the two tubes that turn; 1 is the innermost", examples=["I,J"]
     )
-    samples: Annotated[Whole, Field(ge=2)] = Field(60, description="points per axis, from -180 to 180 deg")
+    samples: Annotated[Whole, Field(ge=2)] = Field(24, description="points per axis, from -180 to 180 deg")
     directions: Annotated[Whole, Field(ge=4)] = Field(
-        180, description="directions in which the snap boundary is computed"
+        120, description="directions in which the snap boundary is computed"
     )
     workers: Annotated[Whole, Field(ge=1)] = Field(2, description="processes that share the work")
 

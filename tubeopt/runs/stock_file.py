@@ -13,8 +13,7 @@ from ..files.checked import Entry, NotNegative, Positive, check_kind
 from ..files.fields import Part
 from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml
-from ..robots.file import MaterialChoice
-from ..robots.materials import NITINOL
+from ..robots.file import MaterialChoice, material_of
 
 
 class StockEntry(Part):
@@ -33,7 +32,7 @@ class StockEntry(Part):
             to_si(self.outer_diameter_mm, MM),
             to_si(self.inner_diameter_mm, MM),
             self.source,
-            NITINOL if isinstance(self.material, str) else self.material.build(),
+            material_of(self.material),
         )
 
 

@@ -14,6 +14,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
 
+from ..display import Displayed
 from ..errors import InputError
 from ..files.journal import Journal
 from ..parallel.executors import Failure, Outcome, each
@@ -33,7 +34,7 @@ class Progress(Protocol):
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Sweep(Displayed):
     """What a sweep left in its directory.
 
     points: how many there are.   computed: by this run; the others were there before.   failures: (index, reason).

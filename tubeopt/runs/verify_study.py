@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ..display import Displayed
 from ..files.checked import NotNegative, check_kind, in_file
 from ..files.units import MM, to_si
 from ..files.yaml_file import load_yaml
@@ -21,7 +22,7 @@ from .plan_study import PlanStudy, RatesEntry
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class Checked(Displayed):
     """A trajectory of whatever origin, and what was found on it."""
 
     file: str

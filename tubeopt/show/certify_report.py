@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import shlex
-from pathlib import Path
 
 import numpy as np
 import typer
@@ -18,7 +17,7 @@ from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
 from .quantities import Quantity, line
-from .report import Report, grid, report, two_columns
+from .report import Drawing, Report, drawing, grid, report, two_columns
 from .snap_report import SNAP
 from .words import degrees, flag
 
@@ -274,12 +273,12 @@ class CertificationReport(Report[Certification]):
         tubes = [f"tube {i + 1} >" for i in range(self.answer.robot.n_tubes)]
         return grid(("per unit of", *tubes), cells, title="change of the certificate", key=True)
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write snap.png where a snap was found."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The snap, where one was found."""
         from .plots import plot_snap  # Matplotlib takes longer to load than a solve
 
         snap = self.answer.verdict.snap
-        return [] if snap is None else self.drawn(directory, {"snap.png": plot_snap}, snap)
+        return {} if snap is None else {"snap": drawing(plot_snap, snap)}
 
     def conclude(self) -> None:
         """End with the exit code of the finding."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group
@@ -18,13 +18,18 @@ from ..design.sensitivities import Sensitivity
 from ..design.stock import objective_label
 from ..design.tolerance import ToleranceAnalysis
 from ..design.verify import Check
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.files import write_text
 from ..files.units import TO_MM
+from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_study import DesignAnswer
 from .quantities import Quantity, within
-from .report import Report, grid, report, two_columns
+from .report import Drawing, Report, drawing, file_name, grid, report, two_columns
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STOCK_ROWS = 12
 """Choices from stock that are listed one by one."""
@@ -32,6 +37,13 @@ STOCK_ROWS = 12
 MAP_SAMPLES = 20
 """Points per axis of the stability maps before and after."""
 
+CAPTIONS = {
+    "shapes": "The robot before and after, at home with all tubes to one side.",
+    "poses": "The design in its task poses, from two sides.",
+    "maps": "Margin over the rotations of the two inner tubes at home, before and after.",
+    "pareto": "What margin costs.",
+    "tolerance": "The certificate of robots as they may be made.",
+}
 
 DIMENSION: tuple[Quantity[Dimension], ...] = (
     Quantity("name", "of which tube"),
@@ -217,19 +229,24 @@ class DesignReport(Report[DesignAnswer]):
         write_text(page, self.page())
         return [robot, self.save_record(directory), page]
 
-    def pictures(self) -> list[tuple[str, str]]:
-        """Name of each picture, and what it shows."""
-        s = self.answer.solution
-        out = [("shapes.png", "The robot before and after, at home with all tubes to one side.")]
+    def pictures(self) -> dict[str, Drawing]:
+        """Those that the design has; `CAPTIONS` says what each shows."""
+        from .plots import plot_shapes
+        from .plots.design import plot_front, plot_poses, plot_tolerance
+
+        a, s = self.answer, self.answer.solution
+        robots = (s.task.robot, s.robot)
+        home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
+        found: dict[str, Drawing] = {"shapes": drawing(plot_shapes, home, titles=("before", "after"))}
         if s.equilibria:
-            out.append(("poses.png", "The design in its task poses, from two sides."))
+            found["poses"] = drawing(plot_poses, s)
         if s.robot.n_tubes > 2:
-            out.append(("maps.png", "Margin over the rotations of the two inner tubes at home, before and after."))
-        if self.answer.front is not None:
-            out.append(("pareto.png", "What margin costs."))
-        if self.answer.tolerance is not None:
-            out.append(("tolerance.png", "The certificate of robots as they may be made."))
-        return out
+            found["maps"] = lambda path=None: _draw_maps(robots, path)
+        if a.front is not None:
+            found["pareto"] = drawing(plot_front, a.front)
+        if a.tolerance is not None:
+            found["tolerance"] = drawing(plot_tolerance, a.tolerance)
+        return found
 
     def page(self) -> str:
         """The report as Markdown, with its pictures."""
@@ -247,32 +264,18 @@ class DesignReport(Report[DesignAnswer]):
         if self.answer.stock is not None:
             lines += ["", "## Choices from stock", "", *_markdown(("inner to outer", "value", ""), self.stock_rows())]
         lines += ["", "## Pictures", ""]
-        for name, words in self.pictures():
-            lines += [f"![{words}]({name})", "", f"*{words}*", ""]
+        for name in self.pictures():
+            lines += [f"![{CAPTIONS[name]}]({file_name(name)})", "", f"*{CAPTIONS[name]}*", ""]
         return "\n".join(lines) + "\n"
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write the pictures."""
-        from ..equilibrium.kinematics import forward_kinematics
-        from ..stability import stability_map
-        from .plots import plot_shapes
-        from .plots.design import plot_before_after, plot_front, plot_poses, plot_tolerance
 
-        s = self.answer.solution
-        paths = {name: directory / name for name, _ in self.pictures()}
-        robots = (s.task.robot, s.robot)
-        home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in robots]
-        plot_shapes(home, paths["shapes.png"], titles=("before", "after"))
-        if "poses.png" in paths:
-            plot_poses(s, paths["poses.png"])
-        if "maps.png" in paths:
-            charts = [stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots]
-            plot_before_after(charts[0], charts[1], paths["maps.png"])
-        if self.answer.front is not None:
-            plot_front(self.answer.front, paths["pareto.png"])
-        if self.answer.tolerance is not None:
-            plot_tolerance(self.answer.tolerance, paths["tolerance.png"])
-        return list(paths.values())
+def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Figure:
+    """The maps of margins before and after, which take longer than all else to compute."""
+    from ..stability import stability_map
+    from .plots.design import plot_before_after
+
+    before, after = (stability_map(robot, samples=MAP_SAMPLES, directions=60, workers=1) for robot in robots)
+    return plot_before_after(before, after, path)
 
 
 def _key(one: AnyObjective) -> str:

@@ -30,6 +30,8 @@ EXTRAS = {
     "fabrication": ("ezdxf", "trimesh", "manifold3d"),
     "view": ("viser", "manifold3d"),
     "cluster": ("dask", "distributed"),
+    "data": ("pandas", "pyarrow", "xarray"),
+    "notebook": ("ipykernel", "plotly"),
 }
 """What each extra of the package brings."""
 

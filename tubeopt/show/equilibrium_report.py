@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
@@ -11,7 +11,7 @@ from ..files.units import TO_MILLI
 from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
-from .report import Report, report
+from .report import Drawing, Report, drawing, report
 from .words import margin_in_words
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
@@ -42,7 +42,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("verification", "how far an adaptive re-integration differs", of=VERIFICATION,
              label="re-integration differs",
              words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
-    Quantity("statistics", "how it was solved", lambda e: asdict(e.statistics), label="solved",
+    Quantity("statistics", "how it was solved", lambda e: dict(vars(e.statistics)), label="solved",
              words=lambda e: _how(e)),
 )  # fmt: skip
 
@@ -62,11 +62,19 @@ class EquilibriumReport(Report[Equilibrium]):
         """Write result.json and arrays.npz."""
         return save_equilibrium(self.answer, directory)
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write shape.png and torsion.png."""
+    def tables(self) -> dict[str, Any]:
+        """The arm, a row per point."""
+        return {"arm": self.answer}
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm."""
+        return {"arm": self.answer}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The shape, and the torsion along it."""
         from .plots import plot_shape, plot_torsion  # Matplotlib takes longer to load than a solve
 
-        return self.drawn(directory, {"shape.png": plot_shape, "torsion.png": plot_torsion})
+        return {"shape": drawing(plot_shape, self.answer), "torsion": drawing(plot_torsion, self.answer)}
 
 
 report.register(Equilibrium, EquilibriumReport)

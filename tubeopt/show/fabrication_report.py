@@ -15,7 +15,7 @@ from ..runs.rig_file import save_rig
 from .heat_report import HEATING, HeatingReport, held_duties, missed
 from .mold_report import MOLD, MoldReport
 from .quantities import Quantity
-from .report import Report, grid, remarks, report
+from .report import Drawing, Report, grid, remarks, report
 
 TUBE: tuple[Quantity[TubeParts], ...] = (
     Quantity("tube", "which tube, from 1", lambda part: part.number),
@@ -96,13 +96,14 @@ class FabricationReport(Report[Fabrication]):
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
         return paths
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write the pictures of every mold and schedule."""
-        paths = []
-        for part in self.answer.parts:
-            place = directory / f"tube_{part.number}"
-            paths += MoldReport(part.mold).draw(place / "mold") + HeatingReport(part.heating).draw(place / "heating")
-        return paths
+    def pictures(self) -> dict[str, Drawing]:
+        """Those of every mold and schedule, in the folders of the tubes."""
+        return {
+            f"tube_{part.number}/{folder}/{name}": draw
+            for part in self.answer.parts
+            for folder, of in (("mold", MoldReport(part.mold)), ("heating", HeatingReport(part.heating)))
+            for name, draw in of.pictures().items()
+        }
 
     def conclude(self) -> None:
         """Raise SolveError where a window is not held, or mold and heating do not agree."""

@@ -21,7 +21,7 @@ from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.robust import Band
 from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
-from .report import Report, grid, remarks, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
@@ -235,11 +235,11 @@ class HeatingReport(Report[Heating]):
         write_text(directory / self.file, to_text(data))
         return [*paths, directory / self.file]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write heating.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """Temperatures and duty over time."""
         from .plots.heating import plot_heating
 
-        return self.drawn(directory, {"heating.png": plot_heating}, self.answer.plan, band=self.answer.band)
+        return {"heating": drawing(plot_heating, self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
         """Raise SolveError where the window cannot be held within limit, ramp and currents."""
@@ -310,11 +310,11 @@ class RigFitReport(Report[RigFit]):
         save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to a log.")
         return [self.save_record(directory), directory / "rig.yaml"]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write calibration.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The log beside what the calibrated rig does."""
         from .plots.heating import plot_rig_fit
 
-        return self.drawn(directory, {"calibration.png": plot_rig_fit})
+        return {"calibration": drawing(plot_rig_fit, self.answer)}
 
 
 TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (

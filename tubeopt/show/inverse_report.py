@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.text import Text
 
 from ..equilibrium.file import save_equilibrium
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
@@ -24,7 +25,7 @@ from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array
 from .quantities import Quantity, line, rows, within
 from .readings import readings
-from .report import Report, grid, report, two_columns
+from .report import Drawing, Report, drawing, grid, report, two_columns
 from .words import counted, degrees, millimetres, row
 
 NOTES = 10
@@ -122,11 +123,15 @@ class PosturesReport(Report[Postures]):
             write_text(paths[-1], to_csv([*turns, *shifts], (_joints(*row) for row in table)))
         return paths
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write inverse.png."""
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm in the best posture."""
+        return {"arm": self.answer.solutions[0].equilibrium}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The postures at the target."""
         from .plots.inverse import plot_inverse  # Matplotlib takes longer to load than a solve
 
-        return self.drawn(directory, {"inverse.png": plot_inverse}, self.answer.solutions)
+        return {"inverse": drawing(plot_inverse, self.answer.solutions)}
 
     def conclude(self) -> None:
         """Raise SolveError where the target is missed."""
@@ -250,12 +255,12 @@ class TargetTableReport(Report[TargetTable]):
             errors = [s.position_error * TO_MM, turned, s.margin]
             yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write targets.png: the arm along the targets that were reached."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The arm along the targets that were reached."""
         from .plots.inverse import plot_targets  # Matplotlib takes longer to load than a solve
 
         reached = _reached(self.answer)
-        return self.drawn(directory, {"targets.png": plot_targets}, reached) if len(reached) > 1 else []
+        return {"targets": drawing(plot_targets, reached)} if len(reached) > 1 else {}
 
     def conclude(self) -> None:
         """Raise SolveError where every target is missed; misses within a table are named in it."""

@@ -14,7 +14,7 @@ from ..shaping.mold.checks import pressing_strain
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
 from ..shaping.mold.mandrel_files import write_mandrel
 from .quantities import Quantity
-from .report import Report, remarks, report, two_columns
+from .report import Drawing, Report, drawing, remarks, report, two_columns
 
 
 def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
@@ -69,8 +69,8 @@ class MandrelReport(Report[Mandrel]):
         """Write mandrel.json, mandrel.stl, and of a turned one mandrel.csv and mandrel.nc."""
         return [self.save_record(directory), *write_mandrel(self.answer, directory)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write mandrel.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The mandrel, with the tube on it."""
         from .plots.mandrel import plot_mandrel
 
-        return self.drawn(directory, {"mandrel.png": plot_mandrel})
+        return {"mandrel": drawing(plot_mandrel, self.answer)}

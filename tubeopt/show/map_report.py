@@ -10,7 +10,7 @@ from ..files.files import save_arrays
 from ..runs.stability_studies import RobotMap
 from ..typing import Array
 from .quantities import Quantity, line
-from .report import Report, report
+from .report import Drawing, Report, drawing, report
 from .words import degrees
 
 
@@ -71,11 +71,11 @@ class RobotMapReport(Report[RobotMap]):
         fields = {name: getattr(found, name) for name in ("tubes", "angles", "margin", "snaps", "boundary")}
         return [save_arrays(directory / "map.npz", translations=self.answer.translations, **fields)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write stability_map.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The map."""
         from .plots import plot_stability_map  # Matplotlib takes longer to load than a solve
 
-        return self.drawn(directory, {"stability_map.png": plot_stability_map}, self.answer.map)
+        return {"stability_map": drawing(plot_stability_map, self.answer.map, title=self.answer.robot.name)}
 
 
 report.register(RobotMap, RobotMapReport)

@@ -22,7 +22,7 @@ from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.robot import RobotMold
 from ..shaping.mold.springback import Calibration, Springback
 from .quantities import Quantity, within
-from .report import Report, grid, remarks, report, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
 
 CLAMP: tuple[Quantity[Clamp], ...] = (
     Quantity("end", "proximal or distal"),
@@ -127,13 +127,14 @@ class MoldReport(Report[RobotMold]):
         from .plots.mold import plot_setup_sheet
 
         paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
-        return paths + self.drawn(directory, {"setup.pdf": plot_setup_sheet}, self.answer.mold, title=self.answer.name)
+        plot_setup_sheet(self.answer.mold, directory / "setup.pdf", title=self.answer.name)
+        return [*paths, directory / "setup.pdf"]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write mold.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The grooves."""
         from .plots.mold import plot_mold
 
-        return self.drawn(directory, {"mold.png": plot_mold}, self.answer.mold)
+        return {"mold": drawing(plot_mold, self.answer.mold)}
 
 
 def _springback(back: Springback) -> dict[str, Any]:
@@ -224,11 +225,11 @@ class CalibrationReport(Report[Calibration]):
         save_springback(self.answer, directory / "springback.yaml")
         return [self.save_record(directory), directory / "springback.yaml"]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write springback.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """What was bent and what came out."""
         from .plots.mold import plot_springback
 
-        return self.drawn(directory, {"springback.png": plot_springback})
+        return {"springback": drawing(plot_springback, self.answer)}
 
 
 RATING: tuple[Quantity[MaterialRating], ...] = (
@@ -290,11 +291,11 @@ class RankingReport(Report[Ranking]):
         reasons = [Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in ratings]
         return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write materials.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """The materials side by side."""
         from .plots.mold import plot_materials
 
-        return self.drawn(directory, {"materials.png": plot_materials}, self.answer.ratings)
+        return {"materials": drawing(plot_materials, self.answer.ratings)}
 
 
 report.register(RobotMold, MoldReport)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Group
@@ -20,7 +21,7 @@ from ..robots.file import save_robot
 from ..runs.verify_study import Checked
 from ..stability import ASSUMING
 from .quantities import Quantity, line, rows, within
-from .report import Report, report, two_columns
+from .report import Drawing, Report, drawing, report, two_columns
 
 HOW = {
     "straight": "straight",
@@ -157,11 +158,18 @@ class TrajectoryReport(Report[Trajectory]):
             shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write trajectory.png and trajectory.gif."""
+    def tables(self) -> dict[str, Any]:
+        """Joint values, tip and margin over time."""
+        return {"trajectory": self.answer}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The motion, still and moving."""
         from .plots.trajectory import animate_trajectory, plot_trajectory
 
-        return self.drawn(directory, {"trajectory.png": plot_trajectory, "trajectory.gif": animate_trajectory})
+        return {
+            "trajectory": drawing(plot_trajectory, self.answer),
+            "trajectory.gif": drawing(animate_trajectory, self.answer),
+        }
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""

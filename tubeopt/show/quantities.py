@@ -131,17 +131,23 @@ def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
     return [(name, text) for name, text in told if text is not None]
 
 
+_AS_IT_IS = frozenset([bool, str, dict, type(None)])
+
+
 def in_units(value: Any, unit: str) -> Any:
     """A value in SI, plain and in a unit: numbers and arrays are converted, all else is left as it is."""
-    if type(value) is float:
+    kind = type(value)
+    if kind is float:
         return value * per_si(unit) if unit else value
+    if kind in _AS_IT_IS:
+        return value
     if isinstance(value, np.ndarray):
         return (value * per_si(unit)).tolist() if unit else value.tolist()
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, list | tuple):
         return [in_units(each, unit) for each in value]
-    if isinstance(value, bool | str | Mapping) or value is None or not unit:
+    if isinstance(value, str | Mapping) or not unit:
         return value
     factor = per_si(unit)
     return value if factor == 1 else value * factor

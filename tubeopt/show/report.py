@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic_core import to_json
 from rich.console import RenderableType
@@ -17,7 +18,32 @@ from ..files.files import write_text
 from . import quantities
 from .quantities import Quantity
 
+if TYPE_CHECKING:
+    from ..equilibrium.result import Equilibrium
+
 A = TypeVar("A")
+
+Drawing = Callable[..., Any]
+"""Draws a picture, and saves it where it is given a path; returns the figure."""
+
+
+PICTURE_FORMATS = ("png", "pdf", "svg")
+TABLE_FORMATS = ("parquet",)
+SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
+
+FORMATS: ContextVar[tuple[str, ...]] = ContextVar("FORMATS", default=("png",))
+"""In which reports write: one of `PICTURE_FORMATS`, and any of the others for tables and arms."""
+
+
+def file_name(picture: str) -> str:
+    """Name of the file of a picture: with the suffix of its format, unless it has one."""
+    chosen = next((form for form in FORMATS.get() if form in PICTURE_FORMATS), PICTURE_FORMATS[0])
+    return picture if "." in picture else f"{picture}.{chosen}"
+
+
+def drawing(plot: Callable[..., Any], what: Any, **options: Any) -> Drawing:
+    """A picture of `what`, with nothing left to be said but where to save it."""
+    return lambda path=None: plot(what, path, **options)
 
 
 @dataclass(frozen=True)
@@ -65,20 +91,41 @@ class Report(Generic[A]):
         write_text(directory / self.file, to_text(self.record()))
         return directory / self.file
 
+    def pictures(self) -> dict[str, Drawing]:
+        """Name of every picture -> what draws it; a name without a suffix gets that of the format asked for."""
+        return {}
+
     def draw(self, directory: Path) -> list[Path]:
-        """Write the pictures into `directory`; return the paths."""
-        return []
+        """Write the pictures into `directory`, in the format of `FORMAT`; return the paths."""
+        drawings = {directory / file_name(name): draw for name, draw in self.pictures().items()}
+        for path, draw in drawings.items():
+            draw(path)
+        return list(drawings)
+
+    def tables(self) -> dict[str, Any]:
+        """Name -> what has many rows, and can be saved as a table of another format."""
+        return {}
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """Name -> arms that can be saved as meshes and rigid bodies."""
+        return {}
+
+    def convert(self, directory: Path) -> list[Path]:
+        """Write tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
+        from . import solids, tables  # what they convert with is loaded only where it is asked for
+
+        wanted = FORMATS.get()
+        paths = [
+            tables.save_table(table, directory / f"{name}.{form}")
+            for form in TABLE_FORMATS if form in wanted for name, table in self.tables().items()
+        ]  # fmt: skip
+        return paths + [
+            solids.save_solid(arm, directory / f"{name}.{'xml' if form == 'mjcf' else form}")
+            for form in SOLID_FORMATS if form in wanted for name, arm in self.solids().items()
+        ]  # fmt: skip
 
     def conclude(self) -> None:
         """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""
-
-    def drawn(
-        self, directory: Path, pictures: Mapping[str, Callable[..., object]], what: Any = None, **options: Any
-    ) -> list[Path]:
-        """Draw `what`, by default the answer, once for every name, by the function that plots it; return the paths."""
-        for name, plot in pictures.items():
-            plot(self.answer if what is None else what, directory / name, **options)
-        return [directory / name for name in pictures]
 
 
 @functools.singledispatch

@@ -18,7 +18,7 @@ from ..robots.path_file import joint_columns
 from ..runs.stability_studies import Equilibria, Motion, Way
 from ..stability import Snap
 from .quantities import Quantity, line, record, rows
-from .report import Report, grid, report, to_text, two_columns
+from .report import Drawing, Report, drawing, grid, report, to_text, two_columns
 from .words import counted, degrees, in_a_word, millimetres, row
 
 JOINTS: tuple[Quantity[Any], ...] = (
@@ -135,12 +135,11 @@ class EquilibriaReport(Report[Equilibria]):
         columns = ("tip (mm)", "tubes' tips (deg)", "margin >", "mJ >", "index >", "")
         return Group(Text(f"{head}, translations {millimetres(a.translations)}"), grid(columns, cells))
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write equilibria.png: the shape of lowest energy, the others as ghosts."""
-        from .plots import plot_shape  # Matplotlib takes longer to load than a solve
+    def pictures(self) -> dict[str, Drawing]:
+        """The shape of lowest energy, the others as ghosts."""
+        from .plots import plot_equilibria  # Matplotlib takes longer to load than a solve
 
-        lowest, *others = self.answer.equilibria
-        return self.drawn(directory, {"equilibria.png": plot_shape}, lowest, ghosts=others)
+        return {"equilibria": drawing(plot_equilibria, self.answer.equilibria)}
 
 
 class WayReport(Report[Way]):
@@ -156,14 +155,21 @@ class WayReport(Report[Way]):
         numbers = self.rows() + ([] if w.snap is None else rows(w.snap, SNAP))
         return Group(Text(f"{w.robot.name or 'the robot'} {way_sentence(w)}"), two_columns("", numbers))
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write snap.png: the robot before and after the snap, or arrived at the end."""
+    def solids(self) -> dict[str, Equilibrium]:
+        """The arm before and after the snap, or arrived."""
+        w = self.answer
+        if w.snap is not None:
+            return {"before": w.snap.before, "after": w.snap.after}
+        return {} if w.arrived is None else {"arm": w.arrived}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The robot before and after the snap, or arrived at the end."""
         from .plots import plot_shape, plot_snap  # Matplotlib takes longer to load than a solve
 
         if self.answer.snap is not None:
-            return self.drawn(directory, {"snap.png": plot_snap}, self.answer.snap)
+            return {"snap": drawing(plot_snap, self.answer.snap)}
         arrived = self.answer.arrived
-        return [] if arrived is None else self.drawn(directory, {"snap.png": plot_shape}, arrived)
+        return {} if arrived is None else {"snap": drawing(plot_shape, arrived)}
 
 
 class MotionReport(Report[Motion]):
@@ -211,11 +217,15 @@ class MotionReport(Report[Motion]):
             tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
             yield [k, *turns, *shifts, *tip, round(e.margin, 12)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write path.png: the tip and the margin over the waypoints, with the snaps."""
+    def tables(self) -> dict[str, Any]:
+        """The state at every waypoint."""
+        return {"path": self.answer.path}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The tip and the margin along the way, with the snaps."""
         from .plots import plot_path  # Matplotlib takes longer to load than a solve
 
-        return self.drawn(directory, {"path.png": plot_path}, self.answer.path)
+        return {"path": drawing(plot_path, self.answer.path)}
 
 
 report.register(Equilibria, EquilibriaReport)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 from rich.console import RenderableType
 
@@ -68,6 +69,10 @@ class SweepReport(Report[Sweep]):
         if len(a.failures) > SHOWN:
             told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
         return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+
+    def tables(self) -> dict[str, Any]:
+        """The table, which is CSV and npz already."""
+        return {"table": self.answer}
 
     def conclude(self) -> None:
         """Raise SolveError where every point failed."""

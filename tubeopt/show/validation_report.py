@@ -18,7 +18,7 @@ from ..typing import Array
 from ..validation import Comparison, ErrorGroup, ErrorSummary, Estimate, Fit, Parity, Registration, Step, Validation
 from . import quantities
 from .quantities import Quantity, in_units, line
-from .report import Report, grid, remarks, report, two_columns
+from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
 
 ERRORS = ("mean", "rms", "p95", "max")
 """What an error summary tells, in mm and in percent of the arm's length."""
@@ -152,11 +152,11 @@ class ValidationReport(Report[Validation]):
         """Write report.json and residuals.csv."""
         return [self.save_record(directory), save_residuals(directory, self.answer)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write residuals.png and errors.png."""
+    def pictures(self) -> dict[str, Drawing]:
+        """Residuals in space, and errors in order."""
         from .plots.validation import plot_errors, plot_residuals
 
-        return self.drawn(directory, {"residuals.png": plot_residuals, "errors.png": plot_errors})
+        return {"residuals": drawing(plot_residuals, self.answer), "errors": drawing(plot_errors, self.answer)}
 
 
 def save_residuals(directory: Path, v: Validation, held_out: Array | None = None) -> Path:
@@ -171,7 +171,7 @@ def save_residuals(directory: Path, v: Validation, held_out: Array | None = None
     return path
 
 
-SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s"}
+SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m"}
 """SI unit of a parameter -> the unit in which it is told."""
 
 
@@ -262,9 +262,9 @@ class FitReport(Report[Fit]):
         save_robot(f.robot, directory / "robot.yaml")
         return [*paths, directory / "robot.yaml"]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write residuals.png and errors.png, after the fit."""
-        return ValidationReport(self.answer.after).draw(directory)
+    def pictures(self) -> dict[str, Drawing]:
+        """Residuals and errors after the fit."""
+        return ValidationReport(self.answer.after).pictures()
 
 
 def _step(step: Step, length: float) -> dict[str, Any]:
@@ -342,12 +342,12 @@ class EffectsReport(Report[Comparison]):
         rest = [] if self.answer.fit is None else FitReport(self.answer.fit).save(directory)[1:]
         return [self.save_record(directory), *rest]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write effects.png, and residuals.png and errors.png where an effect pays."""
+    def pictures(self) -> dict[str, Drawing]:
+        """What the effects explain; residuals and errors where one pays."""
         from .plots.effects import plot_effects
 
-        rest = [] if self.answer.fit is None else FitReport(self.answer.fit).draw(directory)
-        return [*self.drawn(directory, {"effects.png": plot_effects}), *rest]
+        rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
+        return {"effects": drawing(plot_effects, self.answer)} | rest
 
 
 report.register(Comparison, EffectsReport)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..workspaces import SnappingLoss, save_workspace
 from ..workspaces.findings import Findings
 from ..workspaces.volume import Volume
 from .quantities import Quantity, line, within
-from .report import Report, report
+from .report import Drawing, Report, drawing, report
 
 LOSS: tuple[Quantity[SnappingLoss], ...] = (
     Quantity("equilibria", "equilibria of all kinds that were found"),
@@ -128,12 +129,16 @@ class WorkspaceReport(Report[Findings]):
         lost = {} if a.loss is None else {"held": a.loss.held, "lost": a.loss.lost}
         return [*samples, save_arrays(directory / "voxels.npz", **fields, **lost)]
 
-    def draw(self, directory: Path) -> list[Path]:
-        """Write workspace.png."""
+    def tables(self) -> dict[str, Any]:
+        """The samples."""
+        return {"samples": self.answer.workspace}
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The workspace, seen from two sides and cut."""
         from .plots.workspace import plot_workspace  # Matplotlib takes longer to load than a solve
 
         a = self.answer
-        return self.drawn(directory, {"workspace.png": plot_workspace}, a.workspace, loss=a.loss, size=a.voxels.size)
+        return {"workspace": drawing(plot_workspace, a.workspace, loss=a.loss, size=a.voxels.size)}
 
 
 report.register(Findings, WorkspaceReport)

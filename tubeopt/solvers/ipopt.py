@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import SolveError
 from ..transcription.arm import Profile, torsion_at
 from ..transcription.model import equation, mapped, places_in_words
-from ..transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
+from ..transcription.program import Structure, add_torsion, held_stiffness, structure_of, torsion_guess, torsion_numbers
 from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 from .newton import NewtonResult
@@ -54,7 +54,7 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
         for what in ("rotation", "torsion")
     )
     kt, lengths, transmission = given["torsional_stiffness"], given["lengths"], given["transmission"]
-    row = [given["stiffness"], given["moment"], kt, lengths.T]
+    row = [kt, lengths.T, given["along"]] if grid.detail else [given["stiffness"], given["moment"], kt, lengths.T]
     defect, end, energy = mapped("motion", grid, pieces)(theta, inner, twist, *row)
     tubes = [f"tube {i + 1}" for i in range(n)]
     after, points = places_in_words(pieces, degree, structure.section)
@@ -94,7 +94,8 @@ def solve_ipopt(
     if formulation == "energy":
         twist = start.pop("torsion")
         start["torsion of the transmissions"] = twist[: len(rotations)]
-        start["torsion inside"] = torsion_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist())).ravel()
+        inside = torsion_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist()))
+        start["torsion inside"] = (inside if problem.here is None else inside / held_stiffness(problem)).ravel()
     for name, numbers in start.items():
         program.set_guess(name, numbers)
     found = program.attempt(settings or EQUILIBRIUM)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, nearest
 from ..typing import Array
 from .problem_status import ProblemStatus
@@ -51,7 +52,7 @@ class Attempts:
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemSolution:
+class ProblemSolution(Displayed):
     """What was found for a `Problem`.
 
     Attributes:
@@ -64,6 +65,8 @@ class ProblemSolution:
         violations: constraints that do not hold, the worst first: none of a solved program.
         statistics: the cost.  attempts: of a multi-start.
     """
+
+    _brief = ("status", "objective", "values")
 
     status: ProblemStatus
     objective: float

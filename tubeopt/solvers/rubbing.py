@@ -4,8 +4,8 @@
     <=>  grad E + P' lam = 0,   |lam| <= D,   lam = D sign(slip) where a row slips, no slip where it sticks
 
 By Newton's method: every step solves the quadratic program of the energy's second-order model with the exact friction
-(`sticking`). Where the energy itself is not convex, but is along what sticks, the same exchanges are tried from the rows
-that stuck before, and their answer is taken only if it is a minimum by the inertia of the whole system.
+(`sticking`). Where the energy itself is not convex, but is along what sticks, the same exchanges are tried from the
+rows that stuck before, and their answer is taken only if it is a minimum by the inertia of the whole system.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ class Increment:
     """A state after an increment.
 
     Attributes:
-        state: where it is.   torque: (R,) that friction bears, N m.   signs: (R,) of the slip, 0 where a row sticks.
-        slip: (R,) rad, in this increment.   converged: whether it is a minimum, to round-off.
+        state: where it is.   torque: (R,) that friction bears, N m.   signs: (R,) of the slip, 0 where a row sticks or
+            has slid along the axis.
+        heat: that friction took, J.   converged: whether it is a minimum, to round-off.
         contraction: largest ratio of successive steps with the same rows sticking.
         violation: of what friction demands, as a slip (rad) or a part of the capacity.
     """
@@ -40,7 +41,7 @@ class Increment:
     state: Rubbing
     torque: Array
     signs: Signs
-    slip: Array
+    heat: float
     converged: bool
     contraction: float
     violation: float
@@ -48,8 +49,8 @@ class Increment:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Second-order model of the energy at a state: Newton's step without friction (X,), response (X, R) to torques of the
-    rows, compliance (R, R) of the rows, and the number of negative eigenvalues of the Hessian."""
+    """Second-order model of an energy: Newton's step without friction (X,), response (X, R) to torques of the rows,
+    compliance (R, R) of the rows, and the number of negative eigenvalues of the Hessian."""
 
     step: Array
     response: Array
@@ -57,12 +58,9 @@ class Model:
     negative: int
 
 
-def model_of(contact: Contact, state: Rubbing, shift: float = 0.0) -> Model | None:
-    """The model, with `shift` added to the Hessian; None where that is singular."""
-    hessian = state.hessian
-    if shift:
-        hessian = hessian + shift * np.eye(len(hessian))
-    right = np.column_stack([-state.gradient, contact.rows.T])
+def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
+    """The model for rows (R, X); None where the Hessian is singular."""
+    right = np.column_stack([-gradient, rows.T])
     _, solved, failed = scipy.linalg.lapack.dposv(hessian, right)
     negative = 0
     if failed:
@@ -70,14 +68,14 @@ def model_of(contact: Contact, state: Rubbing, shift: float = 0.0) -> Model | No
         if failed:
             return None
         negative = int((np.linalg.eigvalsh(hessian) < 0).sum())
-    return Model(solved[:, 0], solved[:, 1:], contact.rows @ solved[:, 1:], negative)
+    return Model(solved[:, 0], solved[:, 1:], rows @ solved[:, 1:], negative)
 
 
-def choose(contact: Contact, model: Model, slip: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
-    """Torques and signs of the rows for a model, from what slipped until now (R,); None where there are none."""
-    free = slip + contact.rows @ model.step
+def choose(model: Model, free: Array, capacity: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
+    """Torques and signs of the rows for a model, from what they would slip without friction (R,); None where there are
+    none, or where they make no minimum."""
     first = np.sign(free).astype(np.int8) if signs is None else signs
-    found = stick_or_slip(model.compliance, free, contact.capacity, first, convex=not model.negative)
+    found = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)
     return found if found is not None and (not model.negative or _minimum(model, found[1])) else None
 
 
@@ -88,21 +86,76 @@ def _minimum(model: Model, signs: Signs) -> bool:
     return int((values < 0).sum()) == model.negative
 
 
+class _Turned:
+    """Rows that slide along the axis by zeta (rad, over the radius at which they rub) while they turn by v: friction
+    takes D sqrt(v^2 + zeta^2), smooth in v, and bears lam = D v / sqrt(v^2 + zeta^2) about the axis.
+
+    Newton's method on lam sqrt(v^2 + zeta^2) = D v in both, with lam kept within D, is at ease however small zeta is
+    (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999)).
+    """
+
+    def __init__(self, contact: Contact, slid: Array | None) -> None:
+        self.sharp: slice | Array = slice(None) if slid is None or not slid.any() else slid == 0
+        self.any = not isinstance(self.sharp, slice)
+        self.rows, self.capacity = contact.rows[self.sharp], contact.capacity[self.sharp]
+        if self.any and slid is not None:
+            self.smooth = np.flatnonzero(slid)
+            self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
+            self.torque = np.zeros(len(self.smooth))
+
+    def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
+        """Gradient and Hessian of the energy with what these rows take."""
+        if not self.any:
+            return state.gradient, state.hessian
+        size = np.hypot(slip[self.smooth], self.zeta)
+        self.pull = self.most * slip[self.smooth] / size
+        self.stiffness = (self.most - self.torque * slip[self.smooth] / size) / size
+        return (
+            state.gradient + self.own.T @ self.pull,
+            state.hessian + (self.own.T * self.stiffness) @ self.own,
+        )
+
+    def advance(self, step: Array) -> None:
+        """The torques after a step of Newton's method."""
+        if self.any:
+            self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
+
+    def whole(self, torque: Array, signs: Signs, slip: Array) -> tuple[Array, Signs, float]:
+        """Torques and signs of all rows, and the heat, J."""
+        if not self.any:
+            return torque, signs, float(self.capacity @ np.abs(slip * signs))
+        all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
+        size = np.hypot(slip[self.smooth], self.zeta)
+        all_torque[self.sharp], all_signs[self.sharp] = torque, signs
+        all_torque[self.smooth] = self.most * slip[self.smooth] / size
+        heat = float(self.capacity @ np.abs(slip[self.sharp] * signs)) + float(self.most @ size)
+        return all_torque, all_signs, heat
+
+
 def increment(
-    contact: Contact, rotations: Array, x: Array, before: Array, signs: Signs | None = None
+    contact: Contact,
+    rotations: Array,
+    x: Array,
+    before: Array,
+    signs: Signs | None = None,
+    slid: Array | None = None,
 ) -> Increment | None:
-    """The state at base rotations (n,) near x, from relative rotations `before` (R,); None where there is none close by.
+    """The state at base rotations (n,) near x, from relative rotations `before` (R,); None where none is close by.
 
     Args:
         signs: of what slips, for a first guess; by default what the energy's model without friction would do.
+        slid: (R,) by how much rows slide along the axis, over the radius at which they rub, rad.
     """
-    state = evaluate_contact(contact, rotations, x)
+    state, turned = evaluate_contact(contact, rotations, x), _Turned(contact, slid)
     last, contraction, kept = np.inf, 0.0, None
+    signs = None if signs is None else signs[turned.sharp]
     for _ in range(ITERATIONS):
-        model = model_of(contact, state)
+        slip = state.turned - before
+        model = model_of(turned.rows, *turned.added(state, slip))
         if model is None:
             return None
-        found = choose(contact, model, state.turned - before, signs if kept is None else kept)
+        free = slip[turned.sharp] + turned.rows @ model.step
+        found = choose(model, free, turned.capacity, signs if kept is None else kept)
         if found is None:
             return None
         torque, now = found
@@ -111,25 +164,32 @@ def increment(
         if not np.isfinite(size) or size > np.pi:
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
-        same = kept is not None and np.array_equal(now, kept)
-        if size <= NEWTON.last_step and (size <= NEWTON.round_off or imbalance(contact, state, torque) <= NEWTON.round_off):
-            return _told(contact, state, found, before, contraction)
-        if same and size > NEWTON.last_step:
+        turned.advance(step)
+        if size <= NEWTON.last_step:
+            whole = turned.whole(torque, now, state.turned - before)
+            if size <= NEWTON.round_off or imbalance(contact, state, whole[0]) <= NEWTON.round_off:
+                return _told(contact, state, whole, (before, slid), contraction)
+        elif not turned.any and kept is not None and np.array_equal(now, kept):
             contraction = max(contraction, size / last)
         last, kept = size, now
     return None
 
 
 def _told(
-    contact: Contact, state: Rubbing, found: tuple[Array, Signs], before: Array, contraction: float
+    contact: Contact,
+    state: Rubbing,
+    found: tuple[Array, Signs, float],
+    history: tuple[Array, Array | None],
+    contraction: float,
 ) -> Increment:
-    torque, signs = found
+    (torque, signs, heat), (before, slid) = found, history
     slip = state.turned - before
     wrong = np.where(signs == 0, np.abs(slip), np.maximum(0.0, -slip * signs))
+    if slid is not None:
+        wrong[slid != 0] = 0.0  # their torque is that of their slip by construction
     wrong = np.maximum(wrong, np.maximum(0.0, np.abs(torque) / contact.capacity - 1))
     violation = float(wrong.max(initial=0.0))
-    slip = np.where(signs == 0, 0.0, slip)
-    return Increment(state, torque, signs, slip, violation <= HONEST, contraction, violation)
+    return Increment(state, torque, signs, heat, violation <= HONEST, contraction, violation)
 
 
 def turn_of(contact: Contact, step: Array) -> float:
@@ -145,8 +205,8 @@ def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
 
 
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
-    """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as long
-    as friction holds what it holds."""
+    """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as
+    long as friction holds what it holds."""
     stuck = contact.rows[signs == 0]
     if not len(stuck):
         return least(state.hessian)
@@ -168,6 +228,9 @@ STRIDE = 0.1
 
 MOST_STEPS = 2000
 
+SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
+"""A step (rad) of a flow that may be at rest; steps between two looks whether it is; how far from there rest may be."""
+
 
 def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
     """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
@@ -180,20 +243,35 @@ def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
 
 
 def slide(
-    contact: Contact, rotations: Array, x: Array, before: Array, push: Array
+    contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None
 ) -> tuple[Increment, float] | None:
-    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is not
-    found. It begins beside x, on the side of +-`push` (X,) that is lower.
+    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is
+    not found. It begins at x, or beside it, on the side of +-`push` (X,) that is lower.
 
     Linearly implicit Euler steps in the norm of the torsional energy, each with exact friction from where the last one
     left it, which grow into those of Newton where the flow comes to rest.
     """
-    sides = [evaluate_contact(contact, rotations, x + side) for side in (push, -push)]
-    state = min(sides, key=lambda side: side.torsion.energy + float(contact.capacity @ np.abs(side.turned - before)))
-    delay, heat = 1.0, 0.0
-    for _ in range(MOST_STEPS):
-        model = model_of(contact, state, 1 / delay)
-        found = None if model is None or model.negative else choose(contact, model, state.turned - before, None)
+    starts = [x] if push is None else [x + push, x - push]
+    sides = [evaluate_contact(contact, rotations, start) for start in starts]
+    taken = [float(contact.capacity @ np.abs(side.turned - before)) for side in sides]
+    lower = min(range(len(sides)), key=lambda k: sides[k].torsion.energy + taken[k])
+    state, heat = sides[lower], taken[lower] if push is not None else 0.0
+    before = state.turned if push is not None else before
+    delay, turn, signs = 1.0, np.inf, None
+    for count in range(MOST_STEPS):
+        # At rest the flow is left to Newton's method, which also finds what friction alone holds; where the flow only
+        # creeps past a state that was lost, that finds nothing near, and the flow goes on.
+        if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
+            last = increment(contact, rotations, state.x, before, signs)
+            if last is not None and last.converged and turn_of(contact, last.state.x - state.x) < NEAR:
+                return last, heat + last.heat
+        model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
+        convex = model is not None and not model.negative
+        found = (
+            choose(model, state.turned - before + contact.rows @ model.step, contact.capacity, None)
+            if model and convex
+            else None
+        )
         if model is None or found is None:
             delay *= 0.25
             continue
@@ -203,17 +281,11 @@ def slide(
             delay *= max(0.1, 0.8 * STRIDE / turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)
-        taken = float(contact.capacity @ np.abs(trial.turned - before))
-        owed = float(contact.capacity @ np.abs(state.turned - before))
-        if trial.torsion.energy + taken > state.torsion.energy + owed + 1e-13 * _scale(contact, state):
+        spent, owed = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
+        if trial.torsion.energy + spent > state.torsion.energy + owed + 1e-13 * _scale(contact, state):
             delay *= 0.25
             continue
-        if turn < 1e-6 and delay > 1e6:
-            # Where the flow only creeps past a state that was lost, Newton's method finds nothing: it goes on.
-            last = increment(contact, rotations, state.x, before, found[1])
-            if last is not None and last.converged and turn_of(contact, last.state.x - state.x) < 1e-3:
-                return last, heat + float(contact.capacity @ np.abs(last.slip))
-        state, before, heat = trial, trial.turned, heat + taken
+        state, before, heat, signs = trial, trial.turned, heat + spent, found[1]
         delay = min(delay * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)
     return None
 

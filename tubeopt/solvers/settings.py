@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..display import Displayed
 from ..errors import InputError, choice, positive
 
 
 @dataclass(frozen=True)
-class Newton:
+class Newton(Displayed):
     """How Newton's method, and the descent in energy before it, solve for an equilibrium.
 
     Args:
@@ -69,7 +70,7 @@ HESSIANS = ("exact", "limited-memory")
 
 
 @dataclass(frozen=True)
-class Ipopt:
+class Ipopt(Displayed):
     """How IPOPT solves a `Problem`, or the equations of an equilibrium.
 
     Args:

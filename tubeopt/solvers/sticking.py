@@ -5,10 +5,10 @@ capacities D bear torques lam and slip by v = b - A lam so that
 
     |lam| <= D,     v = 0 where |lam| < D,     v has the sign of lam where |lam| = D.
 
-Block principal pivoting exchanges all rows of the wrong kind at once (Judice and Pires, Computers & Operations Research 21
-(1994)), from all rows slipping as if nothing rubbed; from all rows sticking it would go row by row. Where that goes in
-circles, the dual program, least 1/2 lam' A lam - b' lam within the capacities, is solved from there by an active set that
-goes down with every step, and so ends.
+Block principal pivoting exchanges all rows of the wrong kind at once (Judice and Pires, Computers & Operations Research
+21 (1994)), from all rows slipping as if nothing rubbed; from all rows sticking it would go row by row. Where that goes
+in circles, the dual program, least 1/2 lam' A lam - b' lam within the capacities, is solved from there by an active set
+that goes down with every step, and so ends.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ ROUND_OFF = 1e-12
 def stick_or_slip(
     compliance: Array, free: Array, capacity: Array, start: Signs, *, convex: bool = True
 ) -> tuple[Array, Signs] | None:
-    """Torques (R,) and for every row the sign of its slip, 0 where it sticks; None where none were found, which where A is
-    positive definite only round-off can do.
+    """Torques (R,) and for every row the sign of its slip, 0 where it sticks; None where none were found, which only
+    round-off can do where A is positive definite.
 
     Args:
         compliance: (R, R).   free: (R,) slips without friction.   capacity: (R,), above 0.   start: (R,) first guess.
@@ -66,7 +66,7 @@ def stick_or_slip(
 
 
 def _by_descent(compliance: Array, free: Array, capacity: Array, near: Array) -> tuple[Array, Signs] | None:
-    """The same from torques (R,) nearby: rows stick as long as that goes down, then the one is freed that gains most."""
+    """The same from torques (R,) nearby: those inside go down to their least, then the one is freed that gains most."""
     torque = np.clip(near, -capacity, capacity)
     inside = np.abs(torque) < capacity
     for _ in range(MOST_CHANGES * (len(free) + 1)):

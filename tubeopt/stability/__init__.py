@@ -2,13 +2,15 @@
 
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
+from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
+from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
-from .verdict import ASSUMING, Finding, Verdict, judge
+from .verdict import ASSUMING, Finding, Verdict
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "WorstCertificate",
     "WorstMargin",
     "certify",
+    "deflection_bound",
     "energy_map",
     "find_equilibria",
     "find_load_limit",

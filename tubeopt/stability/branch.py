@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -25,7 +26,7 @@ MOST_POINTS = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class Branch(Displayed):
     """A curve of equilibria, P points in order along it, stable and unstable.
 
     fraction (P,): of the way from start to end.  rotations (P, n): joint values.  tip_rotations (P, n), margin (P,).

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium.friction import to_held_equilibrium
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
+from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
@@ -37,12 +38,14 @@ PAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Snap:
+class Snap(Displayed):
     """One snap: between waypoints `index` and `index` + 1, at `fraction` of the way.
 
     rotations, translations (n,): joint values at the fold; before: the equilibrium that vanishes there (margin 0);
     after: where the robot lands; energy_released, J; tip_jump, m.
     """
+
+    _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
     fraction: float
@@ -55,7 +58,7 @@ class Snap:
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Path(Displayed):
     """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
 
     equilibria: tuple[Equilibrium, ...]
@@ -97,7 +100,7 @@ def follow(
             start; a friction for another number of tubes, of an eccentric robot, or beside a load.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
     """
-    alpha, shift = _waypoints(robot, rotations, translations)
+    alpha, shift = checked_waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)
     if friction is not None and not friction.trivial:
         return _follow_rubbing(robot, joints, (friction, load), start, progress)
@@ -156,7 +159,9 @@ def _follow_rubbing(
     for k, (held, found) in enumerate(rubbing_legs(robot, joints, friction, start)):
         equilibria.append(to_held_equilibrium(robot, held, "the increment before"))
         for each in found if k else ():
-            ends = [to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))]
+            ends = [
+                to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
+            ]
             snaps.append(_snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)
@@ -181,7 +186,8 @@ def _snap_between(index: int, fraction: float, before: Equilibrium, after: Equil
     )
 
 
-def _waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
+    """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
     n = robot.n_tubes
     try:
         alpha = np.array(rotations, dtype=float)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.loaded import solved, unloaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
@@ -28,7 +29,7 @@ STAGE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class LoadLimit:
+class LoadLimit(Displayed):
     """The end of the stable branch that grows from no load.
 
     Attributes:

@@ -11,9 +11,9 @@ import numpy as np
 import scipy
 
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.loaded import solved
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, sample_rotation

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import JointFamily, LoadedPoint, carry, follow_family
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.loaded import loaded_point, solved
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -23,7 +24,7 @@ from .snapping import find_snap
 
 
 @dataclass(frozen=True, eq=False)
-class EnergyMap:
+class EnergyMap(Displayed):
     """Least elastic energy (J) with the tips of two tubes held at given angles; its stationary points are equilibria.
 
     first, second: (N,) tip angles (rad) of tubes `tubes`.  energy: (N, N), rows by `first`.  equilibria: all of them.
@@ -160,7 +161,7 @@ def _held_minimum(
 
 
 @dataclass(frozen=True, eq=False)
-class StabilityMap:
+class StabilityMap(Displayed):
     """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations.
 
     tubes: the two that turn; all others stay at home.  angles: (N,) rad, of both axes.
@@ -180,8 +181,8 @@ def stability_map(
     translations: ArrayLike | None = None,
     *,
     tubes: tuple[int, int] = (0, 1),
-    samples: int = 60,
-    directions: int = 180,
+    samples: int = 24,
+    directions: int = 120,
     workers: int = 2,
     progress: Callable[[int, int], object] | None = None,
 ) -> StabilityMap:

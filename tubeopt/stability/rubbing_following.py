@@ -6,13 +6,13 @@ downhill, friction taking its part on the way, to where it comes to rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..equilibrium.continuation import LARGEST_RATIO, SHORTEST_STEP, JointPath, largest_twist
-from ..equilibrium.friction import Held, carried, check_rubbing, rest, step, to_held_equilibrium
+from ..equilibrium.friction import Held, carried, check_rubbing, rest, step
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -27,6 +27,9 @@ SMOOTH_TURN = 0.05
 
 PAST = 1e-6
 """Part of the longest step by which the joints are past the last state that was found when the robot flows from it."""
+
+HOP = 0.1
+"""Part of the longest step below which a state that only friction holds may hop."""
 
 NUDGE = 1e-2
 """Push (rad) in the softest direction, with which the flow begins."""
@@ -76,12 +79,15 @@ def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             there = _near(path, held, at)
             if there is None:
                 size /= 4
-                if size >= SHORTEST_STEP:
+                # What friction alone holds lets go row by row, in hops that a fine mesh would make small.
+                there = _hopped(path, held, at) if held.margin <= 0 and size < HOP * longest else None
+                if there is None and size >= SHORTEST_STEP:
                     continue
-                at = min(goal, t + PAST * longest)
-                there = _landed(path, held, at)
-                if _distance(held, there) > SMOOTH_TURN:
-                    yield RubbingSnap(t, held, there)
+                if there is None:
+                    at = min(goal, t + PAST * longest)
+                    there = _landed(path, held, at)
+                    if _distance(held, there) > SMOOTH_TURN:
+                        yield RubbingSnap(t, held, there)
             else:
                 size = min(2 * size, longest)
                 yield there
@@ -93,9 +99,10 @@ def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
 def _near(path: JointPath, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
     there = step(path.robot, held, *path.at(t))
-    if there is None or there.found.contraction > LARGEST_RATIO or there.held_margin <= 0:
+    if there is None or there.found.contraction > LARGEST_RATIO:
         return None
-    return there if _distance(held, there) <= largest_twist(held.held_margin) else None
+    far = _distance(held, there)
+    return there if far <= largest_twist(0.0) or far <= largest_twist(held.held_margin) else None
 
 
 def _distance(a: Held, b: Held) -> float:
@@ -106,8 +113,17 @@ def _distance(a: Held, b: Held) -> float:
     return float(np.abs(change.ravel()[points.flat]).max(initial=0.0))
 
 
+def _hopped(path: JointPath, held: Held, t: float) -> Held | None:
+    """Where the robot flows to by itself, if that is not far."""
+    rotations, translations = path.at(t)
+    contact, before, x = carried(path.robot, held, rotations, translations)
+    landed = slide(contact, rotations, x, before)
+    there = None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
+    return there if there is not None and _distance(held, there) <= SMOOTH_TURN else None
+
+
 def _landed(path: JointPath, held: Held, t: float) -> Held:
-    """Where the robot flows to from a state that is no equilibrium any more."""
+    """Where the robot flows to from a state that is no equilibrium any more, with a push."""
     rotations, translations = path.at(t)
     contact, before, x = carried(path.robot, held, rotations, translations)
     push = NUDGE * softest(held.contact, held.found.state, held.found.signs)

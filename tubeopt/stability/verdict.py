@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..errors import SolveError
-from ..robots.robot import Robot, is_general
+from ..display import Displayed
+from ..robots.robot import Robot
 from ..typing import Array, Sentence
-from .certificate import Certificate, certify
+from .certificate import Certificate
 from .following import Snap
-from .search import search_snap
-from .worst import WorstMargin, worst_margin
+from .worst import WorstMargin
 
 ASSUMING = "assuming no external load, weight or friction"
 """What every statement about snapping leaves out, in a clause."""
@@ -32,7 +29,7 @@ class Finding(Sentence):
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Verdict(Displayed):
     """Whether a robot can snap at given translations.
 
     certificate: the lower bound of the margin over all rotations: proved.
@@ -44,6 +41,8 @@ class Verdict:
     decided: whether no more than two tubes, of one curvature each, are coupled, so that the certificate is exact and
     the nearest snap is known.
     """
+
+    _brief = ("robot", "finding", "certificate")
 
     robot: Robot
     certificate: Certificate
@@ -71,45 +70,3 @@ class Verdict:
         low, high = np.array(self.robot.limits.rotations).T
         joints = np.array([self.start, self.snap.rotations])
         return bool(((joints >= low - 1e-9) & (joints <= high + 1e-9)).all())
-
-
-def judge(
-    robot: Robot,
-    translations: ArrayLike | None = None,
-    *,
-    progress: Callable[[int, int], object] | None = None,
-) -> Verdict:
-    """Prove that a robot cannot snap at given translations, or find a snap.
-
-    Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
-    until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
-    `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
-    below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
-    limits, and nothing of them is decided but what is proved. For tubes off the centreline see `eccentric_verdict`.
-
-    Args:
-        translations: (n,) m; default home.
-        progress: called with the steps done and their likely number.
-
-    Raises:
-        InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
-    """
-    certificate = certify(robot, translations)
-    try:
-        worst = worst_margin(robot, translations)
-    except SolveError:
-        worst = None
-    if robot.assembly(certificate.translations).eccentric:
-        from .eccentric_verdict import judge_eccentric  # which is a Verdict of this module
-
-        return judge_eccentric(robot, certificate, worst, progress)
-    if certificate.snap_free:
-        return Verdict(robot, certificate, worst)
-    unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
-    found, search = search_snap(robot, certificate.translations, unstable, progress)
-    decided = len(search.coupled) == 2 and not is_general(robot)
-    verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
-    if found is None:
-        return verdict
-    start, end = found.way
-    return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)

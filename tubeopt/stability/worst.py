@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, SolveError, vector
@@ -33,7 +34,7 @@ EVALUATIONS = 1500
 
 
 @dataclass(frozen=True, eq=False)
-class WorstMargin:
+class WorstMargin(Displayed):
     """The least margin that was found over all rotations at given translations: what a certificate may not exceed.
 
     margin: as found.  equilibrium: where, with the joint values to repeat it.  searches: local searches done.
@@ -117,7 +118,7 @@ def _tips(problem: ReducedProblem, free: Index, relative: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCertificate:
+class WorstCertificate(Displayed):
     """The certificate over a box of translations: its least value, where, and how many evaluations that took."""
 
     certificate: Certificate

@@ -7,6 +7,9 @@ A, weights b, and A~ the adjoint of A (itself for Gauss points),
 
 and the same with b to the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Every other
 module has the equations, the energy, the shape and all their derivatives from here.
+
+Of tubes made of pieces theta is the elastic rotation, to which the natural turn is added where a tube pulls; their
+torsional stiffness is kt of the tube over an ease c that varies, so that c stands beside g: theta' = g c w.
 """
 
 from __future__ import annotations
@@ -18,8 +21,9 @@ import casadi as ca
 import numpy as np
 
 from ..physics.shape import GAUSS_POINTS, magnus_quaternion
-from ..physics.torsion import CrossSection, cross_section
+from ..physics.torsion import CrossSection, bent_anyhow, cross_section, section_functions
 from ..typing import Array
+from .panel import Local, local, width
 from .tableau import Tableau, tableau
 
 SHAPE_STEPS = 4
@@ -31,17 +35,24 @@ ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
 
 @dataclass(frozen=True)
 class Grid:
-    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets."""
+    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets, and of tubes
+    made of pieces the `detail`, coefficients of what varies along them (0: nothing does)."""
 
     n_tubes: int
     family: str = "gauss"
     degree: int = 6
     eccentric: bool = False
+    detail: int = 0
 
     @property
     def tableau(self) -> Tableau:
         """Collocation tableau of every piece."""
         return tableau(self.family, self.degree)
+
+    @property
+    def stretched(self) -> bool:
+        """Whether theta' is another one than w."""
+        return self.eccentric or self.detail > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +61,7 @@ class Piece:
 
     theta, twist: (n,) where it begins.  inner: (n, K) theta at its points.  stiffness, moment: (n,) kb_i of the tubes
     present, m_i of the tubes curved.  torsional_stiffness: (n,).  length: h.  place: offset and angle (n,), or nothing.
+    along: what varies along tubes made of pieces, as `panel.local` reads it, in place of stiffness and moment.
     """
 
     grid: Grid
@@ -61,16 +73,41 @@ class Piece:
     torsional_stiffness: Any
     length: Any
     place: tuple[Any, ...] = ()
+    along: Any = None
+
+    @property
+    def data(self) -> list[Any]:
+        """What is given of the piece."""
+        if self.along is not None:
+            return [self.torsional_stiffness, self.length, self.along]
+        return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.place]
 
     @property
     def arguments(self) -> list[Any]:
         """What the functions of this module take, in order."""
-        data = [self.stiffness, self.moment, self.torsional_stiffness, self.length]
-        return [self.theta, self.twist, self.inner, *data, *self.place]
+        return [self.theta, self.twist, self.inner, *self.data]
 
-    def section(self, theta: Any) -> CrossSection:
-        """The cross-section of this piece at rotations (n,)."""
-        return cross_section(theta, self.stiffness, self.moment, *self.place)
+    def local(self, x: Any) -> Local:
+        """The tubes at the fraction x of this piece."""
+        if self.along is None:
+            return Local(self.stiffness, self.moment)
+        return local(self.along, self.torsional_stiffness, self.grid.detail, x)
+
+    def section(self, theta: Any, x: Any) -> CrossSection:
+        """The cross-section at the fraction x of this piece, at rotations (n,)."""
+        here = self.local(x)
+        return cross_section(theta + here.wound, here.stiffness, here.moment, *self.place)
+
+    def balance(self, theta: Any, x: Any) -> Any:
+        """M, dM/dtheta (n, n), where theta' is another than w g c, of eccentric tubes dg/dtheta (n, n): at the fraction
+        x."""
+        here, n = self.local(x), self.grid.n_tubes
+        if self.along is not None:
+            moment, slope = bent_anyhow(n)(theta + here.wound, here.stiffness, here.moment)
+            return [moment, slope, here.ease]
+        functions = section_functions(n, bool(self.place))
+        moment, slope, _, *stretch = functions["balance"](theta, here.stiffness, here.moment, *self.place)
+        return [moment, slope, *stretch]
 
 
 def symbols(grid: Grid) -> Piece:
@@ -79,13 +116,14 @@ def symbols(grid: Grid) -> Piece:
     theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
     place = (d, phi) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
-    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place)
+    along = ca.SX.sym("along", width(n, grid.detail)) if grid.detail else None
+    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along)
 
 
 @dataclass(frozen=True, eq=False)
 class Torsion:
     """theta and w of a piece as polynomials: `twist` (n, K) at its points, `gain` (n, K) M / kt and `extra` (n, K)
-    (g - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w where the piece ends, (n,) each."""
+    (g c - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w (n,) where the piece ends."""
 
     piece: Piece
     twist: Any
@@ -99,7 +137,7 @@ class Torsion:
         piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
         theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
         theta += piece.length**2 * self.gain @ _lagrange(piece.grid, x, 2).T
-        if piece.place:
+        if piece.grid.stretched:
             theta += piece.length * self.extra @ _lagrange(piece.grid, x, 1).T
         return theta
 
@@ -111,7 +149,7 @@ class Torsion:
     def curvature(self, x: Any) -> Any:
         """u (2, len(x)) at fractions x of the piece."""
         theta = self.rotation(x)
-        return ca.horzcat(*(self.piece.section(theta[:, k]).curvature for k in range(theta.shape[1])))
+        return ca.horzcat(*(self.piece.section(theta[:, k], x[k]).curvature for k in range(theta.shape[1])))
 
 
 def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
@@ -127,10 +165,11 @@ def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
 def torsion_of(piece: Piece) -> Torsion:
     """The collocated torsion of a piece."""
     t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
-    sections = [piece.section(piece.inner[:, k]) for k in range(count)]
+    sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
     gain = ca.horzcat(*(here.moment / piece.torsional_stiffness for here in sections))
     twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
-    stretch = ca.horzcat(*(ca.SX(here.stretch) for here in sections))
+    eases = [piece.local(x).ease for x in t.nodes]
+    stretch = ca.horzcat(*(ca.SX(here.stretch * ease) for here, ease in zip(sections, eases, strict=True)))
     slope = stretch * twist
     defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
     end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
@@ -145,12 +184,12 @@ def untwisting(piece: Piece) -> Torsion:
 
 
 def energy_of(torsion: Torsion) -> Any:
-    """Elastic energy of the piece, J: int kt g w^2 / 2 + bending, g w^2 = w (w + (g - 1) w)."""
-    piece = torsion.piece
+    """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending, g c w^2 = w (w + (g c - 1) w)."""
+    piece, t = torsion.piece, torsion.piece.grid.tableau
     total: Any = 0.0
-    for k, b in enumerate(piece.grid.tableau.weights.tolist()):
+    for k, b in enumerate(t.weights.tolist()):
         w = torsion.twist[:, k]
-        bending = piece.section(piece.inner[:, k]).bending_energy
+        bending = piece.section(piece.inner[:, k], t.nodes[k]).bending_energy
         total += b * (ca.dot(piece.torsional_stiffness, w * (w + torsion.extra[:, k])) / 2 + bending)
     return piece.length * total
 
@@ -159,9 +198,11 @@ def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
     """A piece of concentric tubes whose torsion `twist` (n, K) at its points is a control: defect (n, K) of theta,
     theta (n,) where it ends, elastic energy, J."""
     t, h = piece.grid.tableau, piece.length
-    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * twist @ t.matrix.T
-    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), ca.SX.zeros(*twist.shape), defect, (piece.theta, twist))
-    return defect, piece.theta + h * twist @ t.weights, energy_of(free)
+    extra = twist * (ca.horzcat(*(ca.SX.ones(piece.grid.n_tubes) * piece.local(x).ease for x in t.nodes)) - 1)
+    slope = twist + extra
+    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * slope @ t.matrix.T
+    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), extra, defect, (piece.theta, twist))
+    return defect, piece.theta + h * slope @ t.weights, energy_of(free)
 
 
 def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:
@@ -182,12 +223,12 @@ def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any
     """A Jacobi field of a piece of softened tubes, collocated as its torsion is.
 
     The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
-    where w changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
-    det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+    where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the
+    tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
-        softness: (n, n K) (dM/dtheta) / ((1 - margin) kt) at the points; of eccentric tubes also (n, n K) w dg/dtheta
-            and (n, K) g.
+        softness: (n, n K) (dM/dtheta) / ((1 - margin) kt) at the points; of eccentric tubes also (n, n K) w dg/dtheta,
+            and of these and of tubes made of pieces (n, K) g c.
         end: (2n,) y above v where the piece ends.  inner: (n, K) y at its points.
 
     Returns:
@@ -199,7 +240,9 @@ def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any
     gained = _at_points(gain, inner)
     slope = ca.repmat(v, 1, count) - length * gained @ (t.weights - t.adjoint).T
     if stretching:
-        slope = stretching[1] * slope + _at_points(stretching[0], inner)
+        slope = stretching[-1] * slope
+    if len(stretching) > 1:
+        slope += _at_points(stretching[0], inner)
     defect = inner - ca.repmat(y, 1, count) + length * slope @ (t.weights - t.matrix).T
     return ca.vertcat(y - length * slope @ t.weights, v - length * gained @ t.weights), defect
 

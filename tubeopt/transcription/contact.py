@@ -13,6 +13,7 @@ the energy is E(z) + y'y / 2.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -31,7 +32,7 @@ DEGREE = 6
 """Collocation points of a piece."""
 
 PIECES = 4
-"""Least number of pieces of a section in which tubes rub: the kink of the torsion where slip ends lies inside one."""
+"""Least number of pieces along which two tubes rub: the kink of the torsion where slip ends lies inside one."""
 
 LOOSE = 1e-11
 """Part of a compliance that is round-off: what the points leave open by less, they tell."""
@@ -68,11 +69,12 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
     # (m, n - 1) sections in which a pair touches that rubs anywhere.
-    touching = assembly.present[:, 1:] & np.any(list(capacities.values()), axis=0)
+    rub = np.sum(list(capacities.values()), axis=0) > 0
+    touching = assembly.present[:, 1:] & rub
     unknown = assembly.curved & assembly.coupled[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
-    problem = _problem(assembly, friction, touching.any(1), unknown)
+    problem = _problem(assembly, friction, touching, unknown)
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
     spots = _spots(assembly, capacities)
@@ -82,23 +84,30 @@ def make_contact(assembly: Assembly, friction: Friction) -> Contact:
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
     pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
     rows = by_x[index[point, pair + 1]] - by_x[index[point, pair]]
-    whole = [rows], [capacities["torque"][pair] * problem.weight[point]], [problem.arc_length[point]], [pair], [point]
+    whole: tuple[list[Any], ...] = (
+        [rows],
+        [capacities["torque"][pair] * problem.weight[point]],
+        [problem.arc_length[point]],
+        [pair],
+        [point],
+    )
     for s, i, most in spots:
         outer, inner = (problem.size + int(np.flatnonzero((place == s) & (tube == j))[0]) for j in (i + 1, i))
         row = by_x[outer] - by_x[inner]
         if row @ row > 0:  # tubes that are held at the plate itself turn as their drives do, whatever rubs
             for column, value in zip(whole, (row, most, s, i, -1), strict=True):
                 column.append(np.array([value]))
-    columns = [np.concatenate(column) for column in whole]
-    return Contact(problem, friction, *columns, place, tube, known, loose)
+    rows, capacity, arc_length, pair, point = (np.concatenate(column) for column in whole)
+    return Contact(problem, friction, rows, capacity, arc_length, pair, point, place, tube, known, loose)
 
 
 def _problem(assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask) -> ReducedProblem:
-    """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where tubes rub (m,)."""
-    counts = piece_counts(assembly)
-    counts[rubs] = np.maximum(counts[rubs], PIECES) * 2**friction.refinement
+    """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where pairs rub (m, n - 1)."""
+    overlap = assembly.length @ rubs
+    longest = np.min(np.where(rubs, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
+    counts = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
     mesh = make_mesh(assembly, counts, degree=DEGREE)
-    return reduce(assembly, replace(mesh, collocated=unknown.any(1)[mesh.section]), unknown)
+    return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 
 
 def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float, int, float]]:
@@ -159,7 +168,9 @@ def _softness(problem: ReducedProblem) -> tuple[Array, Array]:
     if problem.here is not None:
         return ahead(mesh, problem.here), reach(mesh, problem.here)
     ends = np.append(mesh.start, assembly.total_length)
-    inside, outside = ((assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends))
+    inside, outside = (
+        (assembly.transmission + s[:, None]) / assembly.torsional_stiffness for s in (problem.arc_length, ends)
+    )
     return inside, outside
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..physics.torsion import section_functions
 from .collocated import Piece, Torsion
 
 SOFT_NODES = np.array([0.0, 1 / 3, 1 / 2, 2 / 3, 1.0])
@@ -33,7 +32,7 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = S
     """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
 
     The fields are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where w
-    changes: y' = g v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
+    changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the tip,
     det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
@@ -43,7 +42,7 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = S
     for step in reversed(range(steps)):
         x = (step + SOFT_NODES) / steps
         theta, w = torsion.rotation(x), torsion.torsion(x)
-        rates = [_field_rate(piece, theta[:, k], w[:, k], margin) for k in range(len(x))]
+        rates = [_field_rate(piece, x[k], (theta[:, k], w[:, k]), margin) for k in range(len(x))]
         slopes: list[Any] = []
         for stage, row in zip(_STAGES, _BUTCHER, strict=True):
             at = fields - h * sum((a * k for a, k in zip(row, slopes, strict=True)), ca.SX.zeros(2 * n, n))
@@ -53,15 +52,18 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = S
     return fields
 
 
-def _field_rate(piece: Piece, theta: Any, w: Any, margin: Any) -> Any:
-    """The right-hand side of the Jacobi fields at one cross-section, as a function of the fields."""
-    n, balance = piece.grid.n_tubes, section_functions(piece.grid.n_tubes, bool(piece.place))["balance"]
-    _, stiff, _, *stretching = balance(theta, piece.stiffness, piece.moment, *piece.place)
+def _field_rate(piece: Piece, x: float, at: tuple[Any, Any], margin: Any) -> Any:
+    """The right-hand side of the Jacobi fields at the fraction x of a piece, theta and w there, as a function of the
+    fields."""
+    n, (theta, w) = piece.grid.n_tubes, at
+    _, stiff, *stretching = piece.balance(theta, x)
     gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff
 
     def rate(fields: Any) -> Any:
         y, v = fields[:n, :], fields[n:, :]
-        turned = ca.diag(stretching[0]) @ v + ca.diag(w) @ (stretching[1] @ y) if stretching else v
+        turned = ca.diag(stretching[0]) @ v if stretching else v
+        if len(stretching) > 1:
+            turned += ca.diag(w) @ (stretching[1] @ y)
         return ca.vertcat(turned, gain @ y)
 
     return rate

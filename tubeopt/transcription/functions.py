@@ -10,7 +10,6 @@ import casadi as ca
 from ..physics.matrix import determinant
 from ..physics.shape import quaternion_product, rotation_matrix
 from ..physics.strain import bend_from_own
-from ..physics.torsion import section_functions
 from .collocated import Grid, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
@@ -44,14 +43,18 @@ def places_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def inside_function(grid: Grid) -> ca.Function:
-    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it."""
+    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it; of tubes
+    made of pieces also their natural turn, natural twist, and ease (n,)."""
     torsion = torsion_of(symbols(grid))
     q, p = _pose()
     x = ca.SX.sym("x")
     turn, shift, _ = shape_of(torsion, x)[-1]
     end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
     theta, w = torsion.rotation(x), torsion.torsion(x)
-    outputs = [*end, theta, w, torsion.piece.section(theta).curvature]
+    outputs = [*end, theta, w, torsion.piece.section(theta, x).curvature]
+    if grid.detail:
+        here = torsion.piece.local(x)
+        outputs += [here.wound, ca.jacobian(here.wound, x) / torsion.piece.length, here.ease]
     return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
 
 
@@ -64,24 +67,31 @@ def energy_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def motion_function(grid: Grid) -> ca.Function:
-    """(theta (n,) where a piece begins, theta and theta' (n, K) at its points, kb, m, kt (n,), length) -> `motion_of`
+    """(theta (n,) where a piece begins, theta and w (n, K) at its points, what is given of it) -> `motion_of`
     concentric tubes."""
     piece, twist = symbols(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
-    inputs = [piece.theta, piece.inner, twist, piece.stiffness, piece.moment, piece.torsional_stiffness, piece.length]
-    return ca.Function("motion", inputs, list(motion_of(piece, twist)), OPTIONS)
+    return ca.Function("motion", [piece.theta, piece.inner, twist, *piece.data], list(motion_of(piece, twist)), OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def bend_function(grid: Grid) -> ca.Function:
     """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
-    at the points, |u / g - u*|, 1/m."""
+    at the points, |u / g - u*|, 1/m, and its own there; tubes made of pieces have theirs from the arguments."""
     piece, natural = symbols(grid), ca.SX.sym("natural", grid.n_tubes)
     columns = []
-    for k in range(grid.degree):
-        theta = piece.inner[:, k]
-        here = piece.section(theta)
-        columns.append(bend_from_own((ca.cos(theta), ca.sin(theta)), here.curvature, natural, here.stretch))
-    return ca.Function("bend", [*piece.arguments, natural], [ca.horzcat(*columns)], OPTIONS)
+    for k, x in enumerate(grid.tableau.nodes):
+        theta, at = piece.inner[:, k], piece.local(x)
+        here = piece.section(theta, x)
+        own: Any = natural
+        direction = ca.cos(theta), ca.sin(theta)
+        if grid.detail:
+            turned = theta + at.wound
+            cos, sin, (a, b) = ca.cos(turned), ca.sin(turned), ca.horzsplit(at.natural)
+            direction, own = (a * cos - b * sin, a * sin + b * cos), bend_from_own((a, b), ca.DM.zeros(2), 1.0)
+        bent = bend_from_own(direction, here.curvature, 1.0 if grid.detail else natural, here.stretch)
+        columns.append((bent, own))
+    bends, owns = (ca.horzcat(*parts) for parts in zip(*columns, strict=True))
+    return ca.Function("bend", [*piece.arguments, natural], [bends, owns], OPTIONS)
 
 
 @lru_cache(maxsize=64)
@@ -93,16 +103,14 @@ def twist_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def softness_function(grid: Grid) -> ca.Function:
-    """(margin, theta, w, kb, m, kt (n,)[, offset, angle (n,)]) of one point -> what `softened_fields` needs of it."""
+    """(margin, theta, w (n,), its place x, what is given of the piece) of one point -> what `softened_fields` needs."""
     piece = symbols(grid)
-    margin, w = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes)
-    balance = section_functions(grid.n_tubes, grid.eccentric)["balance"]
-    _, stiff, _, *stretching = balance(piece.theta, piece.stiffness, piece.moment, *piece.place)
+    margin, w, x = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes), ca.SX.sym("x")
+    _, stiff, *stretching = piece.balance(piece.theta, x)
     outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
-    if stretching:
-        outputs += [ca.diag(w) @ stretching[1], stretching[0]]
-    given = [piece.theta, w, piece.stiffness, piece.moment, piece.torsional_stiffness, *piece.place]
-    return ca.Function("softness", [margin, *given], [ca.densify(part) for part in outputs], OPTIONS)
+    outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
+    given = [margin, piece.theta, w, x, *piece.data]
+    return ca.Function("softness", given, [ca.densify(part) for part in outputs], OPTIONS)
 
 
 @lru_cache(maxsize=64)
@@ -129,7 +137,7 @@ def field_matrix_function(grid: Grid) -> ca.Function:
 def _softness(grid: Grid) -> tuple[Any, ...]:
     n, count = grid.n_tubes, grid.degree
     gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
-    return (gain, turned, stretch) if grid.eccentric else (gain,)
+    return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
 
 
 @lru_cache(maxsize=16)

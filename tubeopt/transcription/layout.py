@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..robots.assembly import Assembly
-from ..robots.breakpoints import Breakpoint, Order, arrange
+from ..robots.breakpoints import Breakpoint, Order, arrange, has_curve, joints_of, where_of
 from ..typing import Array
 from .mesh import piece_counts
 
@@ -27,7 +27,8 @@ class Layout:
 
     order: of the breakpoints.  section: (P,) the section of each piece.  length: (P, 2n) coefficients of (transition,
     end) in the lengths of the pieces.  gap: (b, 2n) of those in the lengths of the sections and in how far breakpoints
-    behind the plate lie behind it: all must be >= 0.  present, curved: (n, P), 0 or 1.
+    behind the plate lie behind it: all must be >= 0.  present, curved: (n, P), 0 or 1. Where tubes are made of pieces
+    length and gap have further columns, for their joints, and (B, P) `curved` picks the panel of each tube, 0 or 1.
     """
 
     order: Order
@@ -59,7 +60,8 @@ def layout(
     Raises:
         InputError: `pieces` are too few.
     """
-    lengths = np.maximum(order.lengths(assembly.transition, assembly.end), 0.0)
+    where = where_of(assembly)
+    lengths = np.maximum(order.lengths(where), 0.0)
     start = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     cut = replace(assembly, start=start, length=lengths, present=order.present, curved=order.curved)
     counts = piece_counts(cut, refinement)
@@ -70,15 +72,26 @@ def layout(
     elif counts.sum() < least:
         counts = _fit(counts, lengths, least)
     section = np.repeat(np.arange(len(counts)), counts)
-    gap = gap_rows(order, assembly.n_tubes)
+    gap = gap_rows(order, assembly.n_tubes, len(where))
+    curved = picked(order, assembly) if assembly.general else order.curved
     return Layout(
         order=order,
         section=tuple(section.tolist()),
         length=gap[: len(order.front)][section] / counts[section][:, None],
         gap=gap,
         present=order.present[section].T.astype(float),
-        curved=order.curved[section].T.astype(float),
+        curved=curved[section].T.astype(float),
     )
+
+
+def picked(order: Order, assembly: Assembly) -> Array:
+    """(m, B) in which panel of each tube every section lies, 0 or 1: B panels, tube by tube, the straight part first;
+    the last one where a tube has ended."""
+    counts = [1 + (len(own) + 1) * has_curve(assembly, i) for i, own in enumerate(joints_of(assembly))]
+    out = np.zeros((len(order.front), sum(counts)))
+    for i, first in enumerate(np.cumsum([0, *counts[:-1]]).tolist()):
+        out[np.arange(len(out)), first + np.minimum(order.panel[:, i], counts[i] - 1)] = 1.0
+    return out
 
 
 def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.intp]:
@@ -93,21 +106,17 @@ def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.in
     return counts
 
 
-def gap_rows(order: Order, n: int) -> Array:
-    """(b, 2n) coefficients of (transition, end) in the lengths of the sections, then in how far behind the plate the
-    other breakpoints lie."""
-    rows = np.zeros((len(order.front) + len(order.behind), 2 * n))
+def gap_rows(order: Order, n: int, width: int) -> Array:
+    """(b, width) coefficients of the places of transitions, ends and joints in the lengths of the sections, then in how
+    far behind the plate the other breakpoints lie."""
+    rows = np.zeros((len(order.front) + len(order.behind), width))
     for k, point in enumerate(order.front):
-        rows[k, _column(point, n)] += 1.0
+        rows[k, point.place(n)] += 1.0
         if k:
-            rows[k, _column(order.front[k - 1], n)] -= 1.0
+            rows[k, order.front[k - 1].place(n)] -= 1.0
     for k, point in enumerate(order.behind, start=len(order.front)):
-        rows[k, _column(point, n)] = -1.0
+        rows[k, point.place(n)] = -1.0
     return rows
-
-
-def _column(point: Breakpoint, n: int) -> int:
-    return point.tubes[0] + (n if point.end else 0)
 
 
 def gap_names(order: Order) -> list[str]:
@@ -128,17 +137,12 @@ def sides(order: Order, row: int) -> tuple[Breakpoint, ...]:
 
 
 def may_swap(order: Order, row: int) -> bool:
-    """Whether the breakpoint of a row of the gaps may change places with its neighbour, or with the plate: a tube's
-    transition stays before its end, and some tube in front of the plate."""
+    """Whether the breakpoint of a row of the gaps may change places with its neighbour, or with the plate: those of one
+    tube stay in their order, and some tube in front of the plate."""
     front = len(order.front)
     if row >= front:
-        point = order.behind[row - front]
-        return point.end or not any(other.end and set(other.tubes) & set(point.tubes) for other in order.behind)
-    point = order.front[row]
-    if row:
-        before = order.front[row - 1]
-        return before.end == point.end or not set(before.tubes) & set(point.tubes)
-    return front > 1
+        return not any(order.behind[row - front].before(other) for other in order.behind)
+    return not order.front[row - 1].before(order.front[row]) if row else front > 1
 
 
 def swapped(order: Order, row: int) -> Order:

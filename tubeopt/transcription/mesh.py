@@ -21,7 +21,7 @@ BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 
-TWIST_PER_PIECE = 1.0
+TWIST_PER_PIECE = 0.75
 """Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
 
 DETAIL_PER_PIECE = 4.0

@@ -19,6 +19,7 @@ from ..robots.assembly import Assembly
 from ..robots.breakpoints import places
 from ..typing import Array
 from . import functions
+from .chain import columns, joints, panels, transmissions
 from .collocated import Grid
 from .layout import Layout
 
@@ -44,6 +45,7 @@ class TorsionModel:
     theta, twist: (n, P) where pieces begin.  inner: (n, P K) theta at their points.
     stiffness, moment, torsional_stiffness: (n, P) kb_i of the tubes present, m_i of the tubes curved, kt_i.
     lengths: (P,).  transmission: (n,).  place: offset and angle (n,), or nothing.
+    along: (X, P) what varies along tubes made of pieces, for which stiffness and moment are None; else None.
     """
 
     grid: Grid
@@ -56,6 +58,7 @@ class TorsionModel:
     lengths: Any
     transmission: Any
     place: tuple[Any, ...]
+    along: Any
 
     @property
     def n_pieces(self) -> int:
@@ -63,18 +66,23 @@ class TorsionModel:
         return int(self.theta.shape[1])
 
     @property
+    def data(self) -> list[Any]:
+        """What is given of the pieces to their functions, side by side."""
+        if self.along is not None:
+            return [self.torsional_stiffness, self.lengths.reshape((1, -1)), self.along]
+        beside = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.place]
+        return [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.reshape((1, -1)), *beside]
+
+    @property
     def arguments(self) -> list[Any]:
         """Of the functions of a piece, all pieces side by side."""
-        beside = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.place]
-        data = [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.T]
-        return [self.theta, self.twist, self.inner, *data, *beside]
+        return [self.theta, self.twist, self.inner, *self.data]
 
     def piece(self, k: int) -> list[Any]:
         """The arguments of one piece."""
         degree = self.grid.degree
         own = [self.theta[:, k], self.twist[:, k], self.inner[:, k * degree : (k + 1) * degree]]
-        own += [self.stiffness[:, k], self.moment[:, k], self.torsional_stiffness[:, k], self.lengths[k]]
-        return [*own, *self.place]
+        return [*own, *(part[:, k] for part in self.data)]
 
     def mapped(self, name: str) -> ca.Function:
         """A function of `transcription.functions` for all pieces at once."""
@@ -89,14 +97,12 @@ class TorsionModel:
     def softness(self, margin: Any) -> tuple[Any, ...]:
         """What the Jacobi fields of tubes softened by `margin` need, side by side for all points."""
         count, degree = self.n_pieces, self.grid.degree
-        data = [self.stiffness, self.moment, self.torsional_stiffness]
-        if count:
-            data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in data]
-        beside = [ca.repmat(ca.vec(v), 1, count * degree) for v in self.place]
+        data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in self.data]
+        places = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
         # Where g is 1, nothing depends on the torsion.
         twist = self.mapped("twist")(*self.arguments) if self.place else ca.DM.zeros(*self.inner.shape)
         function = mapped("softness", self.grid, count * degree)
-        out = function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, *data, *beside])
+        out = function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, places, *data])
         return tuple(out)
 
     @property
@@ -126,8 +132,9 @@ class TorsionModel:
 class Model(TorsionModel):
     """An arm with its shape, and b breakpoints.
 
-    q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.  natural: (n, P) precurvature.  present: (n, P).
-    gaps: (b,).
+    q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.  natural: (n, P) precurvature, of tubes made of
+    pieces 0, since `along` tells it.  present: (n, P).  gaps: (b,).  held: (n,) lengths from where the tubes are held
+    to the plate, m; `transmission` is that times kt and the mean of 1 / kt.
     """
 
     q: Any
@@ -135,6 +142,7 @@ class Model(TorsionModel):
     natural: Any
     present: Any
     gaps: Any
+    held: Any
 
     @property
     def poses(self) -> tuple[Any, Any]:
@@ -160,8 +168,11 @@ class Model(TorsionModel):
     def at(self, value: Callable[[Any], Any]) -> Model:
         """The numbers of this arm that `value` gives to its expressions."""
         names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place")]
-        numbers = {name: np.array(value(getattr(self, name))).reshape(getattr(self, name).shape) for name in names}
-        for name in ("lengths", "gaps", "transmission"):
+        parts = {name: getattr(self, name) for name in names}
+        numbers: dict[str, Any] = {
+            name: None if part is None else np.array(value(part)).reshape(part.shape) for name, part in parts.items()
+        }
+        for name in ("lengths", "gaps", "transmission", "held"):
             numbers[name] = numbers[name].ravel()
         return Model(grid=self.grid, place=self.place, **numbers)
 
@@ -212,12 +223,26 @@ def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
 
 
 def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
-    """The arm with these UNKNOWNS, as matrices, on a layout's `numbers`, with these joint values and dimensions."""
+    """The arm with these UNKNOWNS, as matrices, on a layout's `numbers`, with these joint values and dimensions.
+
+    `given` has also the `place` of eccentric tubes, and the `chain` of tubes made of pieces, with their PIECES.
+    """
     length, gap, present, curved = numbers
-    transmission, transition, end = places(given["translations"], given["straight_length"], given["curved_length"])
-    where, pieces = ca.vertcat(transition, end), present.shape[1]
-    kb = ca.repmat(given["bending_stiffness"], 1, pieces)
-    natural = ca.repmat(given["curvature"], 1, pieces) * curved
+    held, transition, end = places(given["translations"], given["straight_length"], given["curved_length"])
+    chain, pieces = given.get("chain"), present.shape[1]
+    stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, held
+    if chain is None:
+        where = ca.vertcat(transition, end)
+        lengths = length @ where
+        kb = ca.repmat(given["bending_stiffness"], 1, pieces)
+        natural = ca.repmat(given["curvature"], 1, pieces) * curved
+        stiffness, moment = kb * present, kb * natural
+    else:
+        laid = panels(chain, given)
+        where = ca.vertcat(transition, end, *joints(chain, laid, held))
+        lengths = length @ where
+        transmission = transmissions(chain, laid, (held, curved[:, 0]), given["torsional_stiffness"])
+        along = columns(chain, laid, (curved, present), (held, ca.vertcat(0, ca.cumsum(lengths))))
     theta, twist, inner, q, p = unknowns
     return Model(
         grid,
@@ -226,15 +251,17 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], gi
         inner=inner,
         q=q,
         p=p,
-        stiffness=kb * present,
-        moment=kb * natural,
+        stiffness=stiffness,
+        moment=moment,
         torsional_stiffness=ca.repmat(given["torsional_stiffness"], 1, pieces),
         natural=natural,
         present=present,
-        lengths=length @ where,
+        lengths=lengths,
         gaps=gap @ where,
         transmission=transmission,
+        held=held,
         place=given.get("place", ()),
+        along=along,
     )
 
 

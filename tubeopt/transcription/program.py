@@ -18,6 +18,7 @@ from ..typing import Array
 from .arm import Profile, rotations_at
 from .collocated import Grid
 from .model import UNKNOWNS, TorsionModel, sizes
+from .panel import at_points, width
 from .reduced import ReducedProblem
 
 
@@ -68,26 +69,32 @@ class Structure:
     def shapes(self) -> dict[str, tuple[int, int]]:
         """Of what is given of an arm, by its name in `TorsionModel`."""
         n, pieces = self.grid.n_tubes, len(self.section)
-        return {
-            "transmission": (n, 1),
-            "lengths": (pieces, 1),
-            "stiffness": (n, pieces),
-            "moment": (n, pieces),
-            "torsional_stiffness": (n, pieces),
-            **({"offset": (n, 1), "angle": (n, 1)} if self.grid.eccentric else {}),
-        }
+        shapes = {"transmission": (n, 1), "lengths": (pieces, 1), "torsional_stiffness": (n, pieces)}
+        if self.grid.detail:
+            return {**shapes, "along": (width(n, self.grid.detail), pieces)}
+        shapes |= {"stiffness": (n, pieces), "moment": (n, pieces)}
+        return {**shapes, **({"offset": (n, 1), "angle": (n, 1)} if self.grid.eccentric else {})}
 
 
 def structure_of(problem: ReducedProblem) -> Structure:
     """Structure of a reduced problem's mesh."""
     mesh, assembly = problem.mesh, problem.assembly
-    grid = Grid(assembly.n_tubes, mesh.tableau.family, mesh.tableau.degree, assembly.eccentric)
+    detail = mesh.tableau.degree if assembly.general else 0
+    grid = Grid(assembly.n_tubes, mesh.tableau.family, mesh.tableau.degree, assembly.eccentric, detail)
     return Structure(grid, tuple(mesh.section.tolist()), tuple(mesh.collocated.tolist()))
 
 
 def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
     """What is given of the arm of a problem, each by columns."""
     assembly, mesh = problem.assembly, problem.mesh
+    if problem.here is not None:
+        kt = held_stiffness(problem)
+        return {
+            "transmission": problem.here.transmission * kt,
+            "lengths": mesh.length,
+            "torsional_stiffness": np.tile(kt, len(mesh.length)),
+            "along": at_points(problem.here.sections, mesh.tableau.nodes),
+        }
     place = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
     return {
         "transmission": assembly.transmission,
@@ -109,6 +116,7 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
         if name not in own:
             given[name] = ca.reshape(program.parameter(name, np.zeros(shape[0] * shape[1])), *shape)
     place = tuple(given.pop(name) for name in ("offset", "angle") if name in given)
+    given = {"stiffness": None, "moment": None, "along": None, **given}
     shapes = sizes(structure.grid.n_tubes, len(structure.section), structure.grid.degree)[:3]
     theta, twist, inner = (
         ca.reshape(program.variable(name, rows * columns), rows, columns)
@@ -123,4 +131,18 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
 def torsion_guess(problem: ReducedProblem, profile: Profile) -> dict[str, Array]:
     """The unknowns of an arm, by name and by columns, at a torsion profile on the same mesh."""
     theta = rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes.tolist()))
-    return dict(zip(UNKNOWNS, (profile.rotation.ravel(), profile.twist.ravel(), theta.ravel()), strict=False))
+    twist = profile.twist if problem.here is None else profile.twist / held_stiffness(problem)
+    return dict(zip(UNKNOWNS, (profile.rotation.ravel(), twist.ravel(), theta.ravel()), strict=False))
+
+
+def held_stiffness(problem: ReducedProblem) -> Array:
+    """(n,) GJ of tubes made of pieces where they are held: that of the tube, to which their ease refers."""
+    assert problem.assembly.lengthwise is not None
+    return np.asarray(problem.assembly.lengthwise.values(np.zeros((1, problem.assembly.n_tubes)))[1][0])
+
+
+def ease_at_plate(problem: ReducedProblem) -> Array:
+    """(n,) how much softer in torsion tubes made of pieces are at the plate than where they are held."""
+    assert problem.assembly.lengthwise is not None
+    here = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
+    return np.asarray(held_stiffness(problem) / here)

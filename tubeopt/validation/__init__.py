@@ -5,7 +5,7 @@ from .effects import EFFECTS, KINDS
 from .errors import ErrorGroup, ErrorSummary, ErrorTable, group_errors
 from .fitting import Estimate, Fit, FitOptions, fit
 from .folds import Parity
-from .force import ForceEstimate, estimate_force
+from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .measurements import JointLog, Measurements
 from .parameters import Parameter, choose_parameters
 from .placing import Placement, where_to_measure
@@ -25,6 +25,7 @@ __all__ = [
     "Fit",
     "FitOptions",
     "ForceEstimate",
+    "ForceRecord",
     "JointLog",
     "Measurements",
     "Parameter",
@@ -36,6 +37,7 @@ __all__ = [
     "choose_parameters",
     "compare_effects",
     "estimate_force",
+    "estimate_forces",
     "fit",
     "group_errors",
     "register",

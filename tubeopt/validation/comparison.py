@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
 from ..typing import Array
@@ -21,7 +22,7 @@ Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Displayed):
     """Measured against predicted tips of N configurations, both in the plate frame. SI units; NaN where nothing was
     seen, or no stable shape was found.
 

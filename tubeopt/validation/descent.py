@@ -29,6 +29,9 @@ SETTLED = 1e-7
 EXACT = 1e-14
 """Cost of an observation, in squares of its standard deviation, that is as good as none."""
 
+FAITHFUL = 0.7
+"""Part of the promised decrease that came about, from which costly slopes serve another step."""
+
 STEEPEST = 1e12
 """Damping at which a step is too short to be worth another."""
 
@@ -101,19 +104,23 @@ def descend(
     start: State,
     *,
     jacobian: Array | None = None,
+    first: Array | None = None,
     iterations: int = ITERATIONS,
     settled: float = SETTLED,
 ) -> Descent:
     """The least cost near a start at which every row can be solved.
 
     Args:
-        jacobian: to keep throughout, where the start is close to the answer; None is that of every state.
+        jacobian: to keep throughout, where the start is close to the answer; None is that of every state, or, where it
+            is costly, of those at which an older one no longer serves, and of the last.
+        first: that of the start, where it is known.
         settled: relative decrease of the cost, won or promised, at which to end.
     """
     bounds = np.array([[p.low, p.high] for p in model.parameters]).reshape(-1, 2).T
     state = State(np.clip(start.x, *bounds), start.registration)
     residuals = model.residuals(state)
-    slopes = model.jacobian(state) if jacobian is None else jacobian
+    known = first if jacobian is None else jacobian
+    slopes, fresh = model.jacobian(state) if known is None else known, True
     cost, damping, obstacle = _cost(model, weights, state, residuals), 1e-6, ""
     for _ in range(iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
@@ -133,11 +140,14 @@ def descend(
                 state, residuals, cost, damping = trial, there, cost_there, max(damping / 10, 1e-9)
             else:
                 damping *= 10
-        if not accepted or before - cost <= enough:
+        if fresh and (not accepted or before - cost <= enough):
             # After so short a step the slopes are those of the state before it.
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
-            slopes = model.jacobian(state)
+            promised = -2 * slope @ step - step @ square @ step
+            serves = accepted and before - cost > max(enough, FAITHFUL * promised)
+            fresh = not (serves and model.costly(state))
+            slopes = model.jacobian(state) if fresh else slopes
     return Descent(state, residuals, slopes, False, obstacle)
 
 

@@ -204,6 +204,14 @@ def _play_span(context: Context, index: int | None) -> Span:
     return Span(start, 0.0, max(start, math.radians(20)), 0.1, math.radians(1))
 
 
+def _friction_span(context: Context, index: int | None) -> Span:
+    """A large torque is one that turns the tubes by a tenth of a rad along the curved part of the outer one."""
+    pair = members(context.robot)[(index or 0) : (index or 0) + 2]
+    scale = 0.1 * min(context.setup.torsional_stiffness[(index or 0) :][:2]) / pair[-1].curved_length ** 2
+    start = float(context.setup.friction[index or 0])
+    return Span(start, 0.0, max(start, 50 * scale), scale, scale)
+
+
 DEGREE = math.pi / 180
 
 EFFECTS: dict[str, Effect] = {
@@ -230,6 +238,10 @@ EFFECTS: dict[str, Effect] = {
     "rotation_play": Effect(
         "half width of the backlash between drive and tube I", "rad", "tube",
         _play_span, _put("rotation_play"), needs="way", history=True, drives=True,
+    ),
+    "friction": Effect(
+        "torque per length that rubbing bears between tube I and the next one, N m per m", "N", "pair",
+        _friction_span, _put("friction"), needs="way", history=True,
     ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",

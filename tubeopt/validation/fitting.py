@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..display import Displayed
 from ..errors import InputError, choice, positive
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
@@ -79,7 +80,7 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m" or "s".
+    """A fitted parameter with its confidence interval [low, high]; unit "", "1/m", "rad", "m", "s" or "N".
 
     The interval takes errors as independent; `block_error`, the standard error from blocks of rows drawn again, does
     not, and is the one to believe where it is larger. A parameter that the data cannot determine is held at its start:
@@ -115,7 +116,7 @@ class FitStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Displayed):
     """A robot calibrated to measurements.
 
     Attributes:
@@ -237,32 +238,33 @@ class FitProblem:
         self.chosen, self.options = model.parameters, options
         self.sigma = (options.noise[0] or sigma[0], options.noise[1] or sigma[1])
         begin = start or model.start
-        self.held, self.remarks = self._undetermined(model, begin)
+        slopes = model.jacobian(begin)
+        self.held, self.remarks = self._undetermined(model, slopes)
         self.free = [k for k in range(len(self.chosen)) if k not in self.held]
         self.model = model.with_parameters([self.chosen[k] for k in self.free])
-        self.fit = self._settle(State(begin.x[self.free], begin.registration))
+        kept = [*self.free, *range(len(self.chosen), slopes.shape[2])]
+        self.fit = self._settle(State(begin.x[self.free], begin.registration), slopes[..., kept])
 
-    def _undetermined(self, model: ArmModel, begin: State) -> tuple[list[int], list[str]]:
+    def _undetermined(self, model: ArmModel, slopes: Array) -> tuple[list[int], list[str]]:
         if not self.chosen or self.options.priors:
             return [], []
-        slopes = model.jacobian(begin)
-        slopes[model.directed] *= model.length
-        return undetermined(self.chosen, slopes, model.length)
+        unit = np.where(model.directed, model.length, 1.0)
+        return undetermined(self.chosen, slopes * unit[:, None, None], model.length)
 
     def weights(self) -> Weights:
         """How observations count, given the noise."""
         return weigh(self.model, self.options, self.sigma)
 
-    def _settle(self, start: State) -> Descent:
-        """Descend, and estimate the noise, until it settles; with nothing but least squares of positions it does not
+    def _settle(self, start: State, slopes: Array) -> Descent:
+        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least squares of positions it does not
         matter what it is."""
-        found = descend(self.model, self.weights(), start)
+        found = descend(self.model, self.weights(), start, first=slopes)
         for _ in range(6):
             last, self.sigma = self.sigma, self._noise(found)
             alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
             if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
                 break
-            found = descend(self.model, self.weights(), found.state)
+            found = descend(self.model, self.weights(), found.state, first=found.jacobian)
         return found
 
     def _noise(self, found: Descent) -> tuple[float, float]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
@@ -16,6 +17,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..transcription.loaded import position_slopes, tip_slopes
 from ..typing import Array
+from .measurements import SAME_PLACE, Measurements
 
 MOST_STEPS = 60
 
@@ -33,7 +35,7 @@ UNSEEN = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class ForceEstimate:
+class ForceEstimate(Displayed):
     """A force at the tip, world axes, and how far it is told.
 
     Attributes:
@@ -66,6 +68,88 @@ class ForceEstimate:
                 axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
                 parts.append(f"along ({axis}) it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN")
         return "the force is told in all directions" if not parts else "not told from none: " + "; ".join(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class ForceRecord:
+    """Forces at the tip over the N rows of a recording.
+
+    robot, measurements, noise: what was asked, noise in m.   estimates: one per row, None where there is none.
+    failures: (row, reason in words) of those.
+    """
+
+    robot: Robot
+    measurements: Measurements
+    noise: float
+    estimates: tuple[ForceEstimate | None, ...]
+    failures: tuple[tuple[int, str], ...]
+
+    @property
+    def force(self) -> Array:
+        """(N, 3) N, world axes; NaN in rows without an estimate."""
+        return np.array([np.full(3, np.nan) if e is None else e.force for e in self.estimates])
+
+    @property
+    def standard_error(self) -> Array:
+        """(N, 3) of the forces by axis, N; inf where an axis is not seen, NaN in rows without an estimate."""
+        rows = [np.full(3, np.nan) if e is None else np.sqrt(np.diag(e.covariance)) for e in self.estimates]
+        return np.array(rows)
+
+
+def estimate_forces(
+    robot: Robot,
+    measurements: Measurements,
+    *,
+    noise: float = 1e-3,
+    known: Load | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> ForceRecord:
+    """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
+
+    Args:
+        measurements: joint readings, and positions in the frame of the plate; sensors behind the tip are points of the
+            arm. What a row's sensors at one place saw counts by their mean.
+        noise, known: as in `estimate_force`.
+        progress: called with rows done and rows in all.
+
+    Raises:
+        InputError: as in `estimate_force`; measurements of a robot with another number of tubes.
+    """
+    if measurements.n_tubes != robot.n_tubes:
+        raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
+    positive("noise", noise)
+    found: list[ForceEstimate | None] = []
+    failures = []
+    last: Equilibrium | None = None
+    for row in range(len(measurements)):
+        alpha, shift = measurements.rotations[row], measurements.translations[row]
+        length = robot.assembly(shift).total_length
+        seen = _points_of(measurements, row, length)
+        try:
+            estimate = estimate_force(robot, alpha, shift, points=seen, noise=noise, known=known, guess=last)
+        except SolveError as error:
+            failures.append((row, str(error)))
+            found.append(None)
+            last = None
+        else:
+            found.append(estimate)
+            last = estimate.equilibrium
+        if progress is not None:
+            progress(row + 1, len(measurements))
+    return ForceRecord(robot, measurements, noise, tuple(found), tuple(failures))
+
+
+def _points_of(measurements: Measurements, row: int, length: float) -> list[tuple[float, Array]]:
+    """Arc length and mean position of what was seen in a row, by distance behind the tip."""
+    sensors = measurements.sensors[row]
+    behind = np.zeros(len(sensors)) if measurements.behind is None else measurements.behind
+    out = []
+    for place in measurements.stations:
+        here = sensors[np.abs(behind - place) < SAME_PLACE]
+        here = here[np.isfinite(here[:, 0])]
+        if len(here):
+            out.append((length - float(place), here.mean(0)))
+    return out
 
 
 @dataclass(frozen=True, eq=False)

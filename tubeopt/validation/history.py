@@ -8,7 +8,7 @@ from ..typing import Array
 from .descent import Descent
 from .effects import EFFECTS
 from .model import ArmModel, State
-from .parameters import Parameter, choose_parameters, lacking
+from .parameters import Parameter, choose_parameters, groups
 
 ALIKE = 0.3
 """Part of an effect that the others of its kind cannot imitate, below which they are told as alike."""
@@ -16,11 +16,9 @@ ALIKE = 0.3
 
 def history_parameters(model: ArmModel) -> list[Parameter]:
     """Every parameter by which the tip depends on how its configuration was reached, where the data can tell."""
-    kinds = [kind for kind, effect in EFFECTS.items() if effect.history]
-    names = [f"{kind}_all" if EFFECTS[kind].each else kind for kind in kinds]
-    if any(lacking(model.measurements, EFFECTS[kind], model.method) for kind in kinds):
-        return []
-    return list(choose_parameters(model.robot, model.measurements, names, model.method))
+    known = groups(model.robot, model.measurements, model.method)
+    names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own]
+    return list(choose_parameters(model.robot, model.measurements, names, model.method)) if names else []
 
 
 def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
@@ -34,7 +32,9 @@ def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
         return []
     every = [*model.parameters, *others]
     start = np.append(fit.state.x, [p.start for p in others])
-    slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration))
+    count = len(model.parameters)
+    slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration), skip=count)
+    slopes[..., :count] = fit.jacobian[..., :count]
     flat = slopes.reshape(-1, slopes.shape[2])
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))
     words = []
@@ -48,7 +48,7 @@ def entangled_history(model: ArmModel, fit: Descent) -> list[str]:
         if share < ALIKE:
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
             words.append(
-                f"{p.name} can hardly be told from {kinds} (nor from friction) on this path: they imitate all but "
+                f"{p.name} can hardly be told from {kinds} on this path: they imitate all but "
                 f"{100 * share:.0f} % of it. Measure the same path once slowly and once fast: a latency grows with the "
                 "speed, play and friction do not"
             )

@@ -10,12 +10,14 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import InputError, SolveError
+from ..robots.concentric import friction_of
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from .measurements import Measurements
 from .parameters import Parameter, apply
 from .poses import Poses, solve_poses
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration, register
+from .rubbed import rubbed_poses
 from .setup import Setup
 from .timeline import Timeline
 
@@ -158,7 +160,11 @@ class ArmModel:
                 return poses
         robot = setup.robot(self.robot)
         self.evaluations += len(alpha)
-        poses = solve_poses(robot, alpha, shift, self.stations, self.timeline.runs)
+        friction, runs = friction_of(robot), self.timeline.runs
+        if friction is None or not runs:
+            poses = solve_poses(robot, alpha, shift, self.stations, runs)
+        else:
+            poses = rubbed_poses(robot, (alpha, shift), self.stations, runs, friction)
         if joints is None:
             self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
         return poses
@@ -213,7 +219,7 @@ class ArmModel:
         joints: Array | None = None
         for k, p in enumerate(self.parameters[skip:], start=skip):
             inward = -1.0 if state.x[k] > (p.low + p.high) / 2 else 1.0
-            if p.effect.drives:
+            if p.effect.drives and not now.friction.any():  # with friction, rows depend on all joint values before
                 joints = self._joint_slopes(now, state.registration, here) if joints is None else joints
                 moved = self.setup(_nudged(state.x, k, inward * STEP * p.scale))
                 change = np.hstack(self.joints(moved)) - np.hstack(self.joints(now))
@@ -229,6 +235,10 @@ class ArmModel:
                 break
         out[..., count:] = -self._registration_slope(state, here)
         return out
+
+    def costly(self, state: State) -> bool:
+        """Whether the derivatives at a state take a way along all rows for every parameter."""
+        return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
     def _joint_slopes(self, setup: Setup, motion: Registration, here: Array) -> Array:
         """(V, 3, 2 n) of what is seen by the joint values of its row; tubes of one carriage share theirs equally."""

@@ -23,7 +23,7 @@ class Parameter:
 
     Attributes:
         name, kind, index: as chosen ("curvature_2"), its kind ("curvature"), its number from 0 (None: all).
-        unit: "", "1/m", "rad", "m" or "s".
+        unit: "", "1/m", "rad", "m", "s" or "N".
         start, low, high: value of the robot as given, and the range that is searched.
         scale: a change of this size is a large one.
         prior: how far the drawing may be off, one standard deviation.
@@ -93,7 +93,7 @@ def numbers_of(context: Context, effect: Effect) -> list[str]:
 
 def _count(context: Context, effect: Effect) -> int:
     robot = context.robot
-    counts = {"tube": robot.n_tubes, "kind": len(members(robot)), "carriage": len(robot.moving_together)}
+    counts = {"pair": len(context.setup.friction), "tube": robot.n_tubes, "kind": len(members(robot)), "carriage": len(robot.moving_together)}
     return counts.get(effect.each, len(effect.each))
 
 
@@ -133,8 +133,8 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
         return
     if effect.first <= int(number) <= count:
         return
-    what = {"carriage": "carriages", "tube": "tubes"}.get(effect.each, "tubes")
-    what = what if effect.each == "carriage" or count == context.robot.n_tubes else "different tubes"
+    what = {"carriage": "carriages", "pair": "pairs of tubes that rub"}.get(effect.each, "tubes")
+    what = what if effect.each in ("carriage", "pair") or count == context.robot.n_tubes else "different tubes"
     least = effect.first
     allowed = f"the number must be {least} to {count}" if least <= count else "it has no such parameter"
     raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
@@ -166,7 +166,7 @@ def groups(robot: Robot, measurements: Measurements, registration: str = "rigid"
             continue
         numbered = effect.each and not (kind in ("translation_gain",) and effect.common)
         found[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)
-    return found
+    return {kind: names for kind, names in found.items() if names}
 
 
 def apply(setup: Setup, parameters: Sequence[Parameter], values: Array) -> Setup:

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, SolveError, positive
 from ..robots.calibration import to_readings
 from ..robots.robot import Robot
@@ -42,7 +43,7 @@ TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class Placement(Displayed):
     """Configurations to measure, in an order that can be driven.
 
     Attributes:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, nearest
 from ..robots.robot import Robot
 from ..typing import Array
@@ -65,7 +66,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Displayed):
     """Effects in the order in which they pay.
 
     Attributes:

@@ -9,11 +9,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..robots.calibration import Calibration
-from ..robots.concentric import ConcentricRobot
+from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..typing import Array
+from .rubbed import with_torque
 
 CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 CALIBRATED = " (calibrated)"
@@ -26,6 +28,7 @@ class Setup:
     Attributes:
         latency: s by which the measured tips come later than the joint readings.
         rotation, rotation_gain, rotation_play, translation, translation_gain: (n,) of the drives; see `Calibration`.
+        friction: (n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others.
         curvature, straight_length, curved_length, bending_stiffness, torsional_stiffness: (m,) of the tubes that the
             robot is described by, one per segment of an eccentric one; straight_length with the transmission.
         plate_shift, plate_tilt: (3,) m and (2,) rad about x and y, by which the plate stands off where the
@@ -41,6 +44,7 @@ class Setup:
     rotation_play: Array
     translation: Array
     translation_gain: Array
+    friction: Array
     curvature: Array
     straight_length: Array
     curved_length: Array
@@ -65,6 +69,7 @@ class Setup:
             rotation_play=np.array(drives.rotation_play),
             translation=np.array(drives.translation_offsets),
             translation_gain=np.array(drives.translation_gains),
+            friction=_torques(robot),
             curvature=np.array([tube.curvature for tube in tubes]),
             straight_length=np.array([tube.straight_length + extra for tube in tubes]),
             curved_length=np.array([tube.curved_length for tube in tubes]),
@@ -84,7 +89,7 @@ class Setup:
         return Setup(**changed)
 
     def same_tubes(self, other: Setup) -> bool:
-        """Whether both describe the same tubes."""
+        """Whether both describe the same tubes, which rub alike."""
         return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
 
     def calibration(self, found_by: str = "") -> Calibration | None:
@@ -115,7 +120,8 @@ class Setup:
         if isinstance(given, EccentricRobot):
             # What is behind the straight part of the tube is transmission, as far as there is any.
             extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
-        return _rebuild(given, tubes, extra, self.calibration(found_by))
+        friction = with_torque(friction_of(given), self.friction)
+        return _rebuild(given, tubes, extra, self.calibration(found_by), friction)
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
         changed: dict[str, Any] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
@@ -127,8 +133,15 @@ class Setup:
         return replace(tube, **changed, **_stiffness(tube, kb, kt))
 
 
-TUBES = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
-"""What describes the tubes."""
+TUBES = ("friction", "curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
+"""What describes the tubes and how they rub."""
+
+
+def _torques(robot: Robot) -> Array:
+    if not isinstance(robot, ConcentricRobot):
+        return np.zeros(0)
+    pairs = robot.n_tubes - 1
+    return np.zeros(pairs) if robot.friction is None else np.array(robot.friction.per_pair("torque", pairs))
 
 
 def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
@@ -150,9 +163,11 @@ def members(robot: Robot) -> tuple[Tube, ...]:
     return robot.tubes
 
 
-def _rebuild(given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None) -> CommonRobot:
+def _rebuild(
+    given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None, friction: Friction | None
+) -> CommonRobot:
     if isinstance(given, ConcentricRobot):
-        return replace(given, tubes=tubes, calibration=drives)
+        return replace(given, tubes=tubes, calibration=drives, friction=friction)
     if isinstance(given, SegmentedEccentricRobot):
         return replace(given, segments=tubes, calibration=drives)
     if isinstance(given, EccentricRobot):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ..display import Displayed
 from ..errors import InputError, finite
 from .loss import SnappingLoss, snapping_loss
 from .table import Workspace
@@ -15,7 +16,7 @@ Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Findings(Displayed):
     """A workspace and what was found about it; a volume is None where its method has no answer, a loss where it was
     not asked for."""
 

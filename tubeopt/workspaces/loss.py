@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, positive
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..robots.tubes import must_be_plain
 from ..typing import Array, Mask
 from .samples import JointSamples
 from .shooting import from_tips
@@ -27,7 +27,7 @@ Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class SnappingLoss:
+class SnappingLoss(Displayed):
     """Voxels of edge `size` (m) by what reaches them.
 
     equilibria, unstable: how many were computed, and how many of them are unstable.
@@ -103,7 +103,6 @@ def require_centred(robot: Robot) -> None:
     """Raise InputError for tubes off the centreline."""
     if robot.assembly(robot.home_translations).eccentric:
         raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
-    must_be_plain(robot.tubes, "the loss to snapping")
 
 
 def _sorted(

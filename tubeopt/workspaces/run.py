@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.files import atomic_write, read_bytes, write_text
@@ -122,7 +123,7 @@ def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[A
 
 def _mark(robot: Robot) -> str:
     """What tells robots apart, by everything that joint values and equilibria follow from."""
-    return hashlib.sha256(repr((type(robot).__name__, robot)).encode()).hexdigest()
+    return hashlib.sha256(in_full((type(robot).__name__, robot)).encode()).hexdigest()
 
 
 def _spec(robot: Robot, method: str, seed: int, count: int) -> dict[str, Any]:

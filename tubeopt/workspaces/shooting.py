@@ -15,7 +15,7 @@ import numpy as np
 
 from ..robots.robot import Robot
 from ..transcription.buffered import Buffered
-from ..transcription.explicit import explicit_arm, explicit_parameters
+from ..transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters
 from ..typing import Array, Mask
 
 STEPS = 6
@@ -44,9 +44,9 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
     Stable is what the sign test says: the determinant of the derivative of theta(s) by the tip rotations stays positive
     down to the plate, and so does that of the joint rotations.
     """
-    count, n = tips.shape
+    count = len(tips)
     parts: list[list[Array]] = [[], [], [], []]
-    march = _march(n, threading.get_ident())
+    march = _march(explicit_kind(robot, steps=STEPS), threading.get_ident())
     known = explicit_parameters(robot)
     for first in range(0, count, CHUNK):
         size = min(CHUNK, count - first)
@@ -60,5 +60,5 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
 
 
 @lru_cache(maxsize=16)
-def _march(n: int, thread: int) -> Buffered:
-    return Buffered(explicit_arm(n, False, STEPS).map(CHUNK))
+def _march(kind: Kind, thread: int) -> Buffered:
+    return Buffered(explicit_arm(kind).map(CHUNK))

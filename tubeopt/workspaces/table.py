@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..robots.robot import Robot
 from ..typing import Array, Mask
@@ -16,7 +17,7 @@ CHUNK = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
+class Workspace(Displayed):
     """Tips of a robot at N joint values; rows of what has no stable equilibrium that was found are NaN.
 
     The arrays are views of `table`, which lies on disk where the workspace was computed with `out`.
@@ -26,6 +27,8 @@ class Workspace:
         table: (N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m.
         failures: (row, reason) of configurations without an equilibrium.
     """
+
+    _brief = ("robot", "method", "seed", "table")
 
     robot: Robot
     method: str

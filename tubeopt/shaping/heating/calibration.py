@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...display import Displayed
 from ...errors import InputError, choice, finite
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
@@ -128,7 +129,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class RigFit:
+class RigFit(Displayed):
     """A rig calibrated to a log.
 
     Attributes:

@@ -59,7 +59,7 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     state, given = at_rest(model), 0.0
     slow, fast = extremes(model, state)
     owed = 0.5 + MOST_COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
-    hopeless = most_count(model, state, spec, rig) < 1
+    hopeless = most_count(model, state, spec, rig) < 1 + COUNTS * rig.circuit.lost_share
     heated = int(np.count_nonzero(duty))
     watched = min(heated, heated - spec.hold_slots + math.ceil(SETTLED / spec.slot))
     for k in range(watched):
@@ -81,7 +81,8 @@ def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -
     kept = 1 - SPARED
     room = float(((kept * spec.ramp - slow) / np.maximum(fast - slow, 1e-9)).min())
     now = float(current(model, state.cells[:, :, 0], state.lumped).total[0])
-    return int(COUNTS * max(min(room, kept * rig.circuit.current_limit / now, 1.0), 0.0))
+    # What a pulse loses does not warm, but it flows.
+    return int(COUNTS * max(min(room + rig.circuit.lost_share, kept * rig.circuit.current_limit / now, 1.0), 0.0))
 
 
 def extremes(model: ThermalModel, state: State) -> tuple[Array, Array]:

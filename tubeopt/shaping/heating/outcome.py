@@ -20,25 +20,26 @@ LEAST_CHARGE = 0.2
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of what was asked.
-
-    Attributes:
-        lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
-        shortfall: by how much window or limit are missed, the mesh error included, K.
-        ramp: fastest warming of any point outside of the clamps as a mean over a slot, K/s; steepest: at any instant.
-        mean_current, peak_current: greatest, with the duty and while the MOSFET conducts, A.
-        broken: in words, which of ramp and currents are beyond their limits, and by how much.
-    """
+    """What became of what was asked, within slots too."""
 
     lowest: float
+    """Lowest temperature of the curved part during the hold, degC."""
     highest: float
+    """Highest temperature of the curved part during the hold, degC."""
     hottest: float
+    """Temperature of any point at any time, degC."""
     shortfall: float
+    """By how much window or limit are missed, the mesh error included, K."""
     ramp: float
+    """Fastest warming of any point outside of the clamps as a mean over a slot, K/s."""
     steepest: float
+    """Fastest warming at any instant, the duty taken for a mean power, K/s: what the specification limits."""
     mean_current: float
+    """Greatest current times duty, A."""
     peak_current: float
+    """Greatest current while the MOSFET conducts, A."""
     broken: tuple[str, ...]
+    """In words, which of ramp and currents are beyond their limits, and by how much."""
 
     @property
     def kept(self) -> bool:

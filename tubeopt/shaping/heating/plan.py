@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, DRAWN
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ...typing import Array, Sentence
+from ...typing import Array, Of, Sentence
 from .cures import Cure
-from .outcome import hold_slots, outcome_of, remarks
+from .outcome import Outcome, hold_slots, outcome_of, remarks
 from .rates import stored
 from .rig import COUNTS, Rig
 from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, thermal_data
+
+if TYPE_CHECKING:
+    from ..feedback.feedback import Feedback
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -47,73 +51,109 @@ class HeatingStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class HeatingPlan:
+class Course:
+    """What happens over time and along the tube: T slots, X places."""
+
+    time: Array
+    """(T,) beginning of every slot, s."""
+    duty: Counts
+    """(T,) int, 0-255, from there to the next; the last ones are 0."""
+    temperature: Array
+    """(T, X) degC along the tube at these times."""
+    position: Array
+    """(X,) from the outer end of a clamp, m."""
+    curved: NDArray[np.bool_]
+    """(X,) which places belong to the curved part."""
+    zone: NDArray[np.intp]
+    """(X,) 0 clamp, 1 clearance, 2 lead, 3 curved part."""
+    ideal_duty: Array
+    """(T,) mean duties before rounding, in counts."""
+    ideal_temperature: Array
+    """(T, X) degC by the ideal duties."""
+    voltage: Array
+    """(T,) at the battery while the MOSFET conducts, V."""
+    current: Array
+    """(T,) from the battery while the MOSFET conducts, A."""
+    charge: Array
+    """(T,) state of charge."""
+    clamp_temperature: Array
+    """(T,) of the clamps, degC."""
+    mold_temperature: Array
+    """(T,) of the groove's wall at its hottest place, degC."""
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Where the energy goes."""
+
+    energy: float
+    """Drawn from the battery, J."""
+    tube_energy: float
+    """Heat in tube, mold and clamps at the end, J."""
+    energy_error: float
+    """Energy unaccounted for in the re-simulation, as a fraction."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatingPlan(Displayed):
     """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
 
-    Attributes:
-        tube, rig, spec: what was planned for; clearance, lead and vents of the rig as chosen where they were free.
-        time: (T,) beginning of every slot, s. duty: (T,) int, 0-255, from there to the next; the last ones are 0.
-        temperature: (T, X) degC along the tube at these times. position: (X,) from the outer end of a clamp, m.
-        curved: (X,) which positions belong to the curved part; zone: (X,) 0 clamp, 1 clearance, 2 lead, 3 curved part.
-        ideal_duty: (T,) mean duties before rounding, in counts; ideal_temperature: (T, X) degC.
-        hold_start, hold_end: s.
-        voltage, current: (T,) at the battery while the MOSFET conducts, V, A. charge: (T,) state of charge.
-        clamp_temperature, mold_temperature: (T,) of the clamps and, at its hottest place, of the groove's wall, degC.
-        lowest, highest: of the curved part during the hold, degC; hottest: of any point at any time, degC.
-        mesh_error: of these, estimated from a grid half as fine (Richardson), K.
-        feasible: whether everything is kept: window and limit, the mesh error included, the ramp, and what the circuit
-            bears of current; looked at within the slots too.
-        shortfall: by how much window and limit are missed, K.
-        ramp: fastest warming of any point outside of the clamps as a mean over a slot, K/s; steepest: at any instant,
-            the duty taken for a mean power: it is this that the ramp of the specification limits.
-        mean_current: greatest current times duty, A. peak_current: greatest while the MOSFET conducts, A.
-        broken: in words, which of ramp and currents are beyond their limits, and by how much.
-        problems: these, and what else is wrong in words: a mold or a battery that suffers.
-        cures: changes that would help, where something is not kept; those that cure it come first.
-        energy: drawn from the battery, J; tube_energy: heat in tube, mold and clamps at the end, J.
-        energy_error: energy unaccounted for in the re-simulation, as a fraction.
-        quench_time: from the end of the hold until all of the tube is below 100 degC, out of the mold, s.
-        growth: of the tube's length by its expansion at the end of the hold, m.
-        iterations: of the optimal control problem, in its last round.
+    What its parts hold is read at the plan too: `plan.duty` is `plan.course.duty`.
     """
 
+    _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
+
     tube: Tube
+    """What is heated."""
     rig: Rig
+    """On which; clearance, lead and vents as chosen where they were free."""
     spec: HeatingSpec
-    time: Array
-    duty: Counts
-    temperature: Array
-    position: Array
-    curved: NDArray[np.bool_]
-    zone: NDArray[np.intp]
-    ideal_duty: Array
-    ideal_temperature: Array
+    """What was asked for."""
+    course: Course
+    """What happens over time."""
+    outcome: Outcome
+    """What became of what was asked: window, limit, ramp and currents, looked at within the slots too."""
+    energies: Energies
+    """Where the energy goes."""
     hold_start: float
-    hold_end: float
-    voltage: Array
-    current: Array
-    charge: Array
-    clamp_temperature: Array
-    mold_temperature: Array
-    lowest: float
-    highest: float
-    hottest: float
+    """Beginning of the hold, s."""
     mesh_error: float
-    feasible: bool
-    shortfall: float
-    ramp: float
-    steepest: float
-    mean_current: float
-    peak_current: float
-    broken: tuple[str, ...]
+    """Of the temperatures of the outcome, estimated from a grid half as fine (Richardson), K."""
     problems: tuple[str, ...]
+    """What is broken, and what else is wrong in words: a mold or a battery that suffers."""
     cures: tuple[Cure, ...]
-    energy: float
-    tube_energy: float
-    energy_error: float
+    """Changes that would help, where something is not kept; those that cure it come first."""
     quench_time: float
+    """From the end of the hold until all of the tube is below 100 degC, out of the mold, s."""
     growth: float
+    """Of the tube's length by its expansion at the end of the hold, m."""
     iterations: int
+    """Of the optimal control problem, in its last round."""
+    feedback: Feedback | None = None
+    """The law that leads the schedule by a sensor, where one was given."""
+
+    time, ideal_duty, ideal_temperature = Of[Array]("course"), Of[Array]("course"), Of[Array]("course")
+    temperature, position = Of[Array]("course"), Of[Array]("course")
+    duty = Of[Counts]("course")
+    curved = Of[NDArray[np.bool_]]("course")
+    zone = Of[NDArray[np.intp]]("course")
+    voltage, current, charge = Of[Array]("course"), Of[Array]("course"), Of[Array]("course")
+    clamp_temperature, mold_temperature = Of[Array]("course"), Of[Array]("course")
+    lowest, highest, hottest = Of[float]("outcome"), Of[float]("outcome"), Of[float]("outcome")
+    shortfall, ramp, steepest = Of[float]("outcome"), Of[float]("outcome"), Of[float]("outcome")
+    mean_current, peak_current = Of[float]("outcome"), Of[float]("outcome")
+    broken = Of[tuple[str, ...]]("outcome")
+    energy, tube_energy, energy_error = Of[float]("energies"), Of[float]("energies"), Of[float]("energies")
+
+    @property
+    def feasible(self) -> bool:
+        """Whether everything is kept: window and limit, the mesh error included, ramp, and what the circuit bears."""
+        return self.outcome.kept
+
+    @property
+    def hold_end(self) -> float:
+        """End of the hold, s."""
+        return self.hold_start + self.spec.hold_time
 
     @property
     def value(self) -> Counts:
@@ -220,13 +260,9 @@ class HeatingPlan:
         outcome = outcome_of(model, rig, spec, history, start, mesh_error)
         _, last = hold_slots(spec, start)
         row = history.tube[last, 0]
-        charge = rig.battery.state_of_charge - history.lumped[:, 0, CHARGE]
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
-        return cls(
-            tube=tube,
-            rig=rig,
-            spec=spec,
+        course = Course(
             time=history.time,
             duty=np.append(counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
@@ -235,21 +271,24 @@ class HeatingPlan:
             zone=np.concatenate([model.zone, model.zone[::-1]]),
             ideal_duty=np.append(COUNTS * levels, 0.0),
             ideal_temperature=_mirrored(exact.tube[:, 0]) - ZERO_CELSIUS,
-            hold_start=start,
-            hold_end=start + spec.hold_time,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
-            charge=charge,
+            charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
             clamp_temperature=clamp_temperature(history)[:, 0] - ZERO_CELSIUS,
             mold_temperature=walls.max(1) - ZERO_CELSIUS,
+        )
+        held = float(stored(model, history.final)[0])
+        return cls(
+            tube=tube,
+            rig=rig,
+            spec=spec,
+            course=course,
+            outcome=outcome,
+            energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
+            hold_start=start,
             mesh_error=mesh_error,
-            feasible=outcome.kept,
-            **vars(outcome),
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
-            energy=float(history.lumped[-1, 0, DRAWN]),
-            tube_energy=float(stored(model, history.final)[0]),
-            energy_error=float(history.imbalance[0]),
             quench_time=quench_time(tube, spec, float(row.max())),
             growth=_growth(tube, model, row),
             iterations=iterations,

@@ -18,6 +18,8 @@ from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
+from ..feedback.feedback import lead_by
+from ..feedback.sensors import Sensor
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
 from .ideal import Ideal, Shift, joined, solve_ideal
@@ -78,7 +80,7 @@ class Schedule:
         return self.outcome.kept
 
 
-def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> HeatingPlan:
+def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, sensor: Sensor | None = None) -> HeatingPlan:
     """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
     ramp and currents within theirs.
 
@@ -89,6 +91,8 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
         tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
         rig: battery, circuit, clamps, mold.
         spec: window, hold and limits; by default 500-550 degC for 60 s.
+        sensor: what is felt of the tube: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then
+            the law that leads the schedule by it, and how likely uncertain rigs keep the window (see `lead_by`).
 
     Raises:
         InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
@@ -98,11 +102,12 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None) -> Heati
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    return HeatingPlan.of(
+    plan = HeatingPlan.of(
         tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
         schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
         cures=cures, iterations=found.ideal.iterations,
     )  # fmt: skip
+    return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
@@ -166,7 +171,7 @@ def _schedule(
     guess = None if before is None else before.ideal
     ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=guess)
     model = thermal_model(tube, ideal.rig, FINE)
-    levels = slots(ideal, spec)
+    levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
     exact = simulate(model, spec.slot, levels)
     checked = integrate(model, spec.slot, counts / COUNTS)
@@ -214,6 +219,11 @@ def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
     levels = ideal.duty(spec.slot, slots_on(ideal, spec))
     return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
+
+
+def commanded(duty: Array, rig: Rig) -> Array:
+    """Duties to be switched for these of effect: what every pulse loses on top."""
+    return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
 
 
 def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:

@@ -21,11 +21,11 @@ class State:
 
 
 def at_rest(model: ThermalModel) -> State:
-    """Everything at ambient temperature, the battery rested."""
+    """Everything at the ambient temperature of its member, the battery rested."""
     lumped = np.zeros((model.members, LUMPED))
-    lumped[:, CLAMP] = model.ambient
+    lumped[:, CLAMP] = model.surroundings
     shape = model.members, model.resolution.cells, 1 + model.resolution.shells
-    return State(np.full(shape, model.ambient), lumped)
+    return State(np.broadcast_to(model.surroundings[:, None, None], shape).copy(), lumped)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ...display import Displayed
 from ...errors import InputError, finite, numbers
 from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Written, check_fields, unit
 from ...robots.file import TubeEntry, tube_to_dict
@@ -104,11 +105,28 @@ class Circuit:
     contact_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "of both clamps on the tube together"] = 0.004
     mosfet_resistance: Annotated[float, unit("mohm"), NOT_NEGATIVE, "R_DS(on)"] = 0.002
     pwm_frequency: Annotated[float, unit("Hz"), POSITIVE, "of the pulses"] = 490.0
+    lost_on_time: Annotated[
+        float,
+        unit("us"),
+        NOT_NEGATIVE,
+        "of every pulse, while the loop's inductance lets the current rise: inductance over resistance, less what "
+        "still flows afterwards through a diode across the tube",
+    ] = 0.0
     current_limit: Annotated[float, unit("A"), POSITIVE, "of the mean current"] = 40.0
     peak_limit: Annotated[float, unit("A"), POSITIVE, "of the current while the MOSFET conducts"] = 200.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the circuit")
+        if self.lost_share >= 0.5:
+            raise InputError(
+                f"lost_on_time of the circuit is {1e6 * self.lost_on_time:g} us; it must be below half a period of the "
+                f"PWM, {0.5e6 / self.pwm_frequency:g} us"
+            )
+
+    @property
+    def lost_share(self) -> float:
+        """Part of a period of the PWM that every pulse loses."""
+        return self.lost_on_time * self.pwm_frequency
 
     @property
     def resistance(self) -> float:
@@ -169,7 +187,7 @@ class MoldBed:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Displayed):
     """A battery-driven shape-setting rig, the same at both ends of the tube.
 
     Raises:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
-from ...errors import InputError, positive
+from ...errors import InputError
 from ...physics.heat import Resolution
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
@@ -17,10 +16,11 @@ from .ideal import joined
 from .outcome import hold_slots
 from .plan import HeatingPlan
 from .rates import State, current
-from .rig import COUNTS, Rig
+from .rig import COUNTS
 from .schedule import Counts, sum_up_rounding
 from .simulation import integrate, simulate, simulate_feedback
-from .thermal import FINE, ThermalModel, stack, thermal_model
+from .thermal import FINE, ThermalModel, thermal_model
+from .uncertainty import Uncertainty
 
 ENSEMBLE = Resolution(2, 4, 6, 8, 6)
 """Grid of the ensemble; what the fine grid adds is taken from the nominal member."""
@@ -47,12 +47,14 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
     levels = plan.ideal_duty[:-1] / COUNTS
     slot = plan.spec.slot
     nominal = simulate(thermal_model(plan.tube, plan.rig, FINE), slot, levels)
-    drive = levels * nominal.current[:-1, 0] ** 2
+    lost = rig.circuit.lost_share
+    drive = np.maximum(levels - lost, 0.0) * nominal.current[:-1, 0] ** 2
     model = thermal_model(plan.tube, rig, FINE)
 
     def controller(time: float, state: State) -> float:
         now = current(model, state.cells[:, :, 0], state.lumped).total[0]
-        return min(1.0, float(drive[round(time / slot)] / now**2), rig.circuit.current_limit / float(now))
+        wanted = float(drive[round(time / slot)] / now**2)
+        return min(1.0, wanted + lost * (wanted > 0), rig.circuit.current_limit / float(now))
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
     counts = guarded_counts(model, plan.spec, rig, scaled)
@@ -69,43 +71,6 @@ def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tupl
 
 
 # --- what is not known ------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """Half-widths of what is not known of a rig, as fractions; uniformly distributed.
-
-    Args:
-        loss: of all that the tube loses to mold and air.
-        contact_resistance: of the clamps on the tube.
-        resistivity: of the tube.
-    """
-
-    loss: float = 0.15
-    contact_resistance: float = 0.3
-    resistivity: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "contact_resistance", "resistivity"):
-            if positive(name, getattr(self, name), zero=True) >= 1:
-                raise InputError(f"{name} of the uncertainty is {getattr(self, name):g}; it must be below 1")
-
-    def members(self, rig: Rig, samples: int, seed: int = 0) -> list[Rig]:
-        """Rigs of a Latin hypercube, after the rig itself."""
-        draws = 2 * scipy.stats.qmc.LatinHypercube(d=3, rng=seed).random(samples) - 1
-        widths = np.array([self.loss, self.contact_resistance, self.resistivity])
-        rigs = [rig]
-        for loss, contact, resistivity in 1 + draws * widths:
-            circuit = replace(rig.circuit, contact_resistance=rig.circuit.contact_resistance * contact)
-            rigs.append(
-                replace(
-                    rig,
-                    circuit=circuit,
-                    loss_factor=rig.loss_factor * loss,
-                    resistivity_factor=rig.resistivity_factor * resistivity,
-                )
-            )
-        return rigs
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +120,7 @@ def assess(
 
 
 def _ensemble(plan: HeatingPlan, uncertainty: Uncertainty, samples: int) -> ThermalModel:
-    rigs = uncertainty.members(plan.rig, samples)
-    return stack([thermal_model(plan.tube, rig, ENSEMBLE) for rig in rigs])
+    return uncertainty.models(plan.tube, plan.rig, samples, ENSEMBLE)[0]
 
 
 def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from ...display import Displayed
 from ...errors import InputError, choice, finite, positive
 from ...files.marks import POSITIVE, OneOf, Range, check_fields, key, unit
 
@@ -18,7 +19,7 @@ LONGEST = 1800.0
 
 
 @dataclass(frozen=True)
-class HeatingSpec:
+class HeatingSpec(Displayed):
     """The treatment that the curved part needs, and what the schedule must respect.
 
     Raises:

@@ -107,7 +107,12 @@ class ThermalModel:
     @property
     def ambient(self) -> float:
         """K, that of the first member."""
-        return float(self.properties[0, PROPERTIES.index("ambient")])
+        return float(self.surroundings[0])
+
+    @property
+    def surroundings(self) -> Array:
+        """(B,) ambient temperature of every member, K."""
+        return np.asarray(self.properties[:, PROPERTIES.index("ambient")])
 
     @property
     def zone(self) -> NDArray[np.intp]:
@@ -143,7 +148,7 @@ class ThermalModel:
 
 
 def stack(models: Sequence[ThermalModel]) -> ThermalModel:
-    """Models on the same grid, at the same ambient temperature, as the members of one."""
+    """Models on the same grid as the members of one."""
     columns = [np.vstack([m.properties for m in models]), np.vstack([m.volumes for m in models])]
     return replace(models[0], properties=columns[0], volumes=columns[1])
 
@@ -239,6 +244,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
         "sag": battery.sag_resistance,
         "sag_time": battery.sag_time,
         "capacity": battery.capacity,
+        "lost": circuit.lost_share,
         "ambient": rig.ambient,
         "grip": lengths[GRIP],
         "curved": lengths[CURVED],

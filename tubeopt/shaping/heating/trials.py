@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ...display import Displayed
 from ...errors import InputError, choice, positive
 from ...physics.heat import Resolution
 from ...robots.materials import ZERO_CELSIUS
@@ -62,7 +63,7 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class TrialFit:
+class TrialFit(Displayed):
     """The loss factor that trials speak for.
 
     Attributes:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from os import PathLike
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
-from ...errors import InputError, SolveError
+from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
@@ -31,7 +30,7 @@ def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
         InputError: no such part, the file cannot be written, or ezdxf is not installed.
         SolveError: the centreline read back lies more than 1 um from the mold's.
     """
-    ezdxf = _ezdxf()
+    ezdxf = extra("ezdxf", "fabrication", "DXF files")
     drawing = draw_plate(mold, part)
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
@@ -61,7 +60,7 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
     Raises:
         InputError: the file cannot be read, or ezdxf is not installed.
     """
-    ezdxf = _ezdxf()
+    ezdxf = extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)
     except (OSError, ezdxf.DXFError) as error:
@@ -105,12 +104,3 @@ def _add(space: object, piece: Piece, layer: str) -> None:
     first, last = piece.start_angle, piece.start_angle + piece.sweep
     start, end = (math.degrees(angle) for angle in ((first, last) if piece.sweep > 0 else (last, first)))
     space.add_arc(piece.centre, piece.radius, start, end, dxfattribs=attributes)  # type: ignore[attr-defined]
-
-
-def _ezdxf() -> ModuleType:
-    try:
-        import ezdxf
-    except ImportError:
-        raise InputError("DXF files need ezdxf: python -m pip install 'tubeopt[fabrication]'") from None
-    module: ModuleType = ezdxf
-    return module

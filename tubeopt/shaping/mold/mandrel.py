@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -49,7 +50,7 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
-class Mandrel:
+class Mandrel(Displayed):
     """A mandrel for one tube.
 
     Attributes:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -171,7 +172,7 @@ class Groove:
 
 
 @dataclass(frozen=True)
-class Mold:
+class Mold(Displayed):
     """Two plates with the grooves of one or several tubes.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ...display import Displayed
 from ...errors import InputError
 from ...robots.robot import Robot
 from .mold import Mold, plan_mold
@@ -13,7 +14,7 @@ from .spec import MoldSpec
 
 
 @dataclass(frozen=True, eq=False)
-class RobotMold:
+class RobotMold(Displayed):
     """A mold for tubes of a robot.
 
     Attributes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive
 from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
 from .heat import HeatSpec
@@ -168,7 +169,7 @@ class VentSpec:
 
 
 @dataclass(frozen=True)
-class MoldSpec:
+class MoldSpec(Displayed):
     """What is asked of a mold; every key may be left out.
 
     Raises:

@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import scipy
 
+from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
 from ...files.marks import check_fields, unit
 from ...typing import Array
@@ -80,7 +81,7 @@ class Springback:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Displayed):
     """Spring-back fitted to trials.
 
     Args:

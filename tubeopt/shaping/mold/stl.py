@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, SolveError, choice
+from ...errors import SolveError, choice, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from .drawing import PARTS
@@ -99,16 +99,8 @@ def _drilled(solid: Any, holes: Any, thickness: float, bottom: float) -> Any:
 
 
 def manifold() -> Any:
-    try:
-        import manifold3d
-    except ImportError:
-        raise InputError("STL files need manifold3d: python -m pip install 'tubeopt[fabrication]'") from None
-    return manifold3d
+    return extra("manifold3d", "fabrication", "STL files")
 
 
 def trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        raise InputError("STL files need trimesh: python -m pip install 'tubeopt[fabrication]'") from None
-    return trimesh
+    return extra("trimesh", "fabrication", "STL files")

@@ -7,7 +7,7 @@ from .hysteresis import plot_hysteresis
 from .loads import plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
-from .shape import plot_shape, plot_shapes
+from .shape import plot_equilibria, plot_shape, plot_shapes
 from .snap import plot_snap
 from .style import save_figure, tube_colour
 from .torsion import plot_torsion, plot_torsions
@@ -15,6 +15,7 @@ from .torsion import plot_torsion, plot_torsions
 __all__ = [
     "plot_branch",
     "plot_energy_maps",
+    "plot_equilibria",
     "plot_force_estimates",
     "plot_hysteresis",
     "plot_load_limits",

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 from ...errors import InputError
 from ...files.units import TO_MILLI
-from ...typing import Array
+from ...typing import Array, Mask
 from .style import INK, angle_locator, new_figure, number, picture
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ SNAP_COLOUR = "#D55E00"
 HATCH_COLOUR = INK
 ENERGY_LEVELS = 24
 MOST_MAPS = 4
+FINE = 361
+"""Points per axis of a map as it is drawn: one per degree."""
 
 MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: unstable"))
 """Sign and name of an equilibrium, by its index; the last one for all that are higher."""
@@ -144,9 +147,11 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
 def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:
     """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains."""
     angles = np.degrees(stability_map.angles)
-    values = np.clip(stability_map.margin.T, 0, 1)
-    image = axes.pcolormesh(angles, angles, values, cmap=MAP, vmin=0, vmax=1, shading="nearest", rasterized=True)
-    handles = [_hatch(axes, stability_map), *_draw_boundary(axes, stability_map)]
+    fine, values, snapped = _filled(stability_map)
+    image = axes.pcolormesh(
+        fine, fine, np.clip(values, 0, 1), cmap=MAP, vmin=0, vmax=1, shading="nearest", rasterized=True
+    )
+    handles = [_hatch(axes, fine, snapped), *_draw_boundary(axes, stability_map)]
     handles += axes.plot([0], [0], "o", ms=6, mfc="white", mec=INK, mew=1.0, ls="", label="home")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(angle_locator())
@@ -155,20 +160,68 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
     return image, [h for h in handles if h]
 
 
-def _hatch(axes: Axes, stability_map: StabilityMap) -> Artist | None:
-    """Hatching of the cells that were reached through a snap, and its name."""
-    from matplotlib.collections import PolyCollection
+def _filled(stability_map: StabilityMap) -> tuple[Array, Array, Mask]:
+    """Angles (F,) deg of a finer map, its margins and whether its points are reached through a snap: (F, F) by rows of
+    the second tube.
+
+    Both sides of the boundary are filled from their own points: before a snap the margin falls to 0 there, behind it
+    the map begins with where the robot lands.
+    """
+    angles = np.degrees(stability_map.angles)
+    fine = np.linspace(angles[0], angles[-1], max(FINE, len(angles)))
+    points = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(angles, angles, indexing="ij"), axis=-1).reshape(-1, 2)
+    margin, reached = stability_map.margin.ravel(), stability_map.snaps.ravel() > 0
+    boundary = np.degrees(stability_map.boundary)
+    folds = boundary[np.isfinite(boundary).all(1)]
+    behind = _behind(boundary, points)
+    values = np.empty(len(points))
+    sides = (
+        (~behind, np.vstack([grid[~reached], folds]), np.append(margin[~reached], np.zeros(len(folds)))),
+        (behind, grid[reached], margin[reached]),
+    )
+    for part, known, at in sides:
+        if part.any():
+            values[part] = _interpolated(known, at, points[part]) if len(known) else np.nan
+    size = len(fine), len(fine)
+    return fine, values.reshape(size).T, behind.reshape(size).T
+
+
+def _behind(boundary: Array, points: Array) -> Mask:
+    """(k,) whether points lie behind the first snap in their direction; its distance is linear between directions."""
+    if not len(boundary):
+        return np.zeros(len(points), dtype=bool)
+    distance = np.append(np.hypot(*boundary.T), np.hypot(*boundary[0]))
+    turn = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi) / (2 * np.pi) * len(boundary)
+    first = np.minimum(turn.astype(int), len(boundary) - 1)
+    share = turn - first
+    between = (1 - share) * distance[first] + share * distance[first + 1]
+    alone = distance[first + np.round(share).astype(int)]  # beside a direction without a snap
+    limit = np.where(np.isfinite(between), between, np.where(np.isfinite(alone), alone, np.inf))
+    found: Mask = np.hypot(*points.T) > limit
+    return found
+
+
+def _interpolated(known: Array, values: Array, points: Array) -> Array:
+    """Linearly between known points, and as the nearest of them beyond."""
+    nearest: Array = scipy.interpolate.NearestNDInterpolator(known, values)(points)
+    if len(known) < 4:
+        return nearest
+    inside: Array = scipy.interpolate.LinearNDInterpolator(known, values)(points)
+    return np.where(np.isfinite(inside), inside, nearest)
+
+
+def _hatch(axes: Axes, fine: Array, snapped: Mask) -> Artist | None:
+    """Hatching of what is reached through a snap, and its name."""
     from matplotlib.patches import Patch
 
-    angles = np.degrees(stability_map.angles)
-    half = (angles[1] - angles[0]) / 2
-    centres = angles[np.argwhere(stability_map.snaps > 0)]
-    if not len(centres):
+    if not snapped.any():
         return None
-    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-    look: dict[str, Any] = {"facecolor": "none", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
-    axes.add_collection(PolyCollection(list(centres[:, None] + corners), **look))
-    return Patch(**(look | {"facecolor": "#7C7B78"}), label="reached through a snap")
+    drawn = axes.contourf(fine, fine, snapped.astype(float), levels=[0.5, 1.5], colors="none", hatches=["////"])
+    drawn.set_edgecolor(HATCH_COLOUR)
+    drawn.set_linewidth(0)
+    look: dict[str, Any] = {"facecolor": "#7C7B78", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
+    return Patch(**look, label="reached through a snap")
 
 
 def _draw_boundary(axes: Axes, stability_map: StabilityMap) -> list[Artist]:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...equilibrium.kinematics import forward_kinematics
+from ...errors import SolveError
 from ...files.units import TO_MM
 from ...typing import Array
 from .style import FAINT, INK, headed, new_figure, number, picture
@@ -14,11 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ...equilibrium.result import Equilibrium
     from ...stability import Path
 
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""
+
+BETWEEN = 4
+"""Points per stretch between waypoints."""
+
+NEAR_A_SNAP = 16
+"""The same where the stretch ends in a snap."""
 
 MOST_NAMES = 12
 """Snaps that are named in the picture; more would cover each other."""
@@ -28,9 +37,8 @@ MOST_NAMES = 12
 def plot_path(path: Path) -> Figure:
     """Picture of a motion: tip position over the waypoints, and the margin below it.
 
-    At a snap the curves break: an open mark where the robot was, a full one where it lands.
-
-    Args:
+    Between waypoints equilibria are solved too, closer where a snap is near, towards which the margin falls like a
+    root. At a snap the curves break: an open mark where the robot was, a full one where it lands.
     """
     waypoint, tip, margin = _curves(path)
     figure = new_figure(7.0, 5.0)
@@ -64,15 +72,44 @@ def plot_path(path: Path) -> Figure:
 
 def _curves(path: Path) -> tuple[Array, Array, Array]:
     """Place in the path in waypoints from 1, tip (m) and margin there; NaN between the two sides of a snap."""
-    points = [(k + 1.0, 0, e.tip_position, e.margin) for k, e in enumerate(path.equilibria)]
     gap = np.full(3, np.nan)
-    for order, snap in enumerate(path.snaps):
-        at = _place(snap.index, snap.fraction)
-        points.append((at, 3 * order + 1, snap.before.tip_position, snap.before.margin))
-        points.append((at, 3 * order + 2, gap, np.nan))
-        points.append((at, 3 * order + 3, snap.after.tip_position, snap.after.margin))
-    points.sort(key=lambda point: point[:2])
-    return np.array([p[0] for p in points]), np.array([p[2] for p in points]), np.array([p[3] for p in points])
+    points: list[tuple[float, Array, float]] = []
+    for k, here in enumerate(path.equilibria):
+        points.append((k + 1.0, here.tip_position, here.margin))
+        at, arrived = k + 1.0, here
+        for snap in (snap for snap in path.snaps if snap.index == k):
+            place = _place(snap.index, snap.fraction)
+            points += _between(arrived, snap.before, at, place, to_fold=True)
+            points.append((place, snap.before.tip_position, snap.before.margin))
+            points.append((place, gap, np.nan))
+            points.append((place, snap.after.tip_position, snap.after.margin))
+            at, arrived = place, snap.after
+        if k + 1 < len(path.equilibria):
+            points += _between(arrived, path.equilibria[k + 1], at, k + 2.0, to_fold=False)
+    return np.array([p[0] for p in points]), np.array([p[1] for p in points]), np.array([p[2] for p in points])
+
+
+def _between(
+    start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool
+) -> list[tuple[float, Array, float]]:
+    """Equilibria on the straight way between two, each from the one before: place, tip and margin.
+
+    What is lost, or comes near no fold from the other side, is left out: the curve is then drawn straight.
+    """
+    count = NEAR_A_SNAP if to_fold else BETWEEN
+    share = np.arange(1, count) / count
+    share = 1 - (1 - share) ** 2 if to_fold else share  # like a root, the margin falls fastest where it ends
+    found: list[tuple[float, Array, float]] = []
+    guess = start
+    for x in share:
+        turns = start.rotations + x * (end.rotations - start.rotations)
+        shifts = start.translations + x * (end.translations - start.translations)
+        try:
+            guess = forward_kinematics(start.robot, turns, shifts, guess=guess, load=start.load)
+        except SolveError:
+            break
+        found.append((first + x * (last - first), guess.tip_position, guess.margin))
+    return found
 
 
 def _place(index: int, fraction: float) -> float:

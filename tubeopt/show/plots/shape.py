@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...files.units import TO_MM
+from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
@@ -27,6 +27,14 @@ if TYPE_CHECKING:
 GHOST_OPACITY = 0.25
 PLATE_COLOUR = np.array([0.80, 0.82, 0.85, 1.0])
 BORE_COLOUR = np.array([0.13, 0.13, 0.13, 1.0])
+LINE_HEIGHT = 11.0
+"""Points by which names of tubes stand apart."""
+
+SCENE_HEIGHT = 250.0
+"""Points that a scene is high, about."""
+
+UNSTABLE = "#A02020"
+
 SHEATH_COLOUR = np.array([0.62, 0.68, 0.76, 0.22])
 
 
@@ -47,6 +55,37 @@ def plot_shape(
     figure = new_figure(7.0, 5.0)
     headed(figure, caption(equilibrium))
     draw_scenes(figure, [equilibrium], [ghosts], view)
+    return figure
+
+
+@picture
+def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, float] | None = None) -> Figure:
+    """Picture of all equilibria at the same joint values: the first solid, the others translucent, unstable ones with a
+    dashed line along them; each numbered at its tip, with margin and energy below.
+
+    Args:
+        equilibria: of `find_equilibria`, the lowest energy first.
+        view: as in `plot_shape`.
+    """
+    from matplotlib.lines import Line2D
+
+    lowest, *others = equilibria
+    figure = new_figure(7.0, 5.4)
+    headed(figure, f"{caption(lowest)}\n{len(equilibria)} equilibria at these joint values")
+    seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in equilibria]))
+    (scene,) = draw_scenes(figure, [lowest], [others], (seen.elevation, seen.azimuth))
+    handles = []
+    for k, each in enumerate(equilibria, start=1):
+        way = seen.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
+        if not each.stable:
+            scene.plot(way[:, 0], way[:, 1], color=UNSTABLE, lw=1.2, ls=(0, (3, 2)), zorder=5)
+        colour = INK if each.stable else UNSTABLE
+        note(scene, str(k), way[-1, :2], np.array([0.0, 4.0 if k > 1 else 14.0]), colour=colour)
+        words = f"{k}: {'stable' if each.stable else 'unstable'}, margin {number(each.margin, 3)}, "
+        words += f"{number(each.energy * TO_MILLI, 3)} mJ"
+        look = {"lw": 2.2, "alpha": 1.0 if k == 1 else 0.4} if each.stable else {"lw": 1.2, "ls": (0, (3, 2))}
+        handles.append(Line2D([], [], color=colour, label=words, **look))
+    figure.legend(handles=handles, loc="outside lower left", ncols=2)
     return figure
 
 
@@ -226,6 +265,9 @@ def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view:
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     """Name each tube to the lower right of the middle of where it shows, and the tip to the upper left of it."""
     line = Centreline(equilibrium)
+    low, high = axes.get_ylim()
+    points_per_mm = SCENE_HEIGHT / max(high - low, 1e-9)
+    lowest = np.inf
     for bundle in bundles(equilibrium):
         middle = (bundle.start + bundle.end) / 2
         beside = _beside(line, middle, view)
@@ -234,7 +276,11 @@ def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
             lower = np.array([0.0, 10.0 * ((len(bundle.tubes) - 1) / 2 - row)])
             several = len(bundle.tubes) > 1
             shift = (12 if several else 5) * beside + lower
-            note(axes, f"tube {i + 1}", at, shift, colour=tube_colour(i), level=several)
+            height = at[1] * points_per_mm + shift[1]
+            crowded = max(0.0, LINE_HEIGHT - abs(height - lowest)) if np.isfinite(lowest) else 0.0
+            shift = shift + np.array([0.0, crowded if height >= lowest else -crowded])
+            lowest = at[1] * points_per_mm + shift[1]
+            note(axes, f"tube {i + 1}", at, shift, colour=tube_colour(i), level=several or crowded > 0)
     beside = _beside(line, line.length, view)
     at = view.project(equilibrium.tip_position)[:2] - close_up_radius(equilibrium) * TO_MM * beside
     note(axes, "tip", at, -3 * beside)

@@ -81,9 +81,10 @@ def _draw_jump(scene: Axes, snap: Snap, view: View) -> None:
     scene.annotate(
         f"{snap.tip_jump * TO_MM:.1f} mm",
         tuple(((old + new) / 2).tolist()),
-        (3.0 * float(np.sign(slope)), 3.0),
+        (3.0 * float(np.sign(slope)), 10.0),
         textcoords="offset points",
-        ha="left" if slope > 0 else "right" if slope < 0 else "center",
+        ha="center",
         va="bottom",
-        zorder=6,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+        zorder=7,
     )

@@ -14,7 +14,7 @@ import numpy as np
 from ...files.units import TO_MM
 from ...typing import Array
 from .mesh import Mesh
-from .style import INK, number
+from .style import INK, narrow, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +77,7 @@ class Box:
     def around(cls, points: Array) -> Box:
         """The box around points (k, 3) in m, its sides on whole rules, its floor at the lowest point."""
         low, high = points.min(0) * TO_MM, points.max(0) * TO_MM
-        step = rule_step(float((high - low).max()))
+        step = rule_step(float((high - low).max()) * (2 if narrow() else 1))
         lower, upper = np.floor(low / step + 1e-9) * step, np.ceil(high / step - 1e-9) * step
         lower[2] = low[2]
         return cls(lower, upper, step)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import wraps
 from os import PathLike
 from pathlib import Path
@@ -17,6 +19,7 @@ from ...typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
     from matplotlib.ticker import MaxNLocator
 
     from ...equilibrium.result import Equilibrium
@@ -60,6 +63,24 @@ RC = {
     "ytick.color": INK,
     "ytick.labelsize": 8,
 }
+
+
+WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
+"""Of pictures, m, where they are to be laid out anew for a page; letters keep their size. None leaves each as it is."""
+
+INCH = 25.4e-3
+
+HEIGHT_SHARE = 0.35
+"""Power of the change of width by which the height changes."""
+
+NARROW = 0.12
+"""Width of a picture, m, below which its scales have half as many rules."""
+
+
+def narrow() -> bool:
+    """Whether pictures are laid out for a column."""
+    wanted = WIDTH.get()
+    return wanted is not None and wanted < NARROW
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
@@ -107,12 +128,14 @@ def tube_colour(index: int) -> str:
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of this size in inches that draws into memory: no window, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from .figure import NotebookFigure
 
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    wanted = WIDTH.get()
+    scale = 1.0 if wanted is None else wanted / INCH / width
+    # Letters keep their size, so that what is narrower needs more of its height.
+    return NotebookFigure(
+        figsize=(scale * width, scale**HEIGHT_SHARE * height), dpi=DPI, layout="constrained", facecolor="white"
+    )
 
 
 def headed(figure: Figure, heading: str) -> Figure:
@@ -150,12 +173,49 @@ def angle_locator() -> MaxNLocator:
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
     engine = figure.get_layout_engine()
+    if WIDTH.get() is not None:
+        _fold(figure)
     if engine is not None:
         for _ in range(LAYOUT_PASSES):
             engine.execute(figure)
     if path is not None:
         save_figure(figure, path)
     return figure
+
+
+def _fold(figure: Figure) -> None:
+    """Break headings, and stack legends, that are wider than the room they have."""
+    figure.draw_without_rendering()
+    room = figure.bbox.width * 0.98
+    for heading in figure.texts:
+        _fold_lines(heading, room)
+    for axes in figure.axes:
+        inside = axes.get_subplotspec()
+        columns = 1 if inside is None else inside.get_gridspec().ncols / len(inside.colspan)
+        _fold_lines(axes.title if axes.get_title() else axes._left_title, 0.9 * room / columns)  # type: ignore[attr-defined]
+    for legend in list(figure.legends):
+        entries = [text.get_text() for text in legend.get_texts()]
+        columns = int(len(entries) * room / legend.get_window_extent().width)
+        if columns < len(entries):
+            handles: Any = legend.legend_handles
+            legend.remove()
+            figure.legend(handles, entries, loc="outside lower center", ncols=max(columns, 1))
+
+
+def _fold_lines(text: Text, room: float) -> None:
+    """Break a heading where it says one thing after another, so that it is no wider than `room` pixels."""
+    done: list[str] = []
+    for line in text.get_text().split("\n"):
+        first, *others = re.split(r"(?<=:)  |(?<=,)  ", line)
+        done.append(first)
+        for part in others:
+            text.set_text(f"{done[-1]}  {part}")
+            if text.get_window_extent().width < room:
+                done[-1] = text.get_text()
+            else:
+                done[-1] = done[-1].rstrip(",:")
+                done.append(part)
+    text.set_text("\n".join(done))
 
 
 def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:

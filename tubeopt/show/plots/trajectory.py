@@ -64,6 +64,7 @@ def plot_trajectory(
     first: Axes = figure.add_subplot(grid[0, 1])
     axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
     _draw_curves(axes, t)
+    figure.align_ylabels(axes)
     headed(figure, _heading(t, title))
     return figure
 
@@ -238,8 +239,9 @@ def _curve_count(t: Trajectory) -> int:
 def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     """Joint values, margin, clearance and deviation over time."""
     for i in range(t.robot.n_tubes):
-        axes[0].plot(t.time, np.degrees(t.rotations[:, i]), color=tube_colour(i), lw=1.4, label=f"tube {i + 1}")
-        axes[1].plot(t.time, t.translations[:, i] * TO_MM, color=tube_colour(i), lw=1.4)
+        look: dict[str, Any] = {"color": tube_colour(i), "lw": 1.2 + 1.1 * i, "zorder": 2 - 0.01 * i}
+        axes[0].plot(t.time, np.degrees(t.rotations[:, i]), label=f"tube {i + 1}", **look)
+        axes[1].plot(t.time, t.translations[:, i] * TO_MM, **look)
     axes[0].set_ylabel("rotation (deg)")
     axes[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     axes[1].set_ylabel("translation (mm)")

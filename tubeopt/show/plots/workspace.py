@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAP = "cividis"
+LOST_FACE = "#F2B48C"
 LOST_COLOUR = "#D55E00"
 MOST_TIPS = 4000
 """Tips that are drawn; of more, so many are drawn."""
@@ -111,16 +112,24 @@ def _draw_section(axes: Axes, found: Voxels, values: Array, ends: tuple[float, f
 
 
 def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
-    """Cells of the meridian with lost voxels, as squares, and what they come to."""
+    """Cells of the meridian with lost voxels, hatched and in a colour of their own where nothing else is reached."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
-    share = f"lost to snapping: {number(100 * loss.fraction, 1)} %"
-    look: dict[str, Any] = {"facecolor": "none", "edgecolor": LOST_COLOUR, "linewidth": 1.0}
-    if len(loss.lost):
-        cells = np.unique(_fold(np.asarray((loss.lost + 0.5) * loss.size), loss.size), axis=0)
-        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-        corners = (cells[:, None] + square) * loss.size * TO_MM
-        axes.add_collection(PolyCollection(list(corners), zorder=5, **look))
-        axes.autoscale_view()
-    axes.legend(handles=[Patch(label=share, **look)], loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+    lost, held = (
+        np.unique(_fold(np.asarray((keys + 0.5) * loss.size), loss.size), axis=0) for keys in (loss.lost, loss.held)
+    )
+    alone = [cell for cell in lost.tolist() if cell not in held.tolist()]
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    outline: dict[str, Any] = {"edgecolor": LOST_COLOUR, "linewidth": 0.8, "hatch": "//////"}
+    looks = ((lost.tolist(), outline | {"facecolor": "none"}), (alone, outline | {"facecolor": LOST_FACE}))
+    for cells, look in looks:
+        if cells:
+            corners = (np.array(cells)[:, None] + square) * loss.size * TO_MM
+            axes.add_collection(PolyCollection(list(corners), zorder=5, **look))
+    axes.autoscale_view()
+    share = f"lost to snapping: {number(100 * loss.fraction, 1)} % of the volume"
+    handles = [Patch(facecolor="#FEE838", label="reached by a stable robot"), Patch(label=share, **looks[1][1])]
+    if alone and len(alone) < len(lost):
+        handles.append(Patch(label="both, at other places around the axis", **looks[0][1]))
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

@@ -153,7 +153,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
 
 
 def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
-    """A kernel as one C text: constants, what CasADi generates, and a file of this folder with those that it includes."""
+    """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
     constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     text = (HERE / file).read_text()
     while part := re.search(r'#include "(\w+\.c)"\n', text):

@@ -130,13 +130,14 @@ static int compare_finer(const Problem *fine, const double *to_fine, const doubl
 }
 
 /* theta and q of an equilibrium whose theta (P K, N) and curvature (P K, 2) at the points are known; `turn` (N) is added.
-   NULL is the curvature without load. */
-static void take_up(const Stage *s, const double *theta, const double *turn, const double *curvature, State *state) {
+   NULL is the curvature without load. Tubes without unknowns are where they are held. */
+static void take_up(const Stage *s, const double *alpha, const double *theta, const double *turn, const double *curvature, State *state) {
     const Problem *p = s->problem;
     for (int x = 0; x < s->points; x++) {
         double direction[N], natural[2];
         for (int i = 0; i < N; i++) {
-            state->theta[x][i] = theta[x * N + i] + turn[i];
+            int bent = s->piece[x / s->degree].count[i] == s->degree;
+            state->theta[x][i] = bent ? theta[x * N + i] + turn[i] : alpha[i];
             direction[i] = theta[x * N + i] + p->phase[x * N + i];
         }
         const double *in[3] = {direction, p->stiffness + x * N, p->moment + x * N};
@@ -154,7 +155,7 @@ int solve_loaded(const Problem *problem, const Problem *fine, const double *to_f
                  Answer *out) {
     Stage *stage = &w->stage;
     prepare(stage, problem);
-    take_up(stage, theta, turn, curvature, &w->state);
+    take_up(stage, alpha, theta, turn, curvature, &w->state);
     out->iterations = 0;
     int failed = curvature ? settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)
                            : grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out);

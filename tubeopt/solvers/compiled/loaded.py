@@ -32,7 +32,7 @@ DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 9, 24, 6
 """What the kernel has room for; others go to the general solver."""
 
 FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
-"""Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin that it expects."""
+"""Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin expected."""
 
 PREDICTED_PART = 0.9
 """Of the largest change in one step of a load, the part that is gone for by the first derivative."""
@@ -137,14 +137,30 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
     # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
     felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
     felt[:, tip_tube] = True
-    arrays = dict(weights=t.weights, matrix=t.matrix, start=mesh.start, length=mesh.length, bent=bent, felt=felt)
-    arrays |= dict(stiffness=torsion.stiffness, moment=torsion.moment)
-    arrays["phase"] = np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase
-    arrays["rate"], arrays["held"] = compliances(torsion)
-    names = ("basis", "once", "twice")
-    arrays |= {name: t.lagrange(ENDS, integrals=k) for k, name in enumerate(names)}
-    arrays |= dict(ends_stiffness=ends.stiffness, ends_moment=ends.moment, ends_phase=ends.phase)
-    arrays |= dict(ends_rate=1 / ends.torsional_stiffness, ends_twist=ends.twist, ends_wound=ends.wound)
+    rate, held = compliances(torsion)
+    basis, once, twice = (t.lagrange(ENDS, integrals=k) for k in range(3))
+    arrays = {
+        "weights": t.weights,
+        "matrix": t.matrix,
+        "start": mesh.start,
+        "length": mesh.length,
+        "stiffness": torsion.stiffness,
+        "moment": torsion.moment,
+        "phase": np.zeros_like(torsion.moment) if torsion.phase is None else torsion.phase,
+        "rate": rate,
+        "bent": bent,
+        "felt": felt,
+        "held": held,
+        "basis": basis,
+        "once": once,
+        "twice": twice,
+        "ends_stiffness": ends.stiffness,
+        "ends_moment": ends.moment,
+        "ends_phase": ends.phase,
+        "ends_rate": 1 / ends.torsional_stiffness,
+        "ends_twist": ends.twist,
+        "ends_wound": ends.wound,
+    }
     kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
     out: Any = _Problem(pieces, t.degree, tip_tube, length, **{name: _at(array) for name, array in kept.items()})
     out.keep = kept
@@ -192,9 +208,9 @@ def solve_loaded_compiled(
 ) -> LoadedAnswer | None:
     """The stable equilibrium under a dead load; `finer` is the same problem with more points on the same pieces.
 
-    `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2) at
-    the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to grow
-    from there.
+    `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2)
+    at the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to
+    grow from there.
 
     None where there is no kernel, or it declines: nothing stable close by, a branch that ends.
     """

@@ -1,0 +1,120 @@
+"""The firmware on this computer, in step with the thermal model of a rig; and what can go wrong with one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.shaping.firmware.simulated import SimulatedRig
+from tubeopt.shaping.heating.ideal import joined
+from tubeopt.typing import Array
+
+COMPILER = shutil.which("g++") or shutil.which("clang++")
+TICK = 0.1
+
+
+def built(folder: Path) -> Path:
+    """The heater of a sketch with host.cpp for a board."""
+    out = folder / "host"
+    command = [
+        str(COMPILER),
+        "-std=c++11",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-O1",
+        "heater.cpp",
+        "host.cpp",
+        "-o",
+        str(out),
+    ]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return out
+
+
+@dataclass
+class Fault:
+    """What goes wrong from a time on, s: what the heater is told in place of the truth."""
+
+    name: str = ""
+    since: float = 1e9
+
+
+@dataclass
+class Run:
+    """rows: time, count, reading, coldest and hottest of the curved part, hottest point. lines: of the heater."""
+
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    lines: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def columns(self) -> Array:
+        """(6, T)."""
+        return np.array(self.rows).T
+
+    @property
+    def reason(self) -> str:
+        """Why it ended."""
+        return str(self.lines[-1].get("reason", ""))
+
+
+def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: float = 200.0) -> Run:
+    """Start the heater and go on until it has stopped."""
+    fault = fault or Fault()
+    found = Run()
+    with subprocess.Popen([heater], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+
+        def answer() -> int:
+            while not (line := process.stdout.readline()).startswith("="):  # type: ignore[union-attr]
+                found.lines.append(json.loads(line))
+            return int(line[1:])
+
+        count, command, frozen = answer(), '{"do":"start"}', None
+        for k in range(round(longest / TICK)):
+            reading = rig.reading
+            volt, on = rig.electrics(count > 0)
+            off, button = 0.0, 0
+            wrong = fault.name if rig.time >= fault.since else ""
+            if wrong == "open":
+                reading = float("nan")
+            elif wrong == "short":
+                reading = -200.0
+            elif wrong == "stuck":
+                frozen = reading if frozen is None else frozen
+                reading = frozen
+            elif wrong == "hot":
+                reading = 600.0
+            elif wrong == "over-current":
+                on = 260.0
+            elif wrong == "no current":
+                on = 0.0
+            elif wrong == "switch":
+                off = 50.0
+            elif wrong == "battery":
+                volt = 6.0
+            elif wrong == "button":
+                button = 1
+            elif wrong == "abort":
+                command = '{"do":"stop"}'
+            told = f"{round(1000 * rig.time)} {reading} {volt} {on} {off} {button} {command}"
+            process.stdin.write(told + "\n")
+            process.stdin.flush()
+            command = ""
+            count = answer()
+            tube = rig.state.cells[:, :, 0]
+            curved = joined(rig.model, tube) - ZERO_CELSIUS
+            found.rows.append((rig.time, count, reading, curved.min(), curved.max(), tube.max() - ZERO_CELSIUS))
+            if k and found.lines and found.lines[-1].get("state") == "stopped":
+                break
+            rig.pass_time(count, TICK)
+        process.stdin.close()
+    return found

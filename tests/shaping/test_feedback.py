@@ -1,0 +1,161 @@
+"""Heatings that a sensor leads: the law, its gains, and what becomes of rigs that are not as filed."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, TubeResistance, lead_by
+from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.shaping.feedback.feedback import fleet_of, nominal_law, wilson
+from tubeopt.shaping.feedback.gains import RESET, Response, regulator
+from tubeopt.shaping.feedback.law import begin, decide
+from tubeopt.shaping.feedback.loop import Fleet, run_loop
+from tubeopt.shaping.heating.ideal import joined
+from tubeopt.shaping.heating.planning import plan_heating
+from tubeopt.shaping.heating.rates import at_rest
+from tubeopt.shaping.heating.robust import ENSEMBLE
+from tubeopt.shaping.heating.simulation import integrate
+from tubeopt.shaping.heating.thermal import stack, thermal_model
+from tubeopt.shaping.heating.uncertainty import Uncertainty
+
+from .heating_reference import TUBE, thesis_rig
+
+
+@functools.lru_cache(maxsize=1)
+def plan() -> HeatingPlan:
+    """The thesis' tube, held for 10 s with most distance from the ends of the window."""
+    return plan_heating(TUBE, thesis_rig(), HeatingSpec(hold_time=10.0, objective="margin"))
+
+
+@functools.lru_cache(maxsize=1)
+def led() -> Feedback:
+    """It, led by a thermocouple."""
+    return lead_by(plan(), Thermocouple(), samples=60)
+
+
+def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_not() -> None:
+    feedback = led()
+    assert feedback.probability >= 0.95
+    assert feedback.open_loop < 0.4
+    assert feedback.top.max() <= plan().spec.limit + 10
+    low, high = feedback.interval
+    assert low < feedback.probability <= high
+    assert feedback.contributions[0].name == "sensor"
+
+
+def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
+    law, sensor = led().law, Thermocouple()
+    fleet, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
+    history = run_loop(fleet, law, sensor, steps=4)
+    for b in range(1, 4):
+        member = replace(
+            fleet.model, properties=fleet.model.properties[b : b + 1], volumes=fleet.model.volumes[b : b + 1]
+        )
+        last = len(history.time) - 1
+        exact = integrate(member, law.slot, history.count[:last, b] / 255)
+        curved = joined(member, exact.tube[:, 0]) - ZERO_CELSIUS
+        assert np.abs(curved.max(1) - history.hottest[: last + 1, b]).max() < 0.5
+        assert np.abs(curved.min(1) - history.coldest[: last + 1, b]).max() < 0.5
+
+
+def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
+    told = lead_by(plan(), TubeResistance(), samples=40)
+    assert told.probability < 0.5
+    assert told.contributions[0].name == "resistivity_slope"
+    assert told.contributions[0].deviation > 20
+
+
+def test_the_law_without_gains_gives_what_was_planned() -> None:
+    law = replace(nominal_law(plan(), Thermocouple()), holdback=math.inf)
+    state, given = begin(1), []
+    for _ in law.planned:
+        count, state = decide(law, state, np.array([25.0]))
+        given.append(count[0])
+    assert np.abs(np.cumsum(given) - np.cumsum(law.planned)).max() <= 0.5 + 1e-9
+
+
+def test_the_law_waits_for_a_cold_tube_and_gives_up_in_the_end() -> None:
+    law = replace(nominal_law(plan(), Thermocouple()), patience=5.0)
+    state, counts = begin(1), []
+    for _ in range(60):
+        count, state = decide(law, state, np.array([25.0]))
+        counts.append(int(count[0]))
+    assert state.place[0] < law.hold[0]
+    assert counts[-1] == 0
+
+
+def test_a_sensor_lags_as_its_equation_says() -> None:
+    sensor = Thermocouple(lag=0.7)
+    exact = solve_ivp(lambda t, y: (20 + 30 * t - y) / 0.7, (0, 0.5), [5.0], rtol=1e-10, atol=1e-10).y[0, -1]
+    (found,) = sensor.followed(np.array([5.0]), np.array([20.0]), np.array([35.0]), 0.5)
+    assert abs(found - exact) < 1e-8
+
+
+def test_gains_are_those_of_least_cost() -> None:
+    found, slot, share = Response(gain=500.0, time_constant=12.0), 0.5, 0.01
+    proportional, integral = regulator(found, slot, share)
+
+    def cost(p: float, i: float) -> float:
+        error, total, value = 1.0, 0.0, 0.0
+        kept = math.exp(-slot / found.time_constant)
+        for _ in range(4000):
+            power = p * error + i * total
+            value += error**2 + (total / RESET) ** 2 + (power / share) ** 2
+            total += slot * error
+            error = kept * error - found.gain * (1 - kept) * power
+        return value
+
+    best = cost(proportional, integral)
+    for p, i in ((1.05, 1.0), (0.95, 1.0), (1.0, 1.05), (1.0, 0.95)):
+        assert cost(p * proportional, i * integral) > best
+
+
+def test_a_dead_sensor_ends_the_heating() -> None:
+    alone = Fleet(thermal_model(TUBE, thesis_rig(), ENSEMBLE), np.zeros(1))
+    history = run_loop(alone, led().law, Thermocouple(), dies=20.0)
+    after = history.time >= 20.0
+    assert not history.count[after].any()
+    assert not history.finished[0]
+    assert history.top[after].argmax() == 0
+
+
+def test_uncertain_rigs_begin_at_their_own_ambient() -> None:
+    model, draws = Uncertainty(0, 0, 0, ambient=5.0).models(TUBE, thesis_rig(), 4, ENSEMBLE)
+    assert np.allclose(at_rest(model).cells[1:, 0, 0] - thesis_rig().ambient, 5.0 * draws[:, 0])
+
+
+def test_what_pulses_lose_is_planned_for() -> None:
+    rig = thesis_rig()
+    losing = replace(rig, circuit=replace(rig.circuit, lost_on_time=16e-6))
+    planned = plan_heating(TUBE, losing, HeatingSpec(hold_time=10.0))
+    assert planned.feasible
+    # The same counts on a rig that loses nothing are two counts of 490 Hz too many.
+    exact = integrate(thermal_model(TUBE, rig), planned.spec.slot, planned.duty[:-1] / 255)
+    assert exact.tube.max() - ZERO_CELSIUS > planned.hottest + 30
+    same = stack([thermal_model(TUBE, losing), thermal_model(TUBE, rig)])
+    assert same.members == 2
+
+
+def test_intervals_of_probabilities() -> None:
+    low, high = wilson(60, 60)
+    assert 0.93 < low < 0.95
+    assert high == pytest.approx(1.0)
+
+
+def test_nonsense_is_refused() -> None:
+    with pytest.raises(InputError, match="samples is 3; it must be at least 20"):
+        lead_by(plan(), Thermocouple(), samples=3)
+    with pytest.raises(InputError, match="position of the thermocouple is 400 mm"):
+        lead_by(plan(), Thermocouple(position=0.4), samples=20)
+    with pytest.raises(InputError, match="lag of the thermocouple is -1"):
+        Thermocouple(lag=-1)
+    with pytest.raises(InputError, match="lowest of the camera"):
+        Camera(lowest=300.0, highest=100.0)
+    with pytest.raises(InputError, match="lost_on_time of the circuit is 1500 us"):
+        replace(thesis_rig().circuit, lost_on_time=1.5e-3)

@@ -1,0 +1,225 @@
+"""The firmware: the same heating as the law in Python, and a named stop for everything that goes wrong."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import threading
+import tty
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tubeopt import Feedback, HeatingPlan, InputError, Thermocouple
+from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.runs.heating_run import run_heating
+from tubeopt.shaping.feedback.feedback import fleet_of
+from tubeopt.shaping.feedback.law import HeatingLaw, begin, decide
+from tubeopt.shaping.firmware.boards import BOARDS, Wiring, pwm_frequency
+from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
+from tubeopt.shaping.firmware.parts import parts_list
+from tubeopt.shaping.firmware.simulated import SimulatedRig
+from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
+from tubeopt.shaping.heating.robust import ENSEMBLE
+from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
+from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.typing import Array
+
+from .firmware_host import COMPILER, Fault, built, run
+from .heating_reference import TUBE, thesis_rig
+from .test_feedback import led, plan
+
+needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
+
+
+@functools.lru_cache(maxsize=1)
+def _tables(planned: HeatingPlan, feedback: Feedback) -> list[tuple[float, Array]]:
+    return schedules(planned, feedback)
+
+
+@pytest.fixture(scope="module")
+def heater(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The heater, for this computer."""
+    directory = tmp_path_factory.mktemp("sketch")
+    write_sketch(plan(), led(), Wiring(), directory, host=True)
+    return built(directory / "tube_heater")
+
+
+def member(model: ThermalModel, b: int) -> ThermalModel:
+    """One of a model's members."""
+    return replace(model, properties=model.properties[b : b + 1], volumes=model.volumes[b : b + 1])
+
+
+def law_for(rig: SimulatedRig) -> HeatingLaw:
+    """The law with the schedule that the firmware chooses by the battery's voltage at rest."""
+    tables = _tables(plan(), led())
+    volt, _ = rig.electrics(False)
+    chosen = next((planned for rest, planned in tables if rest <= volt + 0.05), tables[-1][1])
+    return tabled(replace(led().law, planned=chosen))
+
+
+@needs_a_compiler
+def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
+    fleet, _ = fleet_of(plan(), Thermocouple(), Uncertainty.of_a_workshop(), 3, 7)
+    for b in range(4):
+        rigs = [
+            SimulatedRig(
+                member(fleet.model, b),
+                Thermocouple(),
+                bias=float(fleet.bias[b]),
+                hot=float(led().law.reference.max()),
+                seed=b,
+            )
+            for _ in range(2)
+        ]
+        found = run(heater, rigs[0])
+        assert found.reason == "done"
+        law, memory, hottest, count = law_for(rigs[1]), begin(1), [], np.zeros(1, dtype=np.int64)
+        for k in range(found.columns.shape[1]):
+            reading = rigs[1].reading
+            if k % 5 == 0:
+                count, memory = decide(law, memory, np.array([reading]))
+            hottest.append(rigs[1].hottest - ZERO_CELSIUS)
+            rigs[1].pass_time(int(count[0]), 0.1)
+        assert np.abs(found.columns[5] - hottest).max() < 1.0
+
+
+FAULTS = {
+    "open": "thermometer broken",
+    "short": "thermometer broken",
+    "hot": "over-temperature",
+    "over-current": "over-current",
+    "no current": "no current",
+    "switch": "switch stuck",
+    "battery": "low battery",
+    "button": "emergency stop",
+    "abort": "stopped by command",
+}
+
+
+@needs_a_compiler
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_switches_off_within_half_a_second_and_has_its_name(heater: Path, fault: str) -> None:
+    since = 12.03
+    found = run(heater, SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple()), Fault(fault, since))
+    assert found.reason == FAULTS[fault]
+    assert found.columns[0, -1] - since <= 0.5
+    assert found.columns[1, -1] == 0
+
+
+@needs_a_compiler
+def test_a_thermometer_that_lost_touch_is_found_out(heater: Path) -> None:
+    rig = SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple())
+    found = run(heater, rig, Fault("stuck", 12.03))
+    assert found.reason == "thermometer stuck"
+    assert found.columns[0, -1] < 12.03 + 3.5
+    assert found.columns[5].max() < 400
+
+
+@needs_a_compiler
+def test_a_reset_by_the_watchdog_leaves_it_off(heater: Path) -> None:
+    environment = {**os.environ, "RESET_BY_WATCHDOG": "1"}
+    told = subprocess.run([heater], input="", env=environment, capture_output=True, text=True, check=True).stdout
+    lines = told.splitlines()
+    assert json.loads(lines[1])["reason"] == "watchdog"
+    assert lines[-1] == "= 0"
+
+
+@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no avr-gcc")
+@pytest.mark.parametrize("converter", ["max31855", "max6675", "analog"])
+def test_the_sketch_compiles_for_an_uno(tmp_path: Path, converter: str) -> None:
+    write_sketch(plan(), led(), Wiring(converter=converter), tmp_path)
+    command = "avr-gcc -mmcu=atmega328p -DF_CPU=16000000UL -Os -std=gnu++11 -Wall -Wextra -Werror -o heater.elf"
+    sources = ["heater.cpp", "hardware_avr.cpp", "hardware_arduino.cpp"]
+    subprocess.run([*command.split(), *sources], cwd=tmp_path / "tube_heater", check=True)
+    size = subprocess.run(
+        ["avr-size", "heater.elf"], cwd=tmp_path / "tube_heater", check=True, capture_output=True, text=True
+    ).stdout.splitlines()[1]
+    text, data, zero = (int(part) for part in size.split()[:3])
+    assert text + data < 30_000  # of 32,256 bytes of flash
+    assert data + zero < 1_400  # of 2,048 bytes of memory, the rest for the stack
+
+
+def test_boards_have_the_frequencies_that_their_timers_have() -> None:
+    assert pwm_frequency(Wiring(), thesis_rig()) == pytest.approx(30.64, abs=0.01)
+    assert pwm_frequency(Wiring(), thesis_rig(), 100.0) == pytest.approx(122.55, abs=0.01)
+    assert {board.name for board in BOARDS.values()} == {"uno", "nano", "esp32", "pico"}
+    losing = replace(thesis_rig(), circuit=replace(thesis_rig().circuit, pwm_frequency=31.0, lost_on_time=5e-3))
+    with pytest.raises(InputError, match="lost_on_time of the circuit is 5000 us; at 31 Hz it must be below 3264 us"):
+        pwm_frequency(Wiring(), losing)
+
+
+def test_parts_bear_the_currents() -> None:
+    parts = {part.name: part.rating for part in parts_list(plan(), Wiring())}
+    peak = plan().peak_current
+    assert int(parts["MOSFET"].split(", ")[1].split()[0]) >= peak
+    assert int(parts["fuse"].split()[0]) <= 6 * float(parts["cable"].split()[0])
+
+
+def simulated(limit: float = 558.0) -> SimulatedLine:
+    """A simulated rig with its law."""
+    rig = SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple())
+    return SimulatedLine(rig, led().law, limit)
+
+
+def test_a_run_is_logged_row_by_row(tmp_path: Path) -> None:
+    found = run_heating(simulated(), log=tmp_path / "run" / "log.csv")
+    assert found.done
+    low, high = plan().spec.window_degC
+    held = [row["temperature_degC"] for row in found.rows if row["state"] == "holding"]
+    assert low < min(held)
+    assert max(held) < high
+    log = (tmp_path / "run" / "log.csv").read_text().splitlines()
+    assert log[0] == "time_s,duty,temperature_degC,voltage_V,current_A"
+    assert len(log) == len(found.rows) + 1
+
+
+def test_a_run_that_is_interrupted_stops_the_rig(tmp_path: Path) -> None:
+    line = simulated()
+
+    def stop(hello: object, row: dict[str, float]) -> None:
+        if row["time_s"] > 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_heating(line, log=tmp_path / "log.csv", show=stop)
+    last = line.receive()
+    assert last is not None
+    assert last["reason"] == "stopped by command"
+    assert len((tmp_path / "log.csv").read_text().splitlines()) > 5
+
+
+def test_a_dry_run_heats_nothing() -> None:
+    line = simulated()
+    found = run_heating(line, dry=True)
+    assert line.hottest < 26
+    assert found.reason == "behind schedule"
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals")
+def test_a_board_on_a_port_is_run_as_a_simulated_one() -> None:
+    ours, theirs = os.openpty()
+    rig = simulated()
+
+    def board() -> None:
+        for _ in range(2):
+            asked = json.loads(port.readline())
+            rig.send(asked.pop("do"), **asked)
+            while (told := rig.receive()) is not None:
+                port.write((json.dumps(told) + "\n").encode())
+
+    tty.setraw(theirs)
+    with os.fdopen(ours, "rb+", buffering=0) as port:
+        thread = threading.Thread(target=board, daemon=True)
+        thread.start()
+        found = run_heating(SerialLine(os.ttyname(theirs)))
+        thread.join(5)
+    os.close(theirs)
+    assert found.done
+    with pytest.raises(InputError, match="--port is '/dev/no_such_port'; it must be a serial port"):
+        SerialLine("/dev/no_such_port")

@@ -1,0 +1,125 @@
+"""How an equilibrium of tubes made of pieces moves with its joints: what `Derivatives` tells of the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..transcription.collocated import ENDS
+from ..typing import Array
+from .general_derivatives import Change, Linearised, changes_of, columns_of
+from .result import Equilibrium
+from .solving import discretisation_of, polish
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """The centreline of P pieces: (P,) start and length, and positions and frames at the shape points, m."""
+
+    start: Array
+    length: Array
+    position: Array
+    frame: Array
+
+    @property
+    def n_pieces(self) -> int:
+        """Number of pieces P."""
+        return len(self.length)
+
+
+class GeneralMotion:
+    """Derivatives by the rotations and translations of the n tubes, Q = 2 n columns, as those of `Derivatives`."""
+
+    def __init__(self, equilibrium: Equilibrium, side: int = 1) -> None:
+        self.equilibrium, self.side = equilibrium, side
+        self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
+        s = equilibrium.arc_length
+        steps = len(ENDS) - 1
+        self.arm = Line(s[:-1:steps], np.diff(s[::steps]), equilibrium.position, equilibrium.frame)
+        self.cuts = s[::steps]
+
+    @cached_property
+    def _changes(self) -> list[tuple[Linearised, Change]]:
+        """What every joint changes, and of which equilibrium."""
+        return changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
+
+    @cached_property
+    def _columns(self) -> Array:
+        return columns_of(self._changes)
+
+    @property
+    def tip_position(self) -> Array:
+        """(3, Q) of the tip, m."""
+        return self._columns[:3]
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, Q) turn vector of the tip frame in the plate frame, rad."""
+        return self._columns[3:6]
+
+    @property
+    def margin(self) -> Array:
+        """(Q,) of the margin; NaN where it is a double eigenvalue."""
+        return np.asarray(self._columns[6 + self.here.n])
+
+    @property
+    def energy(self) -> Array:
+        """(Q,) of the elastic energy, J."""
+        return np.asarray(self._columns[7 + self.here.n])
+
+    @property
+    def pushed(self) -> Array:
+        """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
+        grown = [float(change.length.sum()) for _, change in self._changes]
+        return np.outer(self.arm.frame[-1][:, 2], grown)
+
+    def per_tube(self, columns: Array) -> Array:
+        """Every tube has a carriage of its own."""
+        return columns
+
+    @cached_property
+    def position(self) -> Array:
+        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        return np.stack([self._moved(at, change) for at, change in self._changes], axis=-1)
+
+    def _moved(self, at: Linearised, change: Change) -> Array:
+        """(m, 3) of the shape points with one joint."""
+        turn, length = at.answer(change).turn[0], change.length[0][:, None, None]
+        up_to = at.t.lagrange(ENDS, integrals=1)
+        turned, lever = (_cumulate(up_to, part) for part in (turn, np.cross(turn, at.position)))
+        stretch = _cumulate(up_to, at.frame[..., 2] * length)
+        ahead = _cumulate(np.asarray(ENDS)[:, None], length)
+        out = np.cross(turned, at.arm.position) - lever + stretch
+        out[:-1] -= at.arm.frame[:-1, :, 2] * ahead[:-1]
+        if at is self.here:
+            return np.asarray(out)
+        own = self.equilibrium.arc_length
+        found = np.column_stack([np.interp(own, at.arm.arc_length[:-1], column[:-1]) for column in out.T])
+        found[-1] = out[-1]
+        return found
+
+    @property
+    def total_bend(self) -> float:
+        """int |u|^2 ds along the arm, 1/m."""
+        here = self.here
+        return float(((here.length[:, None] * here.t.weights) * (here.u**2).sum(2)).sum())
+
+    @cached_property
+    def bend(self) -> Array:
+        """(Q,) of int |u|^2 ds, 1/m."""
+        out = []
+        for at, change in self._changes:
+            bent, weights = at.answer(change).bent[0], at.t.weights
+            grown = change.length[0][:, None] * (at.u**2).sum(2) + 2 * at.length[:, None] * (at.u * bent).sum(2)
+            out.append(float((weights * grown).sum()))
+        return np.array(out)
+
+
+def _cumulate(up_to: Array, values: Array) -> Array:
+    """(m, c) integrals from the plate to the shape points, of values (P, K, c) per piece at the points."""
+    inner = np.einsum("jk,pkc->pjc", up_to, np.broadcast_to(values, (len(values), up_to.shape[1], values.shape[2])))
+    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
+    table = before[:, None] + inner
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, table.shape[2])])

@@ -1,0 +1,78 @@
+"""The study of a heating that a sensor leads: the law, and the sketch of the board that runs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ..errors import choice
+from ..files.checked import NotNegative, Positive
+from ..files.fields import asking
+from ..shaping.feedback.feedback import Feedback, lead_by
+from ..shaping.feedback.sensors import SENSORS, Sensor
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, Wiring, pwm_frequency
+from ..shaping.heating.plan import HeatingPlan
+from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.spec import HeatingSpec
+from .base import Progress, Whole
+from .heating_study import HeatedTube
+
+
+@dataclass(frozen=True, eq=False)
+class LedHeating:
+    """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
+
+    plan: HeatingPlan
+    feedback: Feedback
+    wiring: Wiring
+    frequency: float
+
+
+@asking(HeatingSpec)
+class LedHeatingStudy(HeatedTube):
+    """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch of a board."""
+
+    doing = "planning the heating and its law"
+
+    kind: Literal["led_heating"]
+    sensor: str = Field("thermocouple", description=f"what is felt of the tube: {', '.join(SENSORS)}")
+    bias_K: NotNegative | None = Field(
+        None, description="half-width of the sensor's error that stays; by default what is usual for its kind"
+    )
+    board: str = Field("uno", description=f"what runs the sketch: {', '.join(BOARDS)}")
+    converter: str = Field("max31855", description=f"what reads the thermometer: {', '.join(CONVERTERS)}")
+    pwm_Hz: Positive | None = Field(
+        None, description="of the pulses, the nearest that the board has; by default its lowest, which loses least"
+    )
+    samples: Annotated[Whole, Field(ge=20)] = Field(200, description="uncertain rigs on which the law is tried")
+
+    @model_validator(mode="after")
+    def _buildable(self) -> Self:
+        self._sensor()
+        pwm_frequency(self._wiring(), self.set_up(), self._wanted())
+        return self
+
+    def _sensor(self) -> Sensor:
+        kind = SENSORS[choice("sensor", self.sensor, tuple(SENSORS))]
+        return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
+
+    def _wiring(self) -> Wiring:
+        return Wiring(board=self.board, converter=self.converter)
+
+    def _wanted(self) -> float | None:
+        return None if self.pwm_Hz is None else float(self.pwm_Hz)
+
+    def run(self, progress: Progress | None = None) -> LedHeating:
+        """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
+        tell = progress or (lambda done, total: None)
+        tell(0, 2)
+        rig, wiring = self.set_up(), self._wiring()
+        frequency = pwm_frequency(wiring, rig, self._wanted())
+        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+        plan = plan_heating(self.heated(), rig, self.spec())
+        tell(1, 2)
+        feedback = lead_by(plan, self._sensor(), samples=self.samples)
+        tell(2, 2)
+        return LedHeating(plan, feedback, wiring, frequency)

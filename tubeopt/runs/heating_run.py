@@ -1,0 +1,189 @@
+"""A heating on a rig, led by its board or simulated: start it, follow what it reports, log every row as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..errors import InputError, SolveError
+from ..files.checked import Positive, in_file
+from ..shaping.feedback.feedback import lead_by
+from ..shaping.feedback.sensors import Thermocouple
+from ..shaping.firmware.line import Line, SerialLine, SimulatedLine
+from ..shaping.firmware.simulated import SimulatedRig
+from ..shaping.firmware.sketch_files import OVERSHOOT
+from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.rig import Rig
+from ..shaping.heating.robust import ENSEMBLE
+from ..shaping.heating.spec import HeatingSpec
+from ..shaping.heating.thermal import thermal_model
+from .base import Progress, Study
+from .rig_file import LOG_COLUMNS, load_rig
+
+LOG_FILE = "log.csv"
+"""Name of the log in the directory of a run."""
+
+SILENCE = 5
+"""Seconds without a word from the rig after which it counts as lost."""
+
+
+@dataclass(frozen=True)
+class HeatingRun:
+    """A heating that was run.
+
+    rows: what the rig reported, slot by slot. reason: why it ended. log: where it was written. name: of the rig.
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    reason: str
+    log: Path | None = None
+    name: str = "rig"
+
+    @property
+    def done(self) -> bool:
+        """Whether the whole schedule was run through."""
+        return self.reason == "done"
+
+    @property
+    def hottest(self) -> float:
+        """Greatest reading, degC."""
+        return float(max((row["temperature_degC"] for row in self.rows), default=np.nan))
+
+    @property
+    def time(self) -> float:
+        """How long it took, s."""
+        return float(self.rows[-1]["time_s"]) if self.rows else 0.0
+
+
+class HeatingRunStudy(Study):
+    """A heating on a rig that a board leads, or on a simulated one."""
+
+    doing = "heating"
+
+    kind: Literal["heating_run"]
+    port: str | None = Field(
+        None, description="serial port of the board that runs the sketch, as /dev/ttyACM0 or COM3", examples=["PORT"]
+    )
+    simulate: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
+        None, description="a simulated rig with its law in place of a board", examples=["RIG.yaml"]
+    )
+    dry: bool = Field(False, description="everything but the current")
+    speed: Positive = Field(Decimal(20), description="of the simulated clock, times the real one")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.port is None) == (self.simulate is None):
+            raise ValueError("port or simulate is missing, or both are given; one of them must be")
+        if self.simulate is not None and self.simulate.tube is None:
+            raise ValueError("simulate: the rig file names no tube; it must name the one that is heated")
+        return self
+
+    def open(self) -> Line:
+        """The line to the board, or to the simulated rig; raises InputError where the port cannot be opened."""
+        if self.port is not None:
+            return SerialLine(self.port)
+        assert self.simulate is not None
+        return simulated_line(self.simulate, float(self.speed))
+
+    def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
+        """Run it, and log into `out`."""
+        tell = progress or (lambda done, total: None)
+        return run_heating(
+            self.open(),
+            dry=self.dry,
+            log=None if out is None else out / LOG_FILE,
+            show=lambda hello, row: tell(row["place"], int(hello.get("slots", 0))),
+        )
+
+    def run(self, progress: Progress | None = None) -> HeatingRun:
+        """Run it without a log."""
+        return self.run_in(None, progress)
+
+
+def simulated_line(rig: Rig, speed: float = 20.0) -> Line:
+    """A line to a simulated rig, planned and led on the spot by a thermocouple; its file must name the tube."""
+    assert rig.tube is not None
+    plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
+    sensor = Thermocouple()
+    law = lead_by(plan, sensor, samples=20).law
+    simulated = SimulatedRig(thermal_model(rig.tube, rig, ENSEMBLE), sensor)
+    return SimulatedLine(simulated, law, plan.spec.limit + OVERSHOOT, speed)
+
+
+def run_heating(
+    line: Line,
+    *,
+    dry: bool = False,
+    log: Path | None = None,
+    show: Callable[[dict[str, Any], dict[str, Any]], object] | None = None,
+) -> HeatingRun:
+    """Start a rig and follow it to its end; where this is interrupted, the rig is stopped first.
+
+    Args:
+        line: to it. dry: everything but the current. log: CSV, written row by row. show: gets what the rig said of
+            itself and every report.
+
+    Raises:
+        SolveError: the rig does not answer.
+        InputError: the rig refuses to start, and why.
+    """
+    rows: list[dict[str, Any]] = []
+    if log is not None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.write_text(",".join(LOG_COLUMNS) + "\n", encoding="utf-8")
+    try:
+        line.send("hello")
+        hello = _next(line, "hello")
+        line.send("start", **({"dry": True} if dry else {}))
+        while True:
+            found = _next(line, "status", "error")
+            if found["event"] == "error":
+                raise InputError(f"the rig does not start: {found.get('text', '')}")
+            if found["state"] == "idle":
+                continue
+            rows.append(found)
+            if log is not None:
+                _append(log, found)
+            if show is not None:
+                show(hello, found)
+            if found["state"] == "stopped":
+                return HeatingRun(tuple(rows), str(found["reason"]), log)
+    except BaseException:
+        # Whatever happens here, nothing stays hot there.
+        line.send("stop")
+        raise
+    finally:
+        line.close()
+
+
+def _next(line: Line, *events: str) -> dict[str, Any]:
+    """The next report of one of these kinds."""
+    silent = 0
+    while silent < SILENCE:
+        found = line.receive()
+        silent = silent + 1 if found is None else 0
+        if found and found.get("event") in events:
+            return found
+    raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it where its board hangs")
+
+
+def _append(log: Path, row: dict[str, Any]) -> None:
+    """Write one row, and let it reach the disk."""
+    volt, ampere = row["voltage_V"], row["current_A"]
+    on = row["count"] > 0
+    cells = (
+        f"{row['time_s']:g}",
+        "0" if row["dry"] else str(row["count"]),
+        f"{row['temperature_degC']:g}",
+        # Both are those while the switch conducts.
+        "" if volt is None or not on else f"{volt:g}",
+        "" if ampere is None or not on else f"{ampere:g}",
+    )
+    with log.open("a", encoding="utf-8") as file:
+        file.write(",".join(cells) + "\n")

@@ -1,0 +1,93 @@
+"""Studies of loads: how much a robot bears, and which forces act on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..errors import InputError
+from ..files.checked import Positive
+from ..files.units import MM, to_si
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..stability import LoadLimit, find_load_limit, follow
+from ..typing import Array
+from ..validation import ForceRecord, estimate_forces
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
+from .load_file import LoadedStudy
+from .validation_study import MeasurementsPath
+
+
+@dataclass(frozen=True, eq=False)
+class Bearing:
+    """How much of a load a robot bears at given joint values; limit None: all that was looked at, `up_to` times it."""
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    load: Load
+    limit: LoadLimit | None
+    up_to: float
+
+
+class LoadLimitStudy(LoadedStudy):
+    """How many times a load can be put on a robot before its equilibrium is lost."""
+
+    doing = "putting the load on"
+
+    kind: Literal["load_limit"]
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = TURNED
+    translations_mm: OnePerTube | None = SHIFTED
+    from_deg: OnePerTube | None = Field(
+        None, description="rotations from which the robot is turned there, unloaded; by default it starts there"
+    )
+    up_to: Positive = Field(Decimal(10), description="most times the load that is looked at")
+
+    @model_validator(mode="after")
+    def _pushed(self) -> Self:
+        if self.pushing() is None:
+            raise ValueError("no load is given; give tip_force_mN, gravity_m_per_s2 or load")
+        return self
+
+    def run(self, progress: Progress | None = None) -> Bearing:
+        """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
+        if progress is not None:
+            progress(0, 0)
+        rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
+        translations = metres(self.translations_mm, self.robot.home_translations)
+        load, up_to = self.pushing(), float(self.up_to)
+        assert load is not None
+        start = None
+        if self.from_deg is not None:
+            way = [radians(self.from_deg, rotations), rotations]
+            start = follow(self.robot, way, [translations, translations]).equilibria[-1]
+        found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)
+        return Bearing(self.robot, rotations, translations, load, found, up_to)
+
+
+class ForceStudy(LoadedStudy):
+    """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
+
+    doing = "estimating forces"
+
+    kind: Literal["force"]
+    robot: RobotPath
+    measurements: MeasurementsPath
+    noise_mm: Positive = Field(Decimal(1), description="noise of a measured coordinate (standard deviation)")
+
+    def run(self, progress: Progress | None = None) -> ForceRecord:
+        """The forces, rows that cannot be told marked; in the frame of the plate, as the measurements must be.
+
+        Raises:
+            InputError: a load that is known has a moment or turns with the tip.
+        """
+        known = self.pushing()
+        if known is not None and not known.has_energy:
+            raise InputError("the known load has a moment or turns with the tip; it must keep its direction")
+        noise = to_si(self.noise_mm, MM)
+        return estimate_forces(self.robot, self.measurements, noise=noise, known=known, progress=progress)

@@ -1,0 +1,228 @@
+"""A heating that a sensor leads: gains and set-point from the model, and how likely uncertain rigs keep the window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from ...errors import InputError, instance
+from ...typing import Array
+from ..heating.rig import COUNTS
+from ..heating.robust import ENSEMBLE, assess
+from ..heating.thermal import FINE, thermal_model
+from ..heating.uncertainty import Uncertainty
+from .gains import readings, regulator, response
+from .law import HeatingLaw, shifted
+from .loop import Fleet, LoopHistory, run_loop
+from .sensors import Sensor
+
+if TYPE_CHECKING:
+    from ..heating.plan import HeatingPlan
+
+SHARES = (0.002, 0.005, 0.01, 0.02, 0.04)
+"""Shares per K that the regulator is tried with, from gentle to quick."""
+
+SHIFTS = np.linspace(-15.0, 15.0, 121)
+"""Set-points that are looked at, K from the plan's."""
+
+TUNING = 48
+"""Rigs on which gains and set-point are chosen; others tell how well they do."""
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """How much one thing that is not known moves the temperature of the hold: its name, and a standard deviation, K."""
+
+    name: str
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """A heating in a closed loop, and what becomes of it on rigs that are not quite the one that it was planned for.
+
+    Attributes:
+        sensor, law: what reads, and what answers.
+        uncertainty: of the rigs. history: of the rig itself (first) and of S others.
+        lowest, highest: (S,) of the curved part in the hold, degC; top: (S,) of any point ever, degC.
+        kept: (S,) whether the window was kept through a whole hold, and the limit always.
+        open_loop: share of rigs that keep it with the schedule alone.
+        contributions: of what is not known, largest first; "sensor" is its bias.
+        window: degC. limit: degC.
+    """
+
+    sensor: Sensor
+    law: HeatingLaw
+    uncertainty: Uncertainty
+    history: LoopHistory
+    lowest: Array
+    highest: Array
+    top: Array
+    kept: Array
+    open_loop: float
+    contributions: tuple[Contribution, ...]
+    window: tuple[float, float]
+    limit: float
+
+    @property
+    def samples(self) -> int:
+        """S."""
+        return len(self.kept)
+
+    @property
+    def probability(self) -> float:
+        """Share of the rigs that keep the window."""
+        return float(self.kept.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the probability, 95 % (Wilson's)."""
+        return wilson(int(self.kept.sum()), self.samples)
+
+    @property
+    def too_cold(self) -> float:
+        """Share that falls below the window, or never holds it."""
+        return float((self.lowest < self.window[0]).mean())
+
+    @property
+    def too_hot(self) -> float:
+        """Share that rises above the window's end in the hold, or above the limit at any time."""
+        return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
+
+
+def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Interval of a probability (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927))."""
+    found = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return float(found.low), float(found.high)
+
+
+def lead_by(
+    plan: HeatingPlan,
+    sensor: Sensor,
+    uncertainty: Uncertainty | None = None,
+    *,
+    samples: int = 200,
+    seed: int = 0,
+) -> Feedback:
+    """The law that leads a plan by a sensor: its schedule as feedforward, gains and set-point that keep the window most
+    likely, and that likelihood on rigs that were not used to choose them.
+
+    Args:
+        plan: what is to be led; one with objective "margin" leaves the law most room.
+        uncertainty: of rig and tube; by default `Uncertainty.of_a_workshop()`.
+        samples: rigs for the likelihood, at least 20.
+
+    Raises:
+        InputError: no sensor, fewer than 20 samples, or a sensor that is not on the tube.
+    """
+    instance("sensor", sensor, Sensor)
+    if samples < 20:
+        raise InputError(f"samples is {samples}; it must be at least 20")
+    unknown = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
+    law = _tuned(plan, sensor, unknown, seed)
+    fleet, draws = fleet_of(plan, sensor, unknown, samples, seed + 1)
+    history = corrected(plan, law, sensor, run_loop(fleet, law, sensor, seed=seed))
+    lowest, highest = (row[1:] for row in history.extremes(law))
+    top = history.top.max(0)[1:]
+    low, high = plan.spec.window_degC
+    finished = np.asarray(history.finished[1:], dtype=bool)
+    kept = finished & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
+    names = (*unknown.unknown, "sensor")
+    return Feedback(
+        sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
+        kept=np.asarray(kept), open_loop=assess(plan, unknown, samples=samples).probability,
+        contributions=_contributions(names, np.column_stack([draws, fleet.bias[1:]]), lowest, highest),
+        window=plan.spec.window_degC, limit=plan.spec.limit,
+    )  # fmt: skip
+
+
+def fleet_of(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, samples: int, seed: int) -> tuple[Fleet, Array]:
+    """The rig of a plan and `samples` others, with the biases of their sensors; and the draws of the rigs."""
+    model, draws = unknown.models(plan.tube, plan.rig, samples, ENSEMBLE, seed)
+    bias = sensor.bias * np.random.default_rng(seed).uniform(-1, 1, samples)
+    return Fleet(model, np.concatenate([[0.0], bias])), draws
+
+
+def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
+    """The plan's schedule and what the sensor should read of it, not yet corrected."""
+    slot, first = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
+    last = first + plan.spec.hold_slots
+    model = thermal_model(plan.tube, plan.rig, FINE)
+    lost = COUNTS * plan.rig.circuit.lost_share
+    commanded = plan.ideal_duty[:last]
+    return HeatingLaw(
+        slot=slot,
+        planned=np.maximum(commanded - lost, 0.0),
+        reference=readings(model, sensor, slot, commanded / COUNTS)[:last, 0],
+        hold=(first, last),
+        proportional=0.0,
+        integral=0.0,
+        lost=lost,
+    )
+
+
+def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -> HeatingLaw:
+    """The law with the gains and the set-point that keep most of a fleet in the window, and that by most."""
+    law = nominal_law(plan, sensor)
+    nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
+    found = response(nominal, sensor, law.slot, plan.ideal_duty[: law.hold[1]] / COUNTS, law.hold)
+    fleet, _ = fleet_of(plan, sensor, unknown, TUNING, seed)
+    best: tuple[float, HeatingLaw] | None = None
+    for share in SHARES:
+        proportional, integral = regulator(found, law.slot, share)
+        trial = replace(law, proportional=proportional, integral=integral)
+        history = corrected(plan, trial, sensor, run_loop(fleet, trial, sensor, seed=seed))
+        low, high = history.extremes(trial)
+        value, shift = _best_shift(plan, low, high, history.top.max(0))
+        if best is None or value > best[0]:
+            best = value, shifted(trial, shift)
+    assert best is not None
+    return best[1]
+
+
+def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple[float, float]:
+    """Of the set-points: share of rigs in the window, where temperatures move with it, plus a little of the least
+    distance from its ends; and the set-point, K."""
+    begin, end = plan.spec.window_degC
+    below = low[:, None] + SHIFTS - begin
+    above = np.minimum(end - high, plan.spec.limit - top)[:, None] - SHIFTS
+    room = np.clip(np.minimum(below, above), -50.0, 50.0)
+    # As many as possible; among equals those whose worst twentieth has most room.
+    value = (room >= 0).mean(0) + 1e-3 * np.quantile(room, 0.05, axis=0)
+    best = int(np.argmax(value))
+    return float(value[best]), float(SHIFTS[best])
+
+
+def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopHistory) -> LoopHistory:
+    """Temperatures of a fleet with what the fine grid adds to the first member, at every slot of the schedule."""
+    alone = Fleet(thermal_model(plan.tube, plan.rig, FINE), np.zeros(1))
+    fine = run_loop(alone, law, replace(sensor, noise=0.0), seed=0, steps=3)
+    coarse = run_loop(
+        Fleet(thermal_model(plan.tube, plan.rig, ENSEMBLE), np.zeros(1)), law, replace(sensor, noise=0.0), seed=0
+    )
+
+    def added(name: str) -> Array:
+        slots = range(len(law.planned) + 1)
+        one, other = (np.interp(slots, h.place[:, 0], getattr(h, name)[:, 0]) for h in (fine, coarse))
+        return np.asarray((one - other)[np.minimum(history.place, len(law.planned))])
+
+    return replace(history, **{name: getattr(history, name) + added(name) for name in ("coldest", "hottest", "top")})
+
+
+def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: Array) -> tuple[Contribution, ...]:
+    """Standard deviations of the middle of the hold's temperatures by each of the draws, from a linear fit."""
+    middle = 0.5 * (lowest + highest)
+    good = np.isfinite(middle)
+    if good.sum() <= draws.shape[1] + 2:
+        return ()
+    spread = draws[good].std(0)
+    columns = np.column_stack([np.ones(int(good.sum())), draws[good]])
+    slope = np.linalg.lstsq(columns, middle[good], rcond=None)[0][1:]
+    found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
+    return tuple(sorted(found, key=lambda item: -item.deviation))

@@ -1,0 +1,156 @@
+"""What a rig can feel of the tube while it is heated: a thermocouple, the tube's own resistance, a thermal camera.
+
+A sensor reads a temperature. What it reads lags behind, is off by a bias that stays, is noisy, and comes in steps; the
+reading that a sensor without these would give is its `target`, a function of the state of the thermal model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from ...errors import InputError
+from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
+from ...physics.heat import PROPERTIES
+from ...robots.materials import ZERO_CELSIUS
+from ...typing import Array
+from ..heating.rates import State, current
+from ..heating.thermal import ThermalModel
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What all sensors have in common.
+
+    Raises:
+        InputError: a value is out of its range, or the range that it reads is empty.
+    """
+
+    name: ClassVar[str] = "sensor"
+    """What it is called in files and words."""
+
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.0
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 0.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.0
+    lowest: Annotated[float, key("lowest_degC"), "least that it reads; below it counts as broken"] = -50.0
+    highest: Annotated[float, key("highest_degC"), "most that it reads; above it counts as broken"] = 1000.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"the {self.name}")
+        if not self.lowest < self.highest:
+            raise InputError(
+                f"lowest of the {self.name} is {self.lowest:g} degC; it must be below its highest, {self.highest:g}"
+            )
+
+    def target(self, model: ThermalModel, state: State) -> Array:
+        """(B,) degC that it would read at once and without error."""
+        raise NotImplementedError
+
+    def followed(self, before: Array, target: Array, now: Array, span: float) -> Array:
+        """The lagged reading `span` seconds after it was `before`, while the target went in a line to `now`."""
+        if self.lag == 0.0:
+            return now
+        slope, kept = (now - target) / span, np.exp(-span / self.lag)
+        return np.asarray(now - self.lag * slope + (before - target + self.lag * slope) * kept)
+
+    def told(self, value: Array) -> Array:
+        """A reading in the steps that the sensor has."""
+        return np.asarray(np.round(value / self.quantum) * self.quantum) if self.quantum else value
+
+
+def _at(model: ThermalModel, tube: Array, places: tuple[float, ...]) -> Array:
+    """(B,) mean temperature, degC, of the tube (B, n), K, at distances from the middle of the curved part, m."""
+    wanted = model.half_length - np.abs(np.array(places))
+    grid = np.append(model.position, model.half_length)
+    index = np.clip(np.searchsorted(grid, wanted), 1, len(grid) - 1)
+    part = (wanted - grid[index - 1]) / (grid[index] - grid[index - 1])
+    whole = np.concatenate([tube, tube[:, -1:]], axis=1)
+    return np.asarray(((1 - part) * whole[:, index - 1] + part * whole[:, index]).mean(1)) - ZERO_CELSIUS
+
+
+@dataclass(frozen=True)
+class Thermocouple(Sensor):
+    """A thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
+
+    The lag is that of a bare bead of this size on metal, the bias half of the standard limits of error of type K at 525
+    degC (ASTM E230: 0.75 %, 4 K) once the converter is checked at boiling water; noise and steps are those of the
+    converter's data sheet.
+    """
+
+    name: ClassVar[str] = "thermocouple"
+
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.3
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 2.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.25
+    position: Annotated[float, unit("mm"), "where it touches the tube, from the middle of the curved part"] = 0.0
+
+    def target(self, model: ThermalModel, state: State) -> Array:
+        """(B,) temperature where it touches."""
+        if abs(self.position) >= model.half_length - model.position[0]:
+            raise InputError(
+                f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie "
+                "on the tube"
+            )
+        return _at(model, state.cells[:, :, 0], (self.position,))
+
+
+@dataclass(frozen=True)
+class Camera(Sensor):
+    """A thermal camera, or a line of one, that sees the tube through vents of the lid.
+
+    Its bias is that of an emissivity known to 0.02 of 0.5 at 525 degC and 10 um (dT / T = d(eps) / eps * lambda T / c2
+    gives 18 K; half of it where a painted spot was compared with a thermocouple).
+    """
+
+    name: ClassVar[str] = "camera"
+
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.1
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 1.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 9.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.1
+    positions: Annotated[
+        tuple[float, ...], unit("mm"), "places whose mean is read, from the middle of the curved part"
+    ] = (-20e-3, 0.0, 20e-3)
+
+    def target(self, model: ThermalModel, state: State) -> Array:
+        """(B,) mean temperature of the places that it sees."""
+        if not self.positions or max(abs(place) for place in self.positions) >= model.half_length:
+            raise InputError("positions of the camera must be places on the tube, at least one")
+        return _at(model, state.cells[:, :, 0], self.positions)
+
+
+@dataclass(frozen=True)
+class TubeResistance(Sensor):
+    """The tube as its own thermometer: voltage over current while the switch conducts, as a ratio to the cold tube.
+
+    Reads the mean temperature between the clamps that explains the ratio with the resistivity's nominal slope. The
+    contacts are measured with the tube, so that what they add stands in the reading; a slope that is not as assumed
+    too, and both are part of the uncertain rig, not of the sensor's own bias.
+    """
+
+    name: ClassVar[str] = "resistance"
+
+    noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 3.0
+    slope: Annotated[float, unit("per_K"), POSITIVE, "of the resistivity that it reckons with, at 25 degC"] = 5e-4
+
+    def target(self, model: ThermalModel, state: State) -> Array:
+        """(B,) temperature that the ratio of resistances stands for."""
+
+        def measured(cells: Array) -> Array:
+            now = current(model, cells, state.lumped)
+            contact = model.properties[:, PROPERTIES.index("contact")]
+            return 2 * now.resistance + contact
+
+        cold = np.broadcast_to(model.surroundings[:, None], state.cells[:, :, 0].shape)
+        ratio = measured(state.cells[:, :, 0]) / measured(np.ascontiguousarray(cold))
+        start = model.surroundings - ZERO_CELSIUS
+        # Relative to the resistance at the temperature at which the rig was switched on.
+        return np.asarray(start + (ratio - 1) * (1 / self.slope + start - 25.0))
+
+
+SENSORS: dict[str, type[Sensor]] = {kind.name: kind for kind in (Thermocouple, TubeResistance, Camera)}
+"""Sensors by their names."""

@@ -1,0 +1,95 @@
+"""Boards that can run the firmware, and how they measure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from ...errors import InputError, choice
+from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
+from ..heating.rig import Rig
+
+CONVERTERS = ("max31855", "max6675", "analog")
+"""Converter of a thermocouple, or an analog line such as a camera's."""
+
+CONVERSION_MS = {"max31855": 125, "max6675": 250, "analog": 20}
+"""Least time between two readings, ms: data sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board: how its core is called, its PWM frequencies (Hz), the steps and the reference (V) of its converter, and
+    what its pins are called: gate, stop button, chip select, voltage, current, analog temperature."""
+
+    name: str
+    title: str
+    frequencies: tuple[float, ...]
+    steps: int
+    reference: float
+    pins: dict[str, str]
+
+
+AVR_PINS = {"gate": "9", "stop": "2", "select": "10", "voltage": "A0", "current": "A1", "temperature": "A2"}
+ATMEGA = (16e6 / 1024 / 510, 16e6 / 256 / 510)
+"""Of timer 1, phase-correct in 8 bits; a third, 490 Hz, loses more of every pulse to the loop's inductance."""
+
+BOARDS = {
+    "uno": Board("uno", "Arduino Uno", ATMEGA, 1024, 5.0, AVR_PINS),
+    "nano": Board("nano", "Arduino Nano", ATMEGA, 1024, 5.0, AVR_PINS),
+    "esp32": Board(
+        "esp32", "ESP32", (31.0, 122.0), 4096, 3.3,
+        {"gate": "25", "stop": "27", "select": "5", "voltage": "34", "current": "35", "temperature": "32"},
+    ),
+    "pico": Board(
+        "pico", "Raspberry Pi Pico", (122.0,), 1024, 3.3,
+        {"gate": "15", "stop": "14", "select": "17", "voltage": "26", "current": "27", "temperature": "28"},
+    ),
+}  # fmt: skip
+"""By their names. The Pico's core has no PWM below 100 Hz."""
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How a board is connected.
+
+    Raises:
+        InputError: a value is out of its range, or no board of this name.
+    """
+
+    board: Annotated[str, OneOf(tuple(BOARDS)), "which board"] = "uno"
+    converter: Annotated[str, OneOf(CONVERTERS), "what reads the thermometer"] = "max31855"
+    measures_electrics: Annotated[bool, "whether battery voltage and current are wired to it"] = True
+    divider: Annotated[float, POSITIVE, "battery voltage per volt at the pin"] = 4.0
+    shunt_V_per_A: Annotated[float, POSITIVE, "volt at the pin per ampere: of a Hall sensor"] = 0.01
+    current_zero: Annotated[float, unit("V"), "at the pin without current"] = 0.5
+    analog_low: Annotated[float, key("analog_low_degC"), "temperature at 0 V of an analog line"] = 0.0
+    analog_per_volt: Annotated[float, key("analog_per_volt_K"), POSITIVE, "rise of an analog line per volt"] = 200.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the wiring")
+        choice("board", self.board, tuple(BOARDS))
+        choice("converter", self.converter, CONVERTERS)
+
+    @property
+    def known(self) -> Board:
+        """The board."""
+        return BOARDS[self.board]
+
+
+def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:
+    """The frequency (Hz) of the board that is nearest to `wanted`; by default the lowest, which loses least of a pulse.
+
+    Raises:
+        InputError: pulses of the rig lose a tenth of a period or more even so.
+    """
+    board = wiring.known
+    found = board.frequencies[0]
+    if wanted is not None:
+        found = min(board.frequencies, key=lambda f: abs(math.log(f / wanted)))
+    if rig.circuit.lost_on_time * found >= 0.1:
+        raise InputError(
+            f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {found:.0f} Hz it must be below "
+            f"{1e5 / found:.0f} us, a tenth of a period"
+        )
+    return found

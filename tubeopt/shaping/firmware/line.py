@@ -1,0 +1,159 @@
+"""What a computer says to a rig and hears from it: one JSON object a line, over a port or from a simulation."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...errors import InputError
+from ...robots.materials import ZERO_CELSIUS
+from ..feedback.law import HeatingLaw, begin, decide
+from .simulated import SimulatedRig
+
+BAUD = 115200
+
+
+class Line(Protocol):
+    """A line to a rig."""
+
+    def send(self, do: str, **more: Any) -> None:
+        """Send a command."""
+
+    def receive(self) -> dict[str, Any] | None:
+        """The next report, or None where none came within a second."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class SerialLine:
+    """The serial port of a board that runs the sketch.
+
+    Raises:
+        InputError: pyserial is not installed, or there is no such port, or it cannot be opened.
+    """
+
+    def __init__(self, port: str) -> None:
+        try:
+            import serial
+        except ImportError:
+            raise InputError("a rig on a port needs pyserial: python -m pip install 'tubeopt[rig]'") from None
+        try:
+            self._port = serial.Serial(port, BAUD, timeout=1.0)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise InputError(f"--port is {port!r}; it must be a serial port that can be opened: {error}") from None
+        self._rest = b""
+
+    def send(self, do: str, **more: Any) -> None:
+        """Send a command."""
+        self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
+
+    def receive(self) -> dict[str, Any] | None:
+        """The next report, or None where none came within a second; what is no report is passed over."""
+        self._rest += self._port.readline()
+        if not self._rest.endswith(b"\n"):
+            return None
+        text, self._rest = self._rest, b""
+        try:
+            found = json.loads(text)
+        except ValueError:
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._port.close()
+
+
+class SimulatedLine:
+    """A simulated rig that a law leads, in place of a board.
+
+    speed: of its clock, in seconds of the rig per second; infinite for as fast as can be.
+    """
+
+    def __init__(self, rig: SimulatedRig, law: HeatingLaw, limit: float, speed: float = float("inf")) -> None:
+        self._rig, self._law, self._limit, self._speed = rig, law, limit, speed
+        self._memory = begin(1)
+        self._count, self._running, self._dry, self._reason, self._state = 0, False, False, "", "idle"
+        self._heard: deque[dict[str, Any]] = deque()
+        self._hello()
+
+    def _hello(self) -> None:
+        slot = round(1000 * self._law.slot)
+        self._heard.append(
+            {
+                "event": "hello",
+                "firmware": "simulated",
+                "schedule": "",
+                "slots": len(self._law.planned),
+                "slot_ms": slot,
+            }
+        )
+
+    def send(self, do: str, **more: Any) -> None:
+        """Send a command."""
+        if do == "start" and not self._running:
+            self._running, self._dry, self._memory = True, bool(more.get("dry")), begin(1)
+        elif do == "stop" and self._running:
+            self._end("stopped by command")
+        elif do == "hello":
+            self._hello()
+        else:
+            self._heard.append(self._status())
+
+    def receive(self) -> dict[str, Any] | None:
+        """The next report; a slot of the rig goes by where none waits."""
+        if self._heard:
+            return self._heard.popleft()
+        if not self._running:
+            return None
+        law, place = self._law, int(self._memory.place[0])
+        reading = self._rig.reading
+        if reading > self._limit:
+            self._end("over-temperature")
+        elif place >= len(law.planned):
+            self._end("done")
+        elif self._memory.waited[0] > law.patience:
+            self._end("behind schedule")
+        else:
+            count, self._memory = decide(law, self._memory, np.array([reading]))
+            self._count = int(count[0])
+            self._state = "holding" if place >= law.hold[0] else "heating"
+            self._heard.append(self._status(reading))
+            self._rig.pass_time(0 if self._dry else self._count, law.slot, 3)
+            if np.isfinite(self._speed):
+                time.sleep(law.slot / self._speed)
+        return self._heard.popleft()
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    @property
+    def hottest(self) -> float:
+        """Hottest point of the simulated tube, degC."""
+        return self._rig.hottest - ZERO_CELSIUS
+
+    def _end(self, reason: str) -> None:
+        self._running, self._count, self._reason, self._state = False, 0, reason, "stopped"
+        self._heard.append(self._status())
+
+    def _status(self, reading: float | None = None) -> dict[str, Any]:
+        volt, ampere = self._rig.electrics(self._count > 0 and not self._dry)
+        place = int(self._memory.place[0])
+        return {
+            "event": "status",
+            "state": self._state,
+            "time_s": round(self._rig.time, 3),
+            "temperature_degC": self._rig.reading if reading is None else reading,
+            "reference_degC": float(self._law.reference[min(place, len(self._law.reference) - 1)]),
+            "count": self._count,
+            "place": place,
+            "voltage_V": round(volt, 3),
+            "current_A": round(ampere, 2),
+            "reason": self._reason,
+            "dry": self._dry,
+        }

@@ -1,0 +1,229 @@
+// Arduino Uno and Nano (ATmega328P, 16 MHz), by registers alone: it compiles in the Arduino IDE and with avr-gcc.
+//   pin 9  (OC1A)  gate driver of the MOSFET; PWM by timer 1, phase-correct, 8 bits: a count is 1/255 of a period
+//   pin 10 (SS)    chip select of the thermocouple's converter; 12 (MISO) its data, 13 (SCK) its clock
+//   pin 2          stop button to ground, normally closed: pressed or cut, it reads high
+//   A0, A1, A2     battery voltage, current, analog temperature
+#if defined(__AVR_ATmega328P__)
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/wdt.h>
+
+#include "board.h"
+#include "hardware.h"
+
+namespace {
+
+volatile uint32_t milliseconds = 0;
+bool by_watchdog = false;
+
+// Timer 1 counts up and down; a pulse is centred where it is 0, and far from it where it is at the top.
+volatile uint16_t raw_volt = 0, raw_on = 0, raw_off = 0;
+enum Sample : uint8_t { NOTHING, VOLT, ON, OFF };
+volatile Sample sampling = NOTHING;
+
+constexpr uint8_t PRESCALER = PWM_PRESCALER == 1024 ? _BV(CS12) | _BV(CS10)
+                              : PWM_PRESCALER == 256 ? _BV(CS12)
+                                                     : _BV(CS11) | _BV(CS10);
+
+void convert(uint8_t channel) {
+  ADMUX = _BV(REFS0) | channel;
+  ADCSRA |= _BV(ADSC);
+}
+
+#if SENSOR != SENSOR_ANALOG
+uint16_t spi_word(uint8_t bytes, uint16_t *low) {
+  uint16_t high = 0;
+  PORTB &= ~_BV(PB2);
+  for (uint8_t k = 0; k < bytes; ++k) {
+    SPDR = 0;
+    while (!(SPSR & _BV(SPIF))) {
+    }
+    if (k < 2) high = (high << 8) | SPDR;
+    else *low = (*low << 8) | SPDR;
+  }
+  PORTB |= _BV(PB2);
+  return high;
+}
+#endif
+
+} // namespace
+
+// Bytes arrive while a report is sent, which takes some 15 ms.
+volatile uint8_t arrived[64];
+volatile uint8_t read_from = 0, read_to = 0;
+
+ISR(USART_RX_vect) {
+  const uint8_t byte = UDR0, next = (read_to + 1) % sizeof arrived;
+  if (next != read_from) {
+    arrived[read_to] = byte;
+    read_to = next;
+  }
+}
+
+ISR(TIMER2_COMPA_vect) { ++milliseconds; }
+
+ISR(TIMER1_OVF_vect) {
+  if (sampling == NOTHING) {
+    sampling = VOLT;
+    convert(0);
+  }
+}
+
+ISR(TIMER1_COMPB_vect) {
+  if (sampling == NOTHING) {
+    sampling = OFF;
+    convert(1);
+  }
+}
+
+ISR(ADC_vect) {
+  const uint16_t value = ADC;
+  if (sampling == VOLT) {
+    raw_volt = value;
+    sampling = ON;
+    convert(1);
+    return;
+  }
+  if (sampling == ON) raw_on = value;
+  else raw_off = value;
+  sampling = NOTHING;
+}
+
+void hardware_begin() {
+  by_watchdog = MCUSR & _BV(WDRF);
+  MCUSR = 0;
+  wdt_enable(WDTO_500MS);
+  cli();
+  PORTB &= ~_BV(PB1);
+  DDRB |= _BV(PB1) | _BV(PB2) | _BV(PB5); // gate, chip select, clock
+  PORTB |= _BV(PB2);
+  PORTD |= _BV(PD2); // pull-up of the stop button
+  // Timer 1: phase-correct, 8 bits; samples at the bottom (in the pulse) and near the top (between pulses).
+  TCCR1A = _BV(WGM10);
+  TCCR1B = PRESCALER;
+  OCR1A = 0;
+  OCR1B = 254;
+  TIMSK1 = _BV(TOIE1) | _BV(OCIE1B);
+  // Timer 2: a millisecond.
+  TCCR2A = _BV(WGM21);
+  TCCR2B = _BV(CS22);
+  OCR2A = 249;
+  TIMSK2 = _BV(OCIE2A);
+  ADCSRA = _BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
+  SPCR = _BV(SPE) | _BV(MSTR) | _BV(SPR0) | (SENSOR == SENSOR_MAX6675 ? _BV(CPHA) : 0);
+  UCSR0A = _BV(U2X0);
+  UBRR0 = 16; // 115200 baud
+  UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+  UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+  sei();
+}
+
+uint32_t hardware_milliseconds() {
+  const uint8_t status = SREG;
+  cli();
+  const uint32_t now = milliseconds;
+  SREG = status;
+  return now;
+}
+
+void hardware_switch(uint8_t count) {
+  if (count == 0) {
+    // The pin is taken from the timer: off at once, not at the end of the period.
+    TCCR1A &= ~_BV(COM1A1);
+    PORTB &= ~_BV(PB1);
+  } else TCCR1A |= _BV(COM1A1);
+  OCR1A = count;
+}
+
+namespace {
+
+bool read_temperature(float *celsius) {
+#if SENSOR == SENSOR_MAX31855
+  uint16_t low = 0;
+  const uint16_t high = spi_word(4, &low);
+  *celsius = (int16_t)high / 4 * 0.25f;
+  // Bits of the faults, and what a cut wire reads.
+  return !(high & 1) && !(low & 7) && high != 0xffff && (high || low);
+#elif SENSOR == SENSOR_MAX6675
+  const uint16_t high = spi_word(2, nullptr);
+  *celsius = (high >> 3) * 0.25f;
+  return !(high & 4) && high != 0xffff;
+#else
+  // The converter is shared with the pulses' samples: wait for its turn, some 0.2 ms.
+  for (;;) {
+    cli();
+    if (sampling == NOTHING) break;
+    sei();
+  }
+  ADCSRA &= ~_BV(ADIE);
+  convert(2);
+  while (ADCSRA & _BV(ADSC)) {
+  }
+  const uint16_t value = ADC;
+  ADCSRA |= _BV(ADIF);
+  ADCSRA |= _BV(ADIE);
+  sei();
+  *celsius = ANALOG_ZERO + ANALOG_PER_STEP * value;
+  return value > 2 && value < 1021;
+#endif
+}
+
+} // namespace
+
+bool hardware_temperature(float *celsius) {
+  // A converter that is asked before it is ready begins anew, and never tells anything else.
+  static float last = 0;
+  static bool well = false;
+  static uint32_t next = 0;
+  const uint32_t now = hardware_milliseconds();
+  if ((int32_t)(now - next) >= 0) {
+    well = read_temperature(&last);
+    next = now + SENSOR_MS;
+  }
+  *celsius = last;
+  return well;
+}
+
+bool hardware_electrics(float *volt, float *ampere_on, float *ampere_off) {
+  const uint8_t status = SREG;
+  cli();
+  const uint16_t v = raw_volt, on = raw_on, off = raw_off;
+  SREG = status;
+  *volt = v * VOLT_PER_STEP;
+  *ampere_on = ((int16_t)on - AMPERE_ZERO) * AMPERE_PER_STEP;
+  *ampere_off = ((int16_t)off - AMPERE_ZERO) * AMPERE_PER_STEP;
+  return MEASURES_ELECTRICS;
+}
+
+bool hardware_emergency() { return PIND & _BV(PD2); }
+
+void hardware_alive() { wdt_reset(); }
+
+bool hardware_was_reset_by_watchdog() { return by_watchdog; }
+
+int hardware_read() {
+  if (read_from == read_to) return -1;
+  const uint8_t byte = arrived[read_from];
+  read_from = (read_from + 1) % sizeof arrived;
+  return byte;
+}
+
+void hardware_write(const char *text) {
+  for (; *text; ++text) {
+    while (!(UCSR0A & _BV(UDRE0))) {
+    }
+    UDR0 = *text;
+  }
+}
+
+#ifndef ARDUINO
+#include "heater.h"
+
+int main() {
+  heater_begin();
+  for (;;) heater_loop();
+}
+#endif
+
+#endif

@@ -1,0 +1,245 @@
+#include "heater.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "hardware.h"
+#include "schedule.h"
+
+namespace {
+
+const char *const STATES[] = {"idle", "heating", "holding", "stopped"};
+const char *const STOPS[] = {
+    "",
+    "done",
+    "stopped by command",
+    "emergency stop",
+    "watchdog",
+    "thermometer broken",
+    "thermometer stuck",
+    "over-temperature",
+    "over-current",
+    "no current",
+    "switch stuck",
+    "low battery",
+    "behind schedule",
+    "maximum time",
+};
+
+// --- what is remembered -------------------------------------------------------------------------------------------------
+
+State state = IDLE;
+Stop reason = NOT_STOPPED;
+bool dry = false;  // Everything but the current: the MOSFET stays off.
+
+uint8_t table = 0;   // Schedule for the battery's voltage at rest.
+uint16_t place = 0;  // Slot of the schedule.
+float total = 0;     // Integral share.
+float owed = 0;      // Counts that rounding left out.
+uint32_t waited = 0; // ms for which the schedule waited for the tube.
+uint8_t count = 0;
+
+uint32_t started = 0, next_tick = 0;
+uint8_t ticks = 0; // Of this slot.
+
+float reading = 0, volt = 0, ampere = 0, leaking = 0;
+bool electrics = false;
+float stuck_at = 0;
+uint32_t stuck_since = 0;
+uint8_t bad_readings = 0, bad_currents = 0;
+
+// --- reports ------------------------------------------------------------------------------------------------------------
+
+// printf of an AVR knows no floats. `text` has room for 16 characters.
+const char *fixed(char *text, float value, uint8_t digits) {
+  char reversed[16];
+  uint8_t length = 0;
+  for (uint8_t k = 0; k < digits; ++k) value *= 10;
+  long whole = lroundf(value);
+  const bool negative = whole < 0;
+  if (negative) whole = -whole;
+  do {
+    if (digits && length == digits) reversed[length++] = '.';
+    reversed[length++] = (char)('0' + whole % 10);
+    whole /= 10;
+  } while ((whole || length <= digits) && length < 13);
+  uint8_t at = 0;
+  if (negative) text[at++] = '-';
+  while (length) text[at++] = reversed[--length];
+  text[at] = 0;
+  return text;
+}
+
+void tell_status() {
+  char line[192], a[16], b[16], c[16], d[16], e[16];
+  const float time = state == IDLE ? 0 : (hardware_milliseconds() - started) / 1000.0f;
+  snprintf(line, sizeof line,
+           "{\"event\":\"status\",\"state\":\"%s\",\"time_s\":%s,\"temperature_degC\":%s,\"reference_degC\":%s,"
+           "\"count\":%u,",
+           STATES[state], fixed(a, time, 1), fixed(b, reading, 2), fixed(c, reference_at(place), 1), count);
+  hardware_write(line);
+  snprintf(line, sizeof line, "\"place\":%u,\"voltage_V\":%s,\"current_A\":%s,\"reason\":\"%s\",\"dry\":%s}\n", place,
+           electrics ? fixed(d, volt, 2) : "null", electrics ? fixed(e, ampere, 1) : "null", STOPS[reason],
+           dry ? "true" : "false");
+  hardware_write(line);
+}
+
+void tell_error(const char *text) {
+  hardware_write("{\"event\":\"error\",\"text\":\"");
+  hardware_write(text);
+  hardware_write("\"}\n");
+}
+
+void tell_hello() {
+  char line[112];
+  snprintf(line, sizeof line,
+           "{\"event\":\"hello\",\"firmware\":\"tubeopt heater\",\"schedule\":\"%s\",\"slots\":%u,\"slot_ms\":%u}\n",
+           SCHEDULE_ID, SLOTS, SLOT_MS);
+  hardware_write(line);
+}
+
+// --- start and stop -----------------------------------------------------------------------------------------------------
+
+void stop(Stop why) {
+  count = 0;
+  hardware_switch(0);
+  state = STOPPED;
+  reason = why;
+  tell_status();
+}
+
+// The schedule for the highest voltage at rest that is not above the battery's; the one for the emptiest below them all.
+uint8_t table_for(float rest) {
+  uint8_t found = TABLES - 1;
+  for (uint8_t k = TABLES; k-- > 0;)
+    if (voltage_of(k) <= rest + 0.05f) found = k;
+  return found;
+}
+
+void start(bool without_current) {
+  if (state == HEATING || state == HOLDING) return tell_error("it is heating");
+  if (hardware_emergency()) return tell_error("the stop button is pressed");
+  if (!hardware_temperature(&reading)) return tell_error("the thermometer answers nothing");
+  if (reading > START_BELOW) return tell_error("the tube is still hot");
+  electrics = hardware_electrics(&volt, &ampere, &leaking);
+  if (electrics && volt < LOWEST_VOLT && !without_current) return tell_error("the battery is low");
+  table = electrics ? table_for(volt) : 0;
+  dry = without_current;
+  place = 0, total = 0, owed = 0, waited = 0, ticks = 0, bad_readings = 0, bad_currents = 0;
+  started = stuck_since = next_tick = hardware_milliseconds();
+  stuck_at = reading;
+  reason = NOT_STOPPED;
+  state = HEATING;
+}
+
+// --- the law ------------------------------------------------------------------------------------------------------------
+
+float clip(float value, float low, float high) { return value < low ? low : value > high ? high : value; }
+
+// The count of the slot that begins: planned duty, corrected by a share that the error sets.
+void decide() {
+  if (place >= SLOTS) return stop(DONE);
+  const float error = reference_at(place) - reading;
+  const bool waits = error > HOLDBACK && place <= HOLD_FIRST;
+  if (waits) waited += SLOT_MS;
+  if (waited > PATIENCE_MS) return stop(BEHIND_SCHEDULE);
+  total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * error, -SHARE, SHARE);
+  const float share = clip(PROPORTIONAL * error + total, -SHARE, SHARE);
+  const float wanted = planned_at(table, place) * (1 + share);
+  const float due = wanted + owed;
+  count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, 255) : 0;
+  const float given = count > LOST ? count - LOST : 0;
+  owed = wanted > 0 ? clip(due - given, -1 - LOST, 1) : 0;
+  state = place >= HOLD_FIRST ? HOLDING : HEATING;
+  if (!waits) ++place;
+  hardware_switch(dry ? 0 : count);
+}
+
+// --- what must never be -------------------------------------------------------------------------------------------------
+
+Stop danger() {
+  float seen = 0;
+  const bool answers = hardware_temperature(&seen);
+  if (hardware_emergency()) return EMERGENCY;
+  // One bad answer is a spark on the wire, three in a row are a broken thermometer.
+  bad_readings = answers && seen > LOWEST_READING && seen < HIGHEST_READING ? 0 : bad_readings + 1;
+  if (bad_readings >= 3) return THERMOMETER_BROKEN;
+  const uint32_t now = hardware_milliseconds();
+  if (!bad_readings) {
+    reading = seen;
+    if (fabsf(seen - stuck_at) > STUCK_WITHIN || count == 0 || dry) {
+      stuck_at = seen;
+      stuck_since = now;
+    }
+    if (reading > TOO_HOT) return OVER_TEMPERATURE;
+  }
+  // A thermometer that lost touch follows the tube no more: in the ramp it must rise, in the hold it must at least
+  // flicker.
+  if (now - stuck_since > (state == HEATING ? STUCK_HEATING_MS : STUCK_HOLDING_MS)) return THERMOMETER_STUCK;
+  electrics = hardware_electrics(&volt, &ampere, &leaking);
+  if (electrics && !dry) {
+    Stop wrong = NOT_STOPPED;
+    if (ampere > MOST_AMPERE) wrong = OVER_CURRENT;
+    else if (leaking > LEAKING_AMPERE) wrong = SWITCH_STUCK;
+    else if (count > 0 && ampere < LEAST_AMPERE) wrong = NO_CURRENT;
+    else if (volt < LOWEST_VOLT) wrong = LOW_BATTERY;
+    bad_currents = wrong == NOT_STOPPED ? 0 : bad_currents + 1;
+    if (bad_currents >= 2) return wrong;
+  }
+  if (now - started > LONGEST_MS) return MAXIMUM_TIME;
+  return NOT_STOPPED;
+}
+
+// --- commands -----------------------------------------------------------------------------------------------------------
+
+void obey(const char *line) {
+  if (strstr(line, "\"stop\"")) {
+    if (state == HEATING || state == HOLDING) stop(BY_COMMAND);
+    else tell_status();
+  } else if (strstr(line, "\"start\"")) start(strstr(line, "\"dry\":true") != nullptr);
+  else if (strstr(line, "\"status\"")) tell_status();
+  else if (strstr(line, "\"hello\"")) tell_hello();
+  else tell_error("a line is {\\\"do\\\":\\\"start\\\"}, or stop, status, hello in place of start");
+}
+
+void listen() {
+  static char line[64];
+  static uint8_t length = 0;
+  for (int byte = hardware_read(); byte >= 0; byte = hardware_read()) {
+    if (byte == '\n' || byte == '\r') {
+      line[length] = 0;
+      if (length) obey(line);
+      length = 0;
+    } else if (length < sizeof line - 1) line[length++] = (char)byte;
+  }
+}
+
+} // namespace
+
+void heater_begin() {
+  hardware_begin();
+  hardware_switch(0);
+  tell_hello();
+  if (hardware_was_reset_by_watchdog()) {
+    state = STOPPED;
+    reason = WATCHDOG;
+    tell_status();
+  }
+}
+
+void heater_loop() {
+  hardware_alive();
+  listen();
+  if (state != HEATING && state != HOLDING) return;
+  // Signed, so that the clock may run over.
+  if ((int32_t)(hardware_milliseconds() - next_tick) < 0) return;
+  next_tick += TICK_MS;
+  const Stop why = danger();
+  if (why != NOT_STOPPED) return stop(why);
+  if (ticks == 0) {
+    decide();
+    if (state != STOPPED) tell_status();
+  }
+  ticks = (ticks + 1) % TICKS_PER_SLOT;
+}

@@ -1,0 +1,31 @@
+// The heating of a tube, led by a thermometer: everything but the board. The board is behind hardware.h.
+#ifndef HEATER_H
+#define HEATER_H
+
+#include <stdint.h>
+
+// What the heater does; `state` of its reports.
+enum State : uint8_t { IDLE, HEATING, HOLDING, STOPPED };
+
+// Why it stopped; `reason` of its reports. The MOSFET is off in every one of them.
+enum Stop : uint8_t {
+  NOT_STOPPED,
+  DONE,
+  BY_COMMAND,
+  EMERGENCY,
+  WATCHDOG,
+  THERMOMETER_BROKEN,
+  THERMOMETER_STUCK,
+  OVER_TEMPERATURE,
+  OVER_CURRENT,
+  NO_CURRENT,
+  SWITCH_STUCK,
+  LOW_BATTERY,
+  BEHIND_SCHEDULE,
+  MAXIMUM_TIME,
+};
+
+void heater_begin();
+void heater_loop();
+
+#endif

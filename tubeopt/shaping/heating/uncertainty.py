@@ -1,0 +1,113 @@
+"""What is not known of a rig and its tube, and an ensemble of those that they may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Self
+
+import numpy as np
+import scipy
+
+from ...errors import InputError
+from ...files.marks import NOT_NEGATIVE, Range, check_fields, unit
+from ...physics.heat import Resolution
+from ...robots.tubes import Tube
+from ...typing import Array
+from .rig import Rig
+from .thermal import ThermalModel, stack, thermal_data, thermal_model
+
+PART = Range(least=0.0, most=0.99)
+"""Of half-widths that are fractions."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Half-widths of what is not known of a rig and its tube, uniformly distributed and independent; 0 is known.
+
+    Raises:
+        InputError: a half-width is out of its range.
+    """
+
+    loss: Annotated[float, unit("percent"), PART, "of all that the tube loses to mold and air"] = 0.15
+    contact_resistance: Annotated[float, unit("percent"), PART, "of the clamps on the tube"] = 0.3
+    resistivity: Annotated[float, unit("percent"), PART, "of the tube"] = 0.02
+    resistivity_slope: Annotated[float, unit("percent"), PART, "of its rise with temperature"] = 0.0
+    gap: Annotated[float, unit("percent"), PART, "of air between tube and groove"] = 0.0
+    conductivity: Annotated[float, unit("percent"), PART, "of the mold"] = 0.0
+    heat_capacity: Annotated[
+        float, unit("percent"), PART, "of the tube, latent heat of a transformation counted in"
+    ] = 0.0
+    inner_diameter: Annotated[float, unit("um"), NOT_NEGATIVE, "of the tube"] = 0.0
+    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, "temperature around the rig"] = 0.0
+    charge: Annotated[float, unit("percent"), PART, "by which the battery may be emptier than it is said to be"] = 0.0
+    lost_on_time: Annotated[
+        float, unit("us"), NOT_NEGATIVE, "by which every pulse may lose more than the rig's file says"
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the uncertainty")
+
+    @classmethod
+    def of_a_workshop(cls) -> Self:
+        """All of it at once, as wide as it is where nothing was measured: assumed."""
+        return cls(
+            loss=0.15, contact_resistance=0.3, resistivity=0.1, resistivity_slope=0.2, gap=0.5, conductivity=0.2,
+            heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
+        )  # fmt: skip
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of what is not known."""
+        return tuple(item.name for item in fields(self) if getattr(self, item.name) > 0)
+
+    def draws(self, samples: int, seed: int = 0) -> Array:
+        """(samples, number of `unknown`) in -1 to 1: a Latin hypercube."""
+        if not self.unknown:
+            return np.zeros((samples, 0))
+        return np.asarray(2 * scipy.stats.qmc.LatinHypercube(d=len(self.unknown), rng=seed).random(samples) - 1)
+
+    def member(self, tube: Tube, rig: Rig, draw: Sequence[float]) -> tuple[Tube, Rig]:
+        """The tube and the rig at one draw, in the order of `unknown`."""
+        by = dict.fromkeys((item.name for item in fields(self)), 0.0)
+        by |= {name: getattr(self, name) * float(part) for name, part in zip(self.unknown, draw, strict=True)}
+        circuit, mold, data = rig.circuit, rig.mold, thermal_data(tube)
+        data = replace(
+            data,
+            heat_capacity=data.heat_capacity * (1 + by["heat_capacity"]),
+            resistivity_slope=data.resistivity_slope * (1 + by["resistivity_slope"]),
+        )
+        inner = tube.inner_diameter + by["inner_diameter"]
+        if not 0 <= inner < tube.outer_diameter:
+            raise InputError(
+                f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it must leave the tube a "
+                f"wall, whose diameters are {1e3 * tube.inner_diameter:g} and {1e3 * tube.outer_diameter:g} mm"
+            )
+        other = replace(
+            rig,
+            circuit=replace(
+                circuit,
+                contact_resistance=circuit.contact_resistance * (1 + by["contact_resistance"]),
+                lost_on_time=circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"]),
+            ),
+            mold=replace(
+                mold,
+                gap=mold.gap * (1 + by["gap"]),
+                material=replace(mold.material, conductivity=mold.material.conductivity * (1 + by["conductivity"])),
+            ),
+            battery=replace(
+                rig.battery, state_of_charge=rig.battery.state_of_charge * (1 - 0.5 * (self.charge + by["charge"]))
+            ),
+            ambient=rig.ambient + by["ambient"],
+            loss_factor=rig.loss_factor * (1 + by["loss"]),
+            resistivity_factor=rig.resistivity_factor * (1 + by["resistivity"]),
+        )
+        return replace(tube, inner_diameter=inner, material=replace(tube.material, thermal=data)), other
+
+    def models(
+        self, tube: Tube, rig: Rig, samples: int, resolution: Resolution, seed: int = 0
+    ) -> tuple[ThermalModel, Array]:
+        """The rig itself, and after it as many as it may be; and their draws (samples, number of `unknown`)."""
+        draws = self.draws(samples, seed)
+        members = [(tube, rig), *(self.member(tube, rig, draw) for draw in draws)]
+        return stack([thermal_model(*member, resolution) for member in members]), draws

@@ -1,0 +1,108 @@
+"""What is said and saved about a heating that a sensor leads, and the sketch that runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Group
+
+from ..errors import SolveError
+from ..files.files import write_text
+from ..runs.firmware_study import LedHeating
+from ..shaping.feedback.feedback import Contribution, Feedback
+from ..shaping.firmware.parts import Part, parts_list
+from ..shaping.firmware.sketch_files import write_sketch
+from .heat_report import missed
+from .quantities import Quantity, line, within
+from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
+
+CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
+    Quantity("name", "what is not known"),
+    Quantity("deviation_K", "standard deviation of the hold's temperature by it"),
+)
+
+PART: tuple[Quantity[Part], ...] = (
+    Quantity("name", "what is needed"),
+    Quantity("rating", "what it must be, in words"),
+    Quantity("why", "from what that follows"),
+)
+
+FEEDBACK: tuple[Quantity[Feedback], ...] = (
+    Quantity("sensor", "what is felt of the tube", lambda f: f.sensor.name),
+    Quantity("sensor_bias_K", "half-width of its error that stays", lambda f: f.sensor.bias),
+    Quantity("proportional_per_K", "gain: share of the planned duty", lambda f: f.law.proportional),
+    Quantity("integral_per_K_s", "gain of the sum of the error", lambda f: f.law.integral),
+    Quantity("samples", "uncertain rigs"),
+    Quantity("probability", "part of them that keeps window and limit", label="keeps the window",
+             words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
+             f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
+    Quantity("interval", "of the probability, 95 %", lambda f: list(f.interval)),
+    Quantity("open_loop", "the same with the schedule alone", label="without the sensor",
+             words=lambda f: f"{100 * f.open_loop:.0f} %"),
+    Quantity("too_cold", "part that falls below the window"),
+    Quantity("too_hot", "part that rises above window or limit"),
+    Quantity("lowest_degC", "coldest of the curved part in the hold, any rig", lambda f: f.lowest.min()),
+    Quantity("highest_degC", "hottest of the curved part in the hold, any rig", lambda f: f.highest.max()),
+    line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
+    Quantity("top_degC", "hottest point at any time, any rig", lambda f: f.top.max(), label="hottest point, any rig",
+             words="{top_degC:.1f} degC"),
+    Quantity("contributions", "what moves the temperature of the hold, most first", lambda f: list(f.contributions),
+             of=CONTRIBUTION),
+)  # fmt: skip
+
+LED_HEATING: tuple[Quantity[LedHeating], ...] = (
+    Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
+    Quantity("window_degC", "window", lambda a: a.plan.spec.window_degC),
+    Quantity("limit_degC", "limit for every point at all times", lambda a: a.plan.spec.limit),
+    Quantity("feasible", "whether the schedule alone keeps everything on the rig as filed", lambda a: a.plan.feasible),
+    Quantity("board", "what runs the sketch", lambda a: a.wiring.known.title, label="board",
+             words="{board}, pulses at {pwm_Hz:.1f} Hz"),
+    Quantity("pwm_Hz", "frequency of the pulses", lambda a: a.frequency),
+    *within(FEEDBACK, lambda a: a.feedback),
+    Quantity("parts", "what is needed to build it", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
+)  # fmt: skip
+
+
+class LedHeatingReport(Report[LedHeating]):
+    """What is said and saved about a heating that a sensor leads."""
+
+    command = "heat firmware"
+    quantities = LED_HEATING
+    file = "law.json"
+
+    def title(self) -> str:
+        """The rig's name."""
+        return self.answer.plan.rig.name or "rig"
+
+    def table(self) -> Group:
+        """The law, what moves the temperature, and what to buy."""
+        answer = self.answer
+        moved = [(item.name.replace("_", " "), f"{item.deviation:.2f} K") for item in answer.feedback.contributions[:6]]
+        bought = [(part.name, part.rating, part.why) for part in parts_list(answer.plan, answer.wiring)]
+        return Group(
+            two_columns(self.title(), self.rows()),
+            grid(("not known", "moves the hold by >"), moved, title="what moves the temperature (standard deviation)"),
+            grid(("part", "rating", "why"), bought, title="what to build it of"),
+            *remarks(answer.plan.problems, what="problem"),
+        )
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write law.json, parts.csv and the sketch."""
+        answer = self.answer
+        write_text(directory / self.file, to_text(self.record()))
+        return [directory / self.file, *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
+
+    def pictures(self) -> dict[str, Drawing]:
+        """Temperatures of uncertain rigs, and how the board is wired."""
+        from .plots.feedback import plot_feedback, plot_wiring
+
+        return {"feedback": drawing(plot_feedback, self.answer), "wiring": drawing(plot_wiring, self.answer)}
+
+    def conclude(self) -> None:
+        """Raise SolveError where most rigs do not keep the window, or the rig as filed does not."""
+        answer = self.answer
+        if not answer.plan.feasible and answer.feedback.probability < 0.5:
+            raise SolveError(missed(answer.plan))
+
+
+report.register(LedHeating, LedHeatingReport)

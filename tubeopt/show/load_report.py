@@ -1,0 +1,180 @@
+"""What is said and saved about how much a robot bears, and about the forces that act on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+
+from ..files.csv_file import to_csv
+from ..files.files import write_text
+from ..files.units import DEG, TO_MILLI, TO_MM, in_unit
+from ..runs.load_studies import Bearing
+from ..stability import LoadLimit
+from ..validation import ForceEstimate, ForceRecord
+from .load_words import load_in_words
+from .quantities import Quantity, line, rows, within
+from .report import Drawing, Report, drawing, report, two_columns
+from .snap_report import JOINTS, STATE
+from .words import counted, in_a_word, millimetres, row
+
+HAPPENS = {
+    "fold": "the equilibrium vanishes, and the robot snaps",
+    "bifurcation": "the equilibrium turns unstable, and the robot leaves it to one of two sides",
+}
+
+LIMIT: tuple[Quantity[LoadLimit], ...] = (
+    Quantity(
+        "factor",
+        "times the load at which the equilibrium is lost",
+        label="lost at",
+        words="{factor:.9g} times the load",
+    ),
+    Quantity(
+        "kind", "fold: it vanishes; bifurcation: it turns unstable", label="there", words=lambda a: HAPPENS[a.kind]
+    ),
+    line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
+    line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
+    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
+    Quantity("energy_released_mJ", "energy released by tubes and load", form=".4f"),
+    line("margin after", lambda a: None if a.after is None else f"{a.after.margin:.3f}, {in_a_word(a.after.margin)}"),
+    Quantity("before", "the equilibrium at the limit", of=STATE),
+    Quantity("after", "the equilibrium in which the robot lands; null where none is found", of=STATE),
+)
+
+BEARING: tuple[Quantity[Bearing], ...] = (
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+    *JOINTS,
+    Quantity("load", "what pushes, in words", lambda a: load_in_words(a.load), label="load",
+             words=lambda a: load_in_words(a.load)),
+    Quantity("up_to", "times the load that was looked at"),
+    Quantity("limit", "where the equilibrium is lost, null where it is not", of=LIMIT),
+)  # fmt: skip
+
+
+class BearingReport(Report[Bearing]):
+    """What is said and saved about how much a robot bears."""
+
+    command = "load-limit"
+    quantities = BEARING
+    file = "load_limit.json"
+
+    def title(self) -> str:
+        """The answer in words."""
+        a = self.answer
+        name = a.robot.name or "the robot"
+        return f"{name} bears {a.up_to if a.limit is None else a.limit.factor:.6g} times the load"
+
+    def table(self) -> Group:
+        """The answer in words, then the numbers of the limit."""
+        limit = self.answer.limit
+        return Group(two_columns(self.title(), self.rows() + ([] if limit is None else rows(limit, LIMIT))))
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The robot at the limit, and where it lands as a ghost."""
+        from .plots import plot_shape  # Matplotlib takes longer to load than a solve
+
+        limit = self.answer.limit
+        if limit is None:
+            return {}
+        ghosts = [] if limit.after is None else [limit.after]
+        return {"load_limit": drawing(plot_shape, limit.before, ghosts=ghosts)}
+
+
+ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
+    Quantity("row", "row of the recording, from 1", lambda told: told[0]),
+    *within(
+        (
+            Quantity("force_mN", "force on the tip in axes of the plate"),
+            Quantity(
+                "standard_error_mN",
+                "standard error along each axis; null where it is not seen at all",
+                lambda e: np.sqrt(np.diag(e.covariance)),
+            ),
+            Quantity("directions", "unit vectors, from the best to the worst told"),
+            Quantity("errors_mN", "standard error along each of them"),
+            Quantity("untold", "directions in which the force is not told from none, in words"),
+            Quantity("residual_mm", "root mean square distance of the measured from the fitted points"),
+        ),
+        lambda told: told[1],
+    ),
+)
+
+
+RECORD: tuple[Quantity[ForceRecord], ...] = (
+    Quantity("robot", "name of the robot", lambda r: r.robot.name),
+    Quantity("rows", "rows of the recording", lambda r: len(r.estimates), form="d"),
+    Quantity("told", "rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d"),
+    Quantity("noise_mm", "noise of a measured coordinate", form=".3g"),
+    line("largest force", lambda r: _largest(r)),
+    line("standard errors (median)", lambda r: _errors(r)),
+    line("not told from none", lambda r: _untold(r)),
+    Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
+    Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
+)  # fmt: skip
+
+
+def _told(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
+    return [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None]
+
+
+def _largest(r: ForceRecord) -> str | None:
+    sizes = np.linalg.norm(r.force, axis=1)
+    if np.isnan(sizes).all():
+        return None
+    k = int(np.nanargmax(sizes))
+    return f"{row(r.force[k] * TO_MILLI, '.4g')} mN in row {k + 1}"
+
+
+def _errors(r: ForceRecord) -> str | None:
+    told = r.standard_error[~np.isnan(r.standard_error[:, 0])]
+    return f"{row(np.median(told, axis=0) * TO_MILLI, '.3g')} mN along x, y, z" if len(told) else None
+
+
+def _untold(r: ForceRecord) -> str:
+    count = sum(e is not None and e.untold.startswith("not told") for e in r.estimates)
+    return f"{counted(count, 'row', none='no row')} in some direction"
+
+
+class ForceReport(Report[ForceRecord]):
+    """What is said and saved about forces told from a recording. Rows are counted from 1."""
+
+    command = "force"
+    quantities = RECORD
+    file = "forces.json"
+
+    def title(self) -> str:
+        """How many rows were told."""
+        r = self.answer
+        return f"{r.robot.name or 'robot'}: forces on the tip in {counted(len(r.estimates), 'row')}"
+
+    def table(self) -> Group:
+        """The recording in short."""
+        failed = [(f"row {k + 1}", why) for k, why in self.answer.failures[:5]]
+        return Group(two_columns(self.title(), [*self.rows(), *failed]))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write forces.json, and forces.csv with a row per row of the recording."""
+        path = directory / "forces.csv"
+        turns = [f"rotation_{i + 1}_deg" for i in range(self.answer.robot.n_tubes)]
+        axes = [f"{name}_{axis}_mN" for name in ("force", "standard_error") for axis in "xyz"]
+        corners = [f"covariance_{a}{b}_mN2" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")]
+        write_text(path, to_csv(["row", *turns, *axes, *corners, "residual_mm"], self._cells()))
+        return [self.save_record(directory), path]
+
+    def _cells(self) -> Iterator[list[object]]:
+        upper = np.triu_indices(3)
+        for k, e in enumerate(self.answer.estimates):
+            turns = [in_unit(float(a), DEG) for a in self.answer.measurements.rotations[k]]
+            if e is None:
+                yield [k + 1, *turns, *[""] * 13]
+                continue
+            numbers = np.concatenate([e.force, np.sqrt(np.diag(e.covariance))]) * TO_MILLI
+            square = e.covariance[upper] * TO_MILLI**2
+            yield [k + 1, *turns, *(f"{v:.9g}" for v in (*numbers, *square, e.residual * TO_MM))]
+
+
+report.register(Bearing, BearingReport)
+report.register(ForceRecord, ForceReport)

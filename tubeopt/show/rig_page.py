@@ -1,0 +1,82 @@
+"""A heating while it runs, in the terminal; and what is said of it afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+
+from ..errors import SolveError
+from ..runs.heating_run import LOG_FILE, HeatingRun, HeatingRunStudy, run_heating
+from .quantities import Quantity
+from .report import Report, report, two_columns
+
+BLOCKS = " ▁▂▃▄▅▆▇█"
+WIDTH = 60
+
+RUN: tuple[Quantity[HeatingRun], ...] = (
+    Quantity("reason", "why it ended", label="ended", words="{reason}"),
+    Quantity("done", "whether the whole schedule was run through"),
+    Quantity("time_s", "how long it took", label="after", words="{time_s:.1f} s"),
+    Quantity("hottest_degC", "greatest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
+    Quantity("rows", "reports of the rig", lambda r: len(r.rows)),
+    Quantity("log", "where every report is written", lambda r: None if r.log is None else str(r.log)),
+)
+
+
+class HeatingRunReport(Report[HeatingRun]):
+    """What is said about a heating that was run."""
+
+    command = "heat run"
+    quantities = RUN
+
+    def title(self) -> str:
+        """The rig."""
+        return self.answer.name
+
+    def conclude(self) -> None:
+        """Raise SolveError where the rig stopped before it was done."""
+        if not self.answer.done:
+            raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
+
+
+def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = True) -> HeatingRun:
+    """Run a heating and show it as it goes, on stderr; the log goes into `out`."""
+    if not shown:
+        return study.run_in(out)
+    readings: list[float] = []
+    line = study.open()
+    with Live(console=Console(stderr=True), transient=True, refresh_per_second=8) as live:
+
+        def show(hello: dict[str, Any], row: dict[str, Any]) -> None:
+            readings.append(row["temperature_degC"])
+            live.update(two_columns(f"{hello.get('firmware', 'rig')}: {row['state']}", _told(hello, row, readings)))
+
+        log = None if out is None else out / LOG_FILE
+        return run_heating(line, dry=study.dry, log=log, show=show)
+
+
+def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
+    left = max(hello.get("slots", 0) - row["place"], 0) * hello.get("slot_ms", 500) / 1000
+    volt, ampere = row["voltage_V"], row["current_A"]
+    battery = "not measured" if volt is None else f"{volt:.2f} V, {ampere:.0f} A while on"
+    return [
+        ("temperature", f"{row['temperature_degC']:.1f} degC, wanted {row['reference_degC']:.1f}"),
+        ("", _curve(readings)),
+        ("duty", f"{row['count']} of 255" + (", dry: nothing flows" if row["dry"] else "")),
+        ("battery", battery),
+        ("time", f"{row['time_s']:.0f} s, {left:.0f} s left"),
+        ("stop", "Ctrl-C"),
+    ]
+
+
+def _curve(readings: list[float]) -> str:
+    """The readings so far as a line of blocks."""
+    shown = readings[:: max(1, -(-len(readings) // WIDTH))]
+    top = max(max(shown), 1.0)
+    return "".join(BLOCKS[round(max(value, 0.0) / top * (len(BLOCKS) - 1))] for value in shown)
+
+
+report.register(HeatingRun, HeatingRunReport)

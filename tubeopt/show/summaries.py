@@ -1,0 +1,242 @@
+"""Quantities and pictures of what a script has in its hands and no command answers with: parts of answers, inputs.
+
+Each is a `Summary` in `SUMMARIES`; quantities that a report lists of the same thing are taken from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..design.optimize import DesignSolution, Dimension
+from ..equilibrium.batch import EquilibriumBatch
+from ..equilibrium.jacobian import Jacobian
+from ..equilibrium.result import Verification
+from ..inverse import InverseSolution
+from ..planning import Proof
+from ..robots.tubes import Tube
+from ..shaping import Mold
+from ..shaping.heating.plan import HeatingPlan
+from ..solvers.problem_solution import ProblemSolution
+from ..stability import (
+    Branch,
+    Certificate,
+    EnergyMap,
+    LoadLimit,
+    Path,
+    Snap,
+    StabilityMap,
+    Verdict,
+    WorstCertificate,
+    WorstMargin,
+)
+from ..validation.force import ForceEstimate
+from ..workspaces import SnappingLoss, Workspace
+from .equilibrium_report import VERIFICATION
+from .heat_report import PLAN
+from .inverse_report import SOLUTION
+from .plan_report import PROOF
+from .quantities import Quantity, line
+from .report import Drawing, drawing
+from .robot_report import TUBE
+from .snap_report import SNAP
+from .words import counted, degrees, millimetres
+from .workspace_report import LOSS
+
+
+class Summary(NamedTuple):
+    """How an object is shown that has no report: its quantities, and what draws it, where there is a picture of it."""
+
+    quantities: Sequence[Quantity[Any]]
+    picture: Callable[[Any], Drawing | None] = lambda answer: None
+
+
+def every(quantities: Sequence[Quantity[Any]]) -> tuple[Quantity[Any], ...]:
+    """Quantities with a row for each, also for those of which a report's table says nothing."""
+    return tuple(
+        q if q.form or q.words or q.of is not None or not q.key else Quantity(q.key, q.about, q.get, words=_plainly(q))
+        for q in quantities
+    )
+
+
+def _plainly(q: Quantity[Any]) -> Callable[[Any], str]:
+    def words(answer: Any) -> str:
+        value = q.value(answer)
+        if isinstance(value, bool) or value is None:
+            return {True: "yes", False: "no", None: "–"}[value]
+        numbers = np.asarray(value)
+        if numbers.dtype.kind in "if" and numbers.size <= 6:
+            return f"{', '.join(f'{x:.6g}' for x in numbers.ravel())} {q.sign}".strip()
+        return str(value) if numbers.dtype.kind == "U" else f"{' x '.join(map(str, numbers.shape))} numbers"
+
+    return words
+
+
+def _counts(what: Any) -> str:
+    failed = counted(len(what.failures), "failure", none="no failure")
+    return f"{len(what)} configurations, {failed}"
+
+
+def _least(margins: Any) -> str:
+    return f"{np.nanmin(margins):.4f} to {np.nanmax(margins):.4f}"
+
+
+def _dimension(d: Dimension) -> str:
+    return f"{d.name}: {d.before:.6g} to {d.after:.6g} {d.unit}"
+
+
+CERTIFICATE: tuple[Quantity[Certificate], ...] = (
+    Quantity("margin", "certificate", words=lambda c: f"{c.margin:.6g}, a lower bound of the margin at all rotations"),
+    line("so that", lambda c: "no rotations make it snap" if c.snap_free else "nothing is proved"),
+    Quantity("translations_mm", "translations", form=".6g"),
+    line("limited by", lambda c: None if c.pair is None else f"tubes {c.pair[0] + 1} and {c.pair[1] + 1}"),
+)
+
+VERDICT: tuple[Quantity[Verdict], ...] = (
+    line("robot", lambda v: v.robot.name or "robot"),
+    line("finding", lambda v: str(v.finding)),
+    line("certificate", lambda v: f"{v.certificate.margin:.6g}"),
+    line("least margin found", lambda v: "0, at a fold" if v.worst is None else f"{v.worst.margin:.4f}"),
+    line("searched", lambda v: counted(v.ways, "way")),
+)
+
+WORST_MARGIN: tuple[Quantity[WorstMargin], ...] = (
+    Quantity("margin", "least margin found", form=".6g"),
+    line("at", lambda w: degrees(w.equilibrium.rotations, ".6g")),
+    Quantity("searches", "local searches", form="d"),
+)
+
+WORST_CERTIFICATE: tuple[Quantity[WorstCertificate], ...] = (
+    line("least certificate", lambda w: f"{w.certificate.margin:.6g}"),
+    line("at translations", lambda w: millimetres(w.certificate.translations, ".6g")),
+    line("within", lambda w: f"{millimetres(w.lower, '.6g')} to {millimetres(w.upper, '.6g')}"),
+    Quantity("evaluations", "evaluations", form="d"),
+)
+
+PATH: tuple[Quantity[Path], ...] = (
+    line("waypoints", lambda p: str(len(p.equilibria))),
+    line("snaps", lambda p: counted(len(p.snaps), "snap", none="none")),
+    line("least margin", lambda p: f"{min(e.margin for e in p.equilibria):.4f} at a waypoint"),
+    line("tip at the end", lambda p: millimetres(p.equilibria[-1].tip_position, ".4f")),
+)
+
+STABILITY_MAP: tuple[Quantity[StabilityMap], ...] = (
+    line("tubes that turn", lambda m: f"{m.tubes[0] + 1} and {m.tubes[1] + 1}"),
+    line("points", lambda m: f"{len(m.angles)} x {len(m.angles)}"),
+    line("margin", lambda m: _least(m.margin)),
+    line("reached after a snap", lambda m: f"{100 * (m.snaps > 0).mean():.1f} % of the map"),
+)
+
+ENERGY_MAP: tuple[Quantity[EnergyMap], ...] = (
+    line("tubes that turn", lambda m: f"{m.tubes[0] + 1} and {m.tubes[1] + 1}"),
+    line("points", lambda m: " x ".join(map(str, m.energy.shape))),
+    line("equilibria", lambda m: f"{len(m.equilibria)}, {sum(e.stable for e in m.equilibria)} of them stable"),
+)
+
+BRANCH: tuple[Quantity[Branch], ...] = (
+    line("points", lambda b: str(len(b.fraction))),
+    line("folds", lambda b: counted(len(b.folds), "fold", none="none")),
+    line("margin", lambda b: _least(b.margin)),
+)
+
+LOAD_LIMIT: tuple[Quantity[LoadLimit], ...] = (
+    Quantity("factor", "factor on the load", form=".6g"),
+    line("it is a", lambda limit: limit.kind),
+    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
+    Quantity("energy_released_mJ", "energy released", form=".4f"),
+)
+
+WORKSPACE: tuple[Quantity[Workspace], ...] = (
+    line("robot", lambda w: w.robot.name or "robot"),
+    line("samples", _counts),
+    line("chosen", lambda w: f"{w.method}, seed {w.seed}"),
+    line("margin", lambda w: _least(w.table[:, -1])),
+    line("tips from", lambda w: millimetres(np.nanmin(w.tip_position, axis=0), ".1f")),
+    line("to", lambda w: millimetres(np.nanmax(w.tip_position, axis=0), ".1f")),
+)
+
+BATCH: tuple[Quantity[EquilibriumBatch], ...] = (
+    line("robot", lambda b: b.robot.name or "robot"),
+    line("solved", _counts),
+    line("margin", lambda b: _least(b.margin)),
+    line("largest error of a tip", lambda b: millimetres(np.nanmax(b.tip_error, keepdims=True), ".1e")),
+)
+
+JACOBIAN: tuple[Quantity[Jacobian], ...] = (
+    line("by", lambda j: ", ".join(j.wrt)),
+    line("position", lambda j: f"{j.position.shape[0]} x {j.position.shape[1]}, m per rad and m per m"),
+    line("rotation", lambda j: f"{j.rotation.shape[0]} x {j.rotation.shape[1]}, rad per rad and rad per m"),
+)
+
+FORCE: tuple[Quantity[ForceEstimate], ...] = (
+    Quantity("force_mN", "force at the tip", form=".3f"),
+    Quantity("errors_mN", "standard errors, best direction to worst", form=".3f"),
+    Quantity("residual_mm", "root mean square distance of the points", form=".4f"),
+    line("", lambda f: f.untold),
+)
+
+DESIGN: tuple[Quantity[DesignSolution], ...] = (
+    line("robot", lambda s: s.robot.name or "robot"),
+    line("status", lambda s: str(s.status)),
+    line("certificate", lambda s: f"{s.certificate:.6f}, a lower bound of the margin at all rotations"),
+    line("objectives", lambda s: ", ".join(f"{name} {value:.6g} (SI)" for name, value in s.objectives.items())),
+    line("dimensions", lambda s: "\n".join(map(_dimension, s.dimensions))),
+)
+
+PROBLEM: tuple[Quantity[ProblemSolution], ...] = (
+    line("status", lambda s: str(s.status)),
+    Quantity("objective", "objective", form=".6g"),
+    line("values", lambda s: ", ".join(s.values)),
+    line("violated", lambda s: ", ".join(str(one) for one in s.violations) or None),
+    line("solved", lambda s: f"in {s.statistics.seconds:.2f} s, {s.statistics.iterations} iterations"),
+)
+
+MOLD: tuple[Quantity[Mold], ...] = (
+    line("plate", lambda m: " x ".join(f"{extent:.4g}" for extent in np.multiply(m.size, 1e3)) + " mm"),
+    line("grooves", lambda m: ", ".join(f"tube {groove.number}" for groove in m.grooves)),
+    line("material", lambda m: m.spec.material.name),
+    line("remarks", lambda m: "\n".join(m.remarks) or None),
+)
+
+
+def _plot(module: str, name: str, *, several: bool = False) -> Callable[[Any], Drawing]:
+    """A picture by the function of that name, loaded with Matplotlib when it is asked for."""
+
+    def picture(answer: Any) -> Drawing:
+        from importlib import import_module
+
+        plot = getattr(import_module(f".plots.{module}", __package__), name)
+        return drawing(plot, [answer] if several else answer)
+
+    return picture
+
+
+SHAPE = _plot("shape", "plot_shape")
+
+SUMMARIES: Mapping[type, Summary] = {
+    Branch: Summary(BRANCH, _plot("branch", "plot_branch")),
+    Certificate: Summary(CERTIFICATE),
+    DesignSolution: Summary(DESIGN, lambda s: SHAPE(s.equilibria[0]) if s.equilibria else None),
+    EnergyMap: Summary(ENERGY_MAP, _plot("maps", "plot_energy_maps", several=True)),
+    EquilibriumBatch: Summary(BATCH),
+    ForceEstimate: Summary(FORCE, lambda f: SHAPE(f.equilibrium)),
+    HeatingPlan: Summary(PLAN, _plot("heating", "plot_heating")),
+    InverseSolution: Summary(SOLUTION, _plot("inverse", "plot_inverse", several=True)),
+    Jacobian: Summary(JACOBIAN),
+    LoadLimit: Summary(LOAD_LIMIT, lambda limit: SHAPE(limit.before)),
+    Mold: Summary(MOLD, _plot("mold", "plot_mold")),
+    Path: Summary(PATH, _plot("path", "plot_path")),
+    ProblemSolution: Summary(PROBLEM),
+    Proof: Summary(PROOF),
+    Snap: Summary(SNAP, _plot("snap", "plot_snap")),
+    SnappingLoss: Summary(every(LOSS)),
+    StabilityMap: Summary(STABILITY_MAP, _plot("maps", "plot_stability_map")),
+    Tube: Summary(every(TUBE)),
+    Verdict: Summary(VERDICT, lambda v: _plot("snap", "plot_snap")(v.snap) if v.snap is not None else None),
+    Verification: Summary(every(VERIFICATION)),
+    Workspace: Summary(WORKSPACE, _plot("workspace", "plot_workspace")),
+    WorstCertificate: Summary(WORST_CERTIFICATE),
+    WorstMargin: Summary(WORST_MARGIN, lambda w: SHAPE(w.equilibrium)),
+}

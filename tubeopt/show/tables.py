@@ -1,0 +1,210 @@
+"""Answers as tables: data frames, labelled arrays, Parquet and CSV.
+
+What has many rows is described once, variable by variable: over which dimensions it runs, and which columns with which
+units it fills in a flat table. A data frame, a Parquet file and a CSV file have these columns; an xarray data set has
+the variables themselves, in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..equilibrium.batch import EquilibriumBatch
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, extra
+from ..files.csv_file import to_csv
+from ..files.files import atomic_write, write_text
+from ..files.units import SIGNS, per_si, unit_of
+from ..planning import Trajectory
+from ..runs.sweeping import Sweep
+from ..stability import Path as JointPath
+from ..typing import Array
+from ..workspaces import Workspace
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+SI = {"mm": "m", "deg": "rad", "mJ": "J"}
+"""Unit of a column -> that of the variable in SI, where they differ."""
+
+FORMATS = ("csv", "parquet")
+
+
+class Variable(NamedTuple):
+    """One variable of an answer.
+
+    Args:
+        name: of the variable, and by default of the attribute that holds it.
+        column: name of its columns with their unit; "{}" is the number of a tube, from 1, or the name of an axis.
+        inner: the dimension besides that of the rows, "tube" or "axis"; "" for one number per row.
+        get: answer -> (rows,) or (rows, inner) numbers in SI.
+    """
+
+    name: str
+    column: str
+    inner: str = ""
+    get: Callable[[Any], Any] | None = None
+
+    def values(self, answer: Any) -> np.ndarray:
+        """In SI, a row per row of the table."""
+        return np.asarray(getattr(answer, self.name) if self.get is None else self.get(answer))
+
+    @property
+    def unit(self) -> str:
+        """In which the columns are."""
+        return unit_of(self.column.replace("_{}", ""))
+
+
+JOINTS = (Variable("rotations", "rotation_{}_deg", "tube"), Variable("translations", "translation_{}_mm", "tube"))
+TIP = Variable("tip_position", "tip_{}_mm", "axis")
+MARGIN = Variable("margin", "margin")
+
+
+def _of_waypoints(name: str) -> Callable[[JointPath], Any]:
+    return lambda path: np.array([getattr(e, name) for e in path.equilibria])
+
+
+def _at_waypoints(variable: Variable) -> Variable:
+    return variable._replace(get=_of_waypoints(variable.name))
+
+
+ENERGY = Variable("energy", "energy_mJ")
+
+TABLES: Mapping[type, tuple[str, tuple[Variable, ...]]] = {
+    EquilibriumBatch: (
+        "configuration",
+        (
+            *JOINTS,
+            TIP,
+            Variable("tip_direction", "direction_{}", "axis", lambda batch: batch.tip_rotation[:, :, 2]),
+            Variable("tip_rotations", "tip_rotation_{}_deg", "tube"),
+            MARGIN,
+            ENERGY,
+            Variable("tip_error", "tip_error_mm"),
+            Variable("converged", "converged"),
+        ),
+    ),
+    Workspace: ("sample", (*JOINTS, TIP, Variable("tip_direction", "direction_{}", "axis"), MARGIN)),
+    JointPath: ("waypoint", tuple(map(_at_waypoints, (*JOINTS, TIP, MARGIN, ENERGY)))),
+    Trajectory: (
+        "instant",
+        (Variable("time", "time_s"), *JOINTS, TIP, MARGIN, Variable("clearance", "clearance_mm")),
+    ),
+    Equilibrium: (
+        "point",
+        (
+            Variable("arc_length", "arc_length_mm"),
+            Variable("position", "{}_mm", "axis"),
+            Variable("rotation", "rotation_{}_deg", "tube", lambda e: e.rotation.T),
+            Variable("torsion", "torsion_{}_rad_per_m", "tube", lambda e: e.torsion.T),
+        ),
+    ),
+}
+"""Kind of answer -> what a row is, and its variables."""
+
+INNER: Mapping[str, Callable[[int], list[Any]]] = {
+    "tube": lambda count: list(range(1, count + 1)),
+    "axis": lambda count: list("xyz"[:count]),
+}
+"""Dimension -> the names of its members."""
+
+
+def columns(answer: Any) -> dict[str, Array]:
+    """The flat table of an answer: name with its unit -> a number per row, in that unit.
+
+    Raises:
+        InputError: the answer has no rows: it is none of a batch, workspace, sweep, path, trajectory or equilibrium.
+    """
+    if isinstance(answer, Sweep):
+        with np.load(answer.arrays) as stored:
+            return {name: stored[name] for name in stored.files}
+    found: dict[str, Array] = {}
+    for variable in _description(answer)[1]:
+        values = variable.values(answer)
+        shown = values if values.dtype == bool else values * per_si(variable.unit)
+        if not variable.inner:
+            found[variable.column] = shown
+            continue
+        for k, name in enumerate(INNER[variable.inner](values.shape[1])):
+            found[variable.column.format(name)] = shown[:, k]
+    return found
+
+
+def to_dataframe(answer: Any) -> pandas.DataFrame:
+    """An answer with many rows as a pandas data frame; the columns end in their units.
+
+    Args:
+        answer: a batch, workspace, sweep, followed path or trajectory, or an equilibrium (a row per point of the arm).
+
+    Raises:
+        InputError: another kind of answer, or pandas is not installed.
+    """
+    frame: pandas.DataFrame = extra("pandas", "data", "data frames").DataFrame(columns(answer))
+    return frame
+
+
+def to_xarray(answer: Any) -> xarray.Dataset:
+    """An answer with many rows as labelled arrays in SI; every variable has its unit as attribute `units`.
+
+    Args:
+        answer: as of `to_dataframe`, but for sweeps, whose columns are of any kind.
+
+    Raises:
+        InputError: another kind of answer, or xarray is not installed.
+    """
+    library = extra("xarray", "data", "labelled arrays")
+    row, variables = _description(answer)
+    data, labels = {}, {}
+    for variable in variables:
+        values = variable.values(answer)
+        if variable.inner:
+            labels[variable.inner] = INNER[variable.inner](values.shape[1])
+        unit = SI.get(variable.unit, SIGNS.get(variable.unit, variable.unit)).replace("_", " ")
+        data[variable.name] = ((row, variable.inner) if variable.inner else (row,), values, {"units": unit or "1"})
+    found: xarray.Dataset = library.Dataset(data, coords=labels, attrs={"robot": _robot(answer)})
+    return found
+
+
+def save_table(answer: Any, path: str | PathLike[str]) -> Path:
+    """Write the flat table of an answer as CSV or Parquet, as the name ends, whole or not at all; return the path.
+
+    Raises:
+        InputError: an answer without rows, another ending, a file that cannot be written, or pyarrow is not installed.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise InputError(f"the table's name is {str(path)!r}; it must end in .{' or .'.join(FORMATS)}")
+    table = columns(answer)
+    if kind == "csv":
+        rows = zip(*(values.tolist() for values in table.values()), strict=True)
+        write_text(path, to_csv(list(table), ([_cell(value) for value in row] for row in rows)))
+        return path
+    arrow, parquet = (extra(name, "data", "Parquet files") for name in ("pyarrow", "pyarrow.parquet"))
+    with atomic_write(path) as temporary:
+        parquet.write_table(arrow.table({name: arrow.array(values) for name, values in table.items()}), temporary)
+    return path
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return "" if value != value else str(value)
+
+
+def _description(answer: Any) -> tuple[str, tuple[Variable, ...]]:
+    if type(answer) not in TABLES:
+        kinds = ", ".join(kind.__name__ for kind in (*TABLES, Sweep))
+        raise InputError(f"a {type(answer).__name__} has no rows to make a table of; what has: {kinds}")
+    return TABLES[type(answer)]
+
+
+def _robot(answer: Any) -> str:
+    robot = answer.equilibria[0].robot if isinstance(answer, JointPath) else answer.robot
+    return robot.name or "robot"
