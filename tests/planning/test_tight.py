@@ -310,7 +310,7 @@ def test_a_goal_behind_a_wall_that_no_arm_gets_around_is_told_at_once(monkeypatc
 
 
 def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
-    """Beside ways through random points in the plane of its middle, outside of it: where the goal is behind it, the least of them is as short."""
+    """Beside ways through random points in the plane of its middle, outside of it: right behind it, just as long."""
     random = np.random.default_rng(0)
     for _ in range(40):
         low = np.append(random.uniform(-0.06, -0.01, 2), 0.04)
