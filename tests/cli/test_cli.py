@@ -307,6 +307,32 @@ def test_output_that_nobody_reads_on() -> None:
     assert "Traceback" not in done.stderr
 
 
+# --- formats ----------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run, tmp_path: Path) -> None:
+    outcome = run("fk", THESIS, *ACTUATED, "--out", str(tmp_path), "--format", "svg,urdf,mjcf", "--width-mm", "88")
+    assert outcome.code == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"result.json", "arrays.npz", "shape.svg", "torsion.svg", "arm.urdf", "arm.xml"}
+    head = (tmp_path / "shape.svg").read_text(encoding="utf-8")[:2000]
+    assert f'width="{88 / 25.4 * 72:.6f}pt"'[:14] in head
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--format", "jpg"], "--format is 'jpg'; it must be one of png, pdf, svg, parquet, stl, glb, urdf, mjcf"),
+        (["--width-mm", "5"], "--width-mm is 5; it must be a number from 60 to 400"),
+        (["--width-mm", "wide"], "--width-mm is wide; it must be a number from 60 to 400"),
+    ],
+)
+def test_formats_that_are_not_known_are_refused(run: Run, flags: list[str], words: str) -> None:
+    outcome = run("fk", THESIS, *flags)
+    assert outcome.code == 2
+    assert words in " ".join(outcome.err.split())
+
+
 # --- what is told besides the answer ----------------------------------------------------------------------------------
 
 

@@ -93,6 +93,13 @@ def forward_kinematics_batch(
     Raises:
         InputError: arrays of wrong shape, a value that is not finite, a tube out of its actuator (the row is named).
         SolveError: with on_failure="raise", a configuration without a stable equilibrium that could be found.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> batch = tubeopt.forward_kinematics_batch(robot, [[0.0, 0.0], [0.5, 0.0]])
+        >>> batch.tip_position.shape, bool(batch.converged.all())
+        ((2, 3), True)
     """
     alpha, shift = joint_arrays(robot, rotations, translations)
     positive("tolerance", tolerance)

@@ -76,6 +76,15 @@ def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
 
     Raises:
         InputError: a file is missing, is not what was written, or the two are not of the same solve.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tubeopt.forward_kinematics(robot, [0.5, 0.0]).save(folder)
+        ...     tubeopt.load_equilibrium(folder).stable
+        True
     """
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     try:

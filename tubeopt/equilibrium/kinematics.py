@@ -118,6 +118,13 @@ def forward_kinematics(
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.5, 0.0])
+        >>> pose.stable, round(1e3 * float(pose.tip_position[2]), 3)
+        (True, 76.151)
     """
     began = time.perf_counter()
     alpha = vector("rotations", rotations, robot.n_tubes)

@@ -6,6 +6,8 @@ and the program of the new order goes on.
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 
 from ..control.posture import Posture
@@ -120,7 +122,8 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
 
 def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     """The program of a goal, with its numbers, that starts at a posture."""
-    program, space, problem = inverse_program(_question(goal, at, order)), goal.space, at.solution.problem
+    space, problem = goal.space, at.solution.problem
+    program = inverse_program(_question(goal, at, order), threading.get_ident())
     n, mesh = space.robot.n_tubes, problem.mesh
     numbers = torsion_numbers(problem)
     shift = (space.spread @ at.q)[n:]

@@ -19,7 +19,7 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
-from .loaded import under_load
+from .loaded import under_load, without_load
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -111,6 +111,13 @@ def inverse_kinematics(
         InputError: numbers that are missing, not finite or not allowed; limits that leave nothing.
         SolveError: no answer was found; the message says by how far the target is missed and what holds the robot,
             `.solution` is the closest pose.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> found = tubeopt.inverse_kinematics(robot, [0.05, 0.03, 0.15])
+        >>> found.reached, found.position_error < 1e-9
+        (True, True)
     """
     began = time.perf_counter()
     choice("on_failure", on_failure, ("raise", "closest"))
@@ -125,7 +132,7 @@ def inverse_kinematics(
                 robot,
                 at,
                 direction=along,
-                seed=seed if last is None else last,
+                seed=without_load(seed) if last is None else last,
                 reference=reference,
                 min_margin=floor,
                 limits=limits,

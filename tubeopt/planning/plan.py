@@ -97,6 +97,14 @@ def plan_trajectory(
 
     The time limit bounds all of it. A motion whose proof was not finished in time is returned as such: its `.proved`
     is False, and its `.status` says how much of it was followed.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> plan = tubeopt.plan_trajectory(robot, ([0, 0, 0], None), (np.radians([90, 0, 0]), None))
+        >>> plan.proved
+        True
     """
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     with in_time(clock):

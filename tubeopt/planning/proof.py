@@ -122,6 +122,14 @@ def verify_trajectory(
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
             start or one at other joint values.
         SolveError: there is no stable equilibrium at the first sample.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> proof = tubeopt.verify_trajectory(robot, [0, 10], [[0, 0, 0], np.radians([270, 0, 0])])
+        >>> proof.holds
+        False
     """
     check_robot(robot, limits)
     bodies = checked_obstacles(obstacles)

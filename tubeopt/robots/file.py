@@ -221,6 +221,12 @@ def load_robot(path: str | PathLike[str]) -> AnyRobot:
 
     Raises:
         InputError: no such file, not YAML, or keys or values that make no robot: one line for every problem.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> robot.n_tubes
+        2
     """
     return robot_from_dict(load_yaml(path), path)
 
@@ -230,6 +236,15 @@ def save_robot(robot: Robot, path: str | PathLike[str]) -> None:
 
     Raises:
         InputError: the file cannot be written.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tubeopt.save_robot(robot, f"{folder}/robot.yaml")
+        ...     tubeopt.load_robot(f"{folder}/robot.yaml") == robot
+        True
     """
     save_yaml(path, robot_to_dict(robot), "A robot for tubeopt.")
 

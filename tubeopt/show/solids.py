@@ -55,6 +55,15 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
 
     Raises:
         InputError: another ending, a file that cannot be written, or, for surfaces, trimesh is not installed.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.5, 0.0])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tubeopt.save_solid(pose, f"{folder}/arm.urdf").name
+        'arm.urdf'
     """
     path = Path(path)
     write = WRITERS.get(path.suffix.lower())

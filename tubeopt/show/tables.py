@@ -176,6 +176,15 @@ def save_table(answer: Any, path: str | PathLike[str]) -> Path:
 
     Raises:
         InputError: an answer without rows, another ending, a file that cannot be written, or pyarrow is not installed.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> batch = tubeopt.forward_kinematics_batch(robot, [[0.0, 0.0], [0.5, 0.0]])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tubeopt.save_table(batch, f"{folder}/batch.csv").name
+        'batch.csv'
     """
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")

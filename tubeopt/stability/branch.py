@@ -59,6 +59,14 @@ def trace_branch(
     Raises:
         InputError: wrong number of joint values, start and end the same.
         SolveError: the branch could not be followed.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> branch = tubeopt.trace_branch(robot, [0, 0, 0], np.radians([360, 0, 0]))
+        >>> len(branch.folds)
+        2
     """
     home = robot.home_translations if translations is None else translations
     shift = vector("translations", home, robot.n_tubes)

@@ -80,6 +80,12 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator; a force that is
             negative, or on tubes off the centreline.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> round(tubeopt.snap_free_certificate(robot), 3)
+        -0.996
     """
     shift = _shift(robot, translations)
     assembly = robot.assembly(shift)
@@ -138,6 +144,12 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
 
     Raises:
         InputError: as `snap_free_certificate`.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> tubeopt.certify(robot).snap_free
+        False
     """
     n, shift = robot.n_tubes, _shift(robot, translations)
     if robot.assembly(shift).eccentric:

@@ -55,6 +55,13 @@ def find_equilibria(
             moment or one that turns with the tip, or on an eccentric robot.
         SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
             a fold.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> [e.stable for e in tubeopt.find_equilibria(robot, np.radians([190, 0]))]
+        [True, True, False]
     """
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations

@@ -99,6 +99,13 @@ def follow(
         InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
             start; a friction for another number of tubes, of an eccentric robot, or beside a load.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> path = tubeopt.follow(robot, [[0, 0], [1.0, 0], [1.0, 0.5]])
+        >>> len(path.equilibria), len(path.snaps)
+        (3, 0)
     """
     alpha, shift = checked_waypoints(robot, rotations, translations)
     joints = np.concatenate([alpha, shift], axis=1)

@@ -37,6 +37,12 @@ def judge(
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> print(tubeopt.judge(robot).finding)
+        can snap
     """
     certificate = certify(robot, translations)
     try:

@@ -74,6 +74,13 @@ def find_load_limit(
         InputError: joint values as in `forward_kinematics`; a load with a moment or one that turns with the tip, which
             has no energy, so that stability is not told; an equilibrium that is loaded, unstable, or elsewhere.
         SolveError: no stable equilibrium without load; or the branch is lost without a fold or bifurcation close by.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> push = tubeopt.Load((0.0, 0.0, -0.1))
+        >>> tubeopt.find_load_limit(robot, [0.0, 0.0, 0.0], None, push, up_to=2.0) is None
+        True
     """
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations

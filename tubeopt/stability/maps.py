@@ -59,6 +59,12 @@ def energy_map(
         InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a
             window that is not two ranges.
         SolveError: the equilibria at these joint values are not complete.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> tubeopt.energy_map(robot, [1.0, 0.0], samples=11).energy.shape
+        (11, 11)
     """
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations
@@ -194,6 +200,13 @@ def stability_map(
 
     Raises:
         InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> chart = tubeopt.stability_map(robot, samples=3, directions=4, workers=1)
+        >>> chart.margin.shape
+        (3, 3)
     """
     if robot.n_tubes < 3:
         raise InputError(f"the robot has {robot.n_tubes} tubes; a map over two relative rotations needs at least 3")

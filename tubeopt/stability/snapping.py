@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -50,6 +51,15 @@ def find_snap(
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.
         SolveError: no stable equilibrium at `start`, or none where the robot lands.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> home = [0, 0, 0]
+        >>> snap = tubeopt.find_snap(robot, (home, home), (np.radians([360, 0, 0]), home))
+        >>> round(float(np.degrees(snap.rotations[0])), 3)
+        214.222
     """
     path = JointPath(robot, _joint(robot, "start", start), _joint(robot, "end", end))
     if load is not None:
@@ -93,8 +103,9 @@ MOVING = ("rotations", "transmission", "lengths")
 
 
 @lru_cache(maxsize=32)
-def _program(structure: Structure) -> Problem:
-    """max t subject to the equilibrium equations at joint values and lengths that are linear in t."""
+def _program(structure: Structure, thread: int) -> Problem:
+    """max t subject to the equilibrium equations at joint values and lengths that are linear in t; each thread has its
+    own numbers."""
     problem = Problem("snap")
     t = problem.variable("fraction of the path")
     sizes = {"rotations": structure.grid.n_tubes, **{name: shape[0] for name, shape in structure.shapes.items()}}
@@ -123,7 +134,7 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
         return here
     span = 0.5 * (goal - here.t)
     counts = np.bincount(mesh.section, minlength=assembly.n_sections)
-    program = _program(structure_of(problem))
+    program = _program(structure_of(problem), threading.get_ident())
     rates = {
         "rotations": np.split(path.end - path.start, 2)[0],
         "transmission": (ahead.transmission - assembly.transmission) / span,

@@ -60,6 +60,12 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
         SolveError: the equilibrium that was found cannot be solved again, at a fold.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> tubeopt.worst_margin(robot).margin < 0
+        True
     """
     home = robot.home_translations if translations is None else translations
     shift = tuple(vector("translations", home, robot.n_tubes).tolist())
@@ -140,6 +146,13 @@ def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: Array
 
     Raises:
         InputError: bounds of the wrong number, not finite, crossed, or past where a tube leaves its actuator.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> worst = tubeopt.worst_certificate(robot, [-0.03, -0.02, 0.0], [0.0, 0.0, 0.0])
+        >>> worst.certificate.snap_free
+        False
     """
     limits = np.array(robot.limits.translations)
     low = vector("lower", limits[:, 0] if lower is None else lower, robot.n_tubes)

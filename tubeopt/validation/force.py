@@ -15,7 +15,8 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..transcription.loaded import position_slopes, tip_slopes
+from ..transcription.loaded import tip_slopes
+from ..transcription.loaded_along import position_slopes
 from ..typing import Array
 from .measurements import SAME_PLACE, Measurements
 
@@ -198,6 +199,14 @@ def estimate_force(
         InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
             load with a moment or one that turns with the tip.
         SolveError: no equilibrium without the force, or the fit does not settle.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pushed = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0], load=tubeopt.Load((0.02, 0.0, 0.0)))
+        >>> found = tubeopt.estimate_force(robot, [0.0, 1.0, 2.0], tip_position=pushed.tip_position, noise=1e-4)
+        >>> round(float(found.force[0]), 4)
+        0.02
     """
     alpha = vector("rotations", rotations, robot.n_tubes)
     home = robot.home_translations if translations is None else translations

@@ -85,6 +85,12 @@ def snapping_loss(
     Raises:
         InputError: tubes off the centreline, for which the equilibria cannot be listed by their tips; a workspace of
             another robot; a size that is not positive; limits of rotations that leave no equilibrium.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> 0 <= tubeopt.snapping_loss(robot, 500).fraction < 1
+        True
     """
     require_centred(robot)
     if reached is not None and reached.robot != robot:

@@ -56,6 +56,12 @@ def workspace(
     Raises:
         InputError: no number of samples, unknown method, limits that leave nothing, a directory that holds another
             workspace, that another run is writing to, or that cannot be written.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> tubeopt.workspace(robot, 100).tip_position.shape
+        (100, 3)
     """
     drawn = JointSamples(robot, method, samples, seed)
     count = sum(len(rotations) for rotations, _ in drawn.blocks()) if method == "grid" else samples

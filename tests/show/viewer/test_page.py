@@ -162,3 +162,28 @@ def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(tab: 
     tab.tab("Layers")
     assert not tab.box("volume swept by the trajectory").is_checked()
     tab.wait_for_tip(forward_kinematics(changed, np.radians([200, 0, 0])).tip_position)
+
+
+def test_a_change_is_taken_back_and_the_target_begins_at_the_tip(tab: Tab) -> None:
+    assert tab.page.get_by_text(THESIS.name).count()
+    tab.tab("Tip")
+    for axis, value in zip("xyz", tip(0, 0, 0) * 1e3, strict=True):
+        assert abs(float(tab.box(f"target {axis} (mm)").input_value()) - value) < 1e-3
+    tab.tab("Joints")
+    tab.type("rotation of tube 1", 60)
+    tab.wait_for_tip(tip(60, 0, 0))
+    tab.type("rotation of tube 2", -40)
+    tab.wait_for_tip(tip(60, -40, 0))
+    tab.press("Undo")
+    tab.wait_for_tip(tip(60, 0, 0))
+    tab.press("Undo")
+    tab.wait_for_tip(tip(0, 0, 0))
+    tab.press("Undo")
+    assert tab.wait_for("message", "nothing") == "nothing was changed"
+
+
+def test_a_number_may_have_an_exponent(tab: Tab) -> None:
+    tab.page.get_by_text("Exact values").click()
+    tab.type("rotation 1 (deg)", "0.6e2")
+    tab.press("Move there")
+    tab.wait_for_tip(tip(60, 0, 0))

@@ -229,6 +229,13 @@ def plan_mold(
         InputError: no tube, a tube without a curved part, a space curve (`plan_mandrel` winds it), one strained too
             far when pressed into its groove, end mills wider than the groove or its bend, a plate too thin or too
             small, grooves that cross, no room for bolts, or a curvature that no mold yields.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> mold = tubeopt.plan_mold(robot.tubes[0])
+        >>> len(mold.grooves)
+        1
     """
     spec = MoldSpec() if mold is None else mold
     instance("mold", spec, MoldSpec)

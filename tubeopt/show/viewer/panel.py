@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...files.units import TO_MM
+from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .session import Session, joint_names, space_of
@@ -43,9 +44,11 @@ class Panel:
     def __init__(self, gui: Any, tab: Tab, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
         self._shown: dict[int, float] = {}
+        self._aimed: dict[int, str] = {}
         self._in_hand: set[int] = set()
         self._layers: dict[str, Any] = {}
         robot = view.robot
+        gui.set_panel_label(robot.name or "robot")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(390)
         self._readout = gui.add_html("")
@@ -57,7 +60,7 @@ class Panel:
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
-            self._margin = self._lead_controls(view.min_margin)
+            self._margin, self._targets = self._lead_controls(view.min_margin)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):
@@ -119,9 +122,12 @@ class Panel:
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
-                box.value = round(float(value), EXACT)
+                box.value = _typed(value, EXACT)
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
+        for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
+            if box.value == self._aimed.get(id(box), "0"):  # nobody has typed a target
+                box.value = self._aimed[id(box)] = _typed(value, 3)
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
@@ -187,7 +193,7 @@ class Panel:
         return slider
 
     def _buttons(self) -> None:
-        for label, act in (("Home", self._tab.home), ("All equilibria", self._tab.ghosts)):
+        for label, act in (("Home", self._tab.home), ("Undo", self._tab.undo), ("All equilibria", self._tab.ghosts)):
             self._button(label, act)
 
     def _button(self, label: str, act: Any, **options: Any) -> Any:
@@ -218,16 +224,27 @@ class Panel:
         n = robot.n_tubes
         labels = [f"rotation {i + 1} (deg)" for i in range(n)] + [f"translation {i + 1} (mm)" for i in range(n)]
         with self._gui.add_folder("Exact values", expand_by_default=False):
-            boxes = [self._gui.add_number(label, 0.0, step=10.0**-EXACT) for label in labels]
+            boxes = [self._gui.add_text(label, "0") for label in labels]
 
             def go() -> None:
-                values = np.array([float(box.value) for box in boxes])
+                values = self._numbers(boxes)
+                if values is None:
+                    return
                 self._tab.go_to(np.radians(values[:n]).tolist(), (values[n:] / TO_MM).tolist())
 
             self._button("Move there", go)
         return boxes
 
-    def _lead_controls(self, least: float) -> Any:
+    def _numbers(self, boxes: Sequence[Any]) -> np.ndarray | None:
+        """What boxes hold; None, and a sentence, where one holds no number."""
+        read = [parse_number(box.value) for box in boxes]
+        for box, number in zip(boxes, read, strict=True):
+            if isinstance(number, str) or not number.is_finite():
+                self.say(f"{box.label} is {box.value!r}; it must be a number", bad=True)
+                return None
+        return np.array([float(number) for number in read])
+
+    def _lead_controls(self, least: float) -> tuple[Any, list[Any]]:
         margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
         drag = self._gui.add_checkbox("drag the tip", False, hint="Arrows at the tip lead it.")
 
@@ -235,13 +252,15 @@ class Panel:
             self._tab.show("target", bool(event.target.value))
 
         drag.on_update(shown)
-        boxes = [self._gui.add_number(f"target {axis} (mm)", 0.0, step=0.001) for axis in "xyz"]
+        boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 
         def lead() -> None:
-            self._tab.lead(np.array([box.value for box in boxes]) / TO_MM, self.least_margin, done=True)
+            values = self._numbers(boxes)
+            if values is not None:
+                self._tab.lead(values / TO_MM, self.least_margin, done=True)
 
         self._button("Lead the tip there", lead)
-        return margin
+        return margin, boxes
 
     def _play_controls(self) -> Any:
         time = self._gui.add_slider("time (s)", 0.0, 1.0, 0.001, 0.0, marks=(), disabled=True)
@@ -298,6 +317,10 @@ class Panel:
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
+        self._check("dark", False, self._dark)
+
+    def _dark(self, on: bool) -> None:
+        self._gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=on)
 
     def _save_controls(self) -> None:
         for label, what in (
@@ -315,6 +338,11 @@ def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
     out = values.copy()
     out[:rotations] = np.clip(out[:rotations], -LONGEST_TURN, LONGEST_TURN)
     return np.round(out, 1)
+
+
+def _typed(value: float, digits: int) -> str:
+    """A number as one would type it."""
+    return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
 
 
 def _escaped(text: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,9 @@ TICK = 0.04
 CLOUD = 4000
 """Samples of the workspace layer."""
 
+UNDONE = 200
+"""Changes that can be taken back."""
+
 ADVISED = "this tab has a robot of its own"
 
 
@@ -56,6 +61,8 @@ class Tab:
         self._target: Any = None
         self._pulling = False
         self._stale = False
+        self._past: deque[Session] = deque(maxlen=UNDONE)
+        self._mark: int | str | None = None
         self.panel = Panel(client.gui, self, view)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._worker = Worker(
@@ -96,6 +103,20 @@ class Tab:
     def home(self) -> None:
         """Go home."""
         self._by_hand(lambda: self._change(go_home))
+
+    def undo(self) -> None:
+        """Take the last change back: joint values, branch and tubes."""
+
+        def go() -> None:
+            if not self._past:
+                self._say("nothing was changed")
+                return
+            # Taken back without a snap on the way: it is where the robot was, not how it came from here.
+            earlier = self._past.pop()
+            self._change(lambda session: replace(earlier, last=()))
+            self._past.pop()
+
+        self._by_hand(go)
 
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
         """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
@@ -210,6 +231,11 @@ class Tab:
             return
         moved = self.session is not before
         if moved:
+            # What one hand does without letting go is one change.
+            mark = dragged if dragged is not None else "lead" if self._pulling else None
+            if mark is None or mark != self._mark:
+                self._past.append(before)
+            self._mark = mark
             self.scene.clear("ghosts")
         if moved and self.session.last:
             self._animate(self.session.last)
