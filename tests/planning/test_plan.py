@@ -246,7 +246,7 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
     place: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", lambda *_, **__: pytest.fail("was asked"))
-    with pytest.raises(SolveError, match=r"no plan was found: the goal is out of reach as far as searches tell"):
+    with pytest.raises(SolveError, match=r"no plan (exists: the goal is 5|was found: the goal is out of reach as)"):
         plan_trajectory(THESIS, HOME, place)
 
 

@@ -40,6 +40,7 @@ from tubeopt.control.outline import Outline
 from tubeopt.control.posture import posture_of
 from tubeopt.control.task import Task
 from tubeopt.planning import plan
+from tubeopt.planning.goals import _way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -296,6 +297,33 @@ def test_a_tip_in_an_obstacle_is_told_before_inverse_kinematics(monkeypatch: pyt
     body = Sphere(tuple((tip + np.array([0.0, 0.0, 2e-3])).tolist()), 5e-3)
     with pytest.raises(SolveError, match=r"no plan exists: with its tip at the goal the arm has clearance -3\.5 mm at"):
         plan_trajectory(THESIS, HOME, tip, obstacles=[body])
+
+
+def test_a_goal_behind_a_wall_that_no_arm_gets_around_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", lambda *_, **__: pytest.fail("was asked"))
+    tip = forward_kinematics(THESIS, [1.0, 0.5, 0.0]).tip_position
+    slab = Box((-0.5, -0.5, 0.05), (0.5, 0.5, 0.06))
+    with pytest.raises(SolveError, match=r"no plan exists: obstacle 1 \(Box\) is between the plate and the goal"):
+        plan_trajectory(THESIS, ([0.0] * 3, [-0.17, -0.13, -0.085]), tip, obstacles=[slab])
+    with pytest.raises(SolveError, match=r"no plan exists: the goal is 519\.6 mm from the plate, and no arm is longer"):
+        plan_trajectory(THESIS, HOME, [0.3, 0.3, 0.3])
+
+
+def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
+    """Beside ways through random points in the plane of its middle, outside of it: right behind it, just as long."""
+    random = np.random.default_rng(0)
+    for _ in range(40):
+        low = np.append(random.uniform(-0.06, -0.01, 2), 0.04)
+        high = np.append(random.uniform(0.01, 0.06, 2), 0.05)
+        goal = np.append(random.uniform(-0.05, 0.05, 2), random.uniform(0.06, 0.1))
+        via = np.column_stack([random.uniform(-0.1, 0.1, (20000, 2)), np.full(20000, 0.045)])
+        via = via[((via < low) | (via > high))[:, :2].any(1)]
+        found = (np.linalg.norm(via, axis=1) + np.linalg.norm(goal - via, axis=1)).min()
+        told = _way_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
+        assert told <= found
+        if ((goal > low) & (goal < high))[:2].all():
+            assert told == pytest.approx(found, abs=3e-3)
+    assert _way_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
 
 
 def test_a_closed_pocket_is_told_from_an_open_place() -> None:

@@ -127,7 +127,7 @@ def _any(task: Task, z: Array, clock: Clock) -> bool:
             slack = 1e-6 * space.scale[:n]
             allowed &= ((q[:, :n] >= space.lower[:n] - slack) & (q[:, :n] <= space.upper[:n] + slack)).all(1)
             if allowed.any():
-                allowed &= task.clearances(arms) >= task.clearance
+                allowed &= task.clearances(arms, task.clearance) >= task.clearance
         if allowed.any():
             return True
     return False

@@ -89,18 +89,20 @@ class Task:
             floor=4 * self.floor,
         )
 
-    def clearances(self, arms: Arms) -> Array:
-        """(N,) least distance of the arms' surfaces from obstacles, m; infinite without obstacles.
+    def clearances(self, arms: Arms, enough: float = np.inf) -> Array:
+        """(N,) least distance of the arms' surfaces from obstacles, m, or what is more than `enough` where it is more
+        than that; infinite without obstacles.
 
         Arms that may come closer than is asked between points along them are looked at more closely there.
         """
         if not self.obstacles:
             return np.full(len(arms.points), np.inf)
         s, points = arms.fine()
-        gap = self._gap(arms, s, points, np.arange(len(s)))
-        least = gap.min(1)
         # A distance changes by no more than its point moves.
         step = s[:, 1]
+        within = max(enough, self.clearance + self.clearance_room) + float(step.max()) + float(self.chart.radius.max())
+        gap = self._gap(arms, s, points, np.arange(len(s)), within)
+        least = gap.min(1)
         rows = np.flatnonzero(least - step / 2 < self.clearance + self.clearance_room)
         if not len(rows):
             return np.asarray(least)
@@ -115,11 +117,12 @@ class Task:
             step = step * 2 / (INSIDE - 1)
         return np.asarray(least)
 
-    def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp]) -> Array:
-        """(r, p) distances of the surface of arms from obstacles at arc lengths s (r, p), whose centreline is given."""
+    def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf) -> Array:
+        """(r, p) distances of the surface of arms from obstacles at arc lengths s (r, p), whose centreline is given; as
+        if it were `within` (m) from them where it is farther."""
         shown = s[:, :, None] <= arms.tube_end[rows][:, None, :] + 1e-12
         radius = np.where(shown, self.chart.radius, 0.0).max(2)
-        distance = self.scene.nearest(points.reshape(-1, 3)).reshape(points.shape[:-1])
+        distance = self.scene.nearest(points.reshape(-1, 3), within).reshape(points.shape[:-1])
         return np.asarray(distance - radius)
 
     def arms(self, z: Array) -> Arms:
@@ -152,7 +155,7 @@ class Task:
         allowed = inside & (arms.stable | known)
         spare = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
         if self.obstacles and allowed.any():
-            left = self.clearances(arms) - self.clearance
+            left = self.clearances(arms, self.clearance + self.clearance_room) - self.clearance
             allowed &= (left >= self.needed(z)) | known
             spare = np.minimum(spare, np.maximum(left, 0.0) / self.clearance_room)
         return np.where(allowed, spare, -1.0)
