@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..display import Displayed
 from ..errors import InputError, numbers, positive
 
 PAIRWISE = ("torque", "plate", "jumps", "ends")
@@ -11,7 +12,7 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 
 
 @dataclass(frozen=True)
-class Friction:
+class Friction(Displayed):
     """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.
 
     It bears a torque about the tubes' axis up to the capacities here, whatever the speed, and as much while it slips.

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import choice
 from ..files.checked import NotNegative, Positive
 from ..files.fields import asking
@@ -21,7 +22,7 @@ from .heating_study import HeatedTube
 
 
 @dataclass(frozen=True, eq=False)
-class LedHeating:
+class LedHeating(Displayed):
     """A heating that a sensor leads, and the board that runs it.   frequency: Hz, of the board's pulses."""
 
     plan: HeatingPlan

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
 from ..shaping.feedback.feedback import lead_by
@@ -34,7 +35,7 @@ SILENCE = 5
 
 
 @dataclass(frozen=True)
-class HeatingRun:
+class HeatingRun(Displayed):
     """A heating that was run.
 
     rows: what the rig reported, slot by slot. reason: why it ended. log: where it was written. name: of the rig.

@@ -9,6 +9,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Positive
 from ..files.units import MM, to_si
@@ -23,7 +24,7 @@ from .validation_study import MeasurementsPath
 
 
 @dataclass(frozen=True, eq=False)
-class Bearing:
+class Bearing(Displayed):
     """How much of a load a robot bears at given joint values; limit None: all that was looked at, `up_to` times it."""
 
     robot: Robot

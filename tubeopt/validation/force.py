@@ -71,7 +71,7 @@ class ForceEstimate(Displayed):
 
 
 @dataclass(frozen=True, eq=False)
-class ForceRecord:
+class ForceRecord(Displayed):
     """Forces at the tip over the N rows of a recording.
 
     robot, measurements, noise: what was asked, noise in m.   estimates: one per row, None where there is none.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from ...display import Displayed
 from ...errors import InputError, instance
 from ...typing import Array
 from ..heating.rig import COUNTS
@@ -44,7 +45,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, eq=False)
-class Feedback:
+class Feedback(Displayed):
     """A heating in a closed loop, and what becomes of it on rigs that are not quite the one that it was planned for.
 
     Attributes:

@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from ...display import Displayed
 from ...errors import InputError
 from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
@@ -21,7 +22,7 @@ from ..heating.thermal import ThermalModel
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Displayed):
     """What all sensors have in common.
 
     Raises:

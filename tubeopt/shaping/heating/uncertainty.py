@@ -9,6 +9,7 @@ from typing import Annotated, Self
 import numpy as np
 import scipy
 
+from ...display import Displayed
 from ...errors import InputError
 from ...files.marks import NOT_NEGATIVE, Range, check_fields, unit
 from ...physics.heat import Resolution
@@ -22,7 +23,7 @@ PART = Range(least=0.0, most=0.99)
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Displayed):
     """Half-widths of what is not known of a rig and its tube, uniformly distributed and independent; 0 is known.
 
     Raises:
