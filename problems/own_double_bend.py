@@ -15,11 +15,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy.optimize
 
-from tubeopt import ConcentricRobot, Equilibrium, Piece, Tube, forward_kinematics, snap_free_certificate
+from tubeopt import (
+    ConcentricRobot,
+    Equilibrium,
+    EquilibriumBlock,
+    Ipopt,
+    Piece,
+    Problem,
+    Tube,
+    forward_kinematics,
+    snap_free_certificate,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -31,6 +41,9 @@ OUT = 15e-3
 
 DRAWN_BACK = (0.0, 5e-3, 10e-3, 15e-3)
 """How far the inner tube is drawn back, m."""
+
+PARTS = np.linspace(0.1, 1.0, 10)
+"""Where along the arm its distance from the way counts."""
 
 
 def way(s: np.ndarray) -> np.ndarray:
@@ -57,14 +70,18 @@ def solved(robot: ConcentricRobot, back: float) -> Equilibrium:
 
 
 def fitted() -> np.ndarray:
-    """(4,) curvatures (1/m) of the best pair."""
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        robot = robot_of(x)
-        return np.concatenate([_offsets(solved(robot, back)) for back in DRAWN_BACK]) * 1e3
-
+    """(4,) curvatures (1/m) of the best pair: one program, with a block for every length."""
     start = np.array([8.0, -8.0, 1 / RADII[0], -1 / RADII[1]])
-    return np.asarray(scipy.optimize.least_squares(residual, start, x_scale=10.0, xtol=1e-12, ftol=1e-12).x)
+    problem = Problem()
+    bends = problem.variable("curvatures", 4, guess=start, scale=10.0)
+    off = 0.0
+    for back in DRAWN_BACK:
+        block = EquilibriumBlock(problem, solved(robot_of(start), back), tubes={"piece_curvature": bends})
+        length = FIRST + SECOND - back
+        for part, goal in zip(PARTS, way(PARTS * length), strict=True):
+            off += ca.sumsqr(1e3 * (block.position(part) - goal))
+    problem.minimize(off)
+    return np.asarray(problem.solve(Ipopt(tolerance=1e-10)).value(bends))
 
 
 def _offsets(equilibrium: Equilibrium) -> np.ndarray:

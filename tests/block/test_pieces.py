@@ -18,6 +18,7 @@ from tubeopt import (
     Tube,
     forward_kinematics,
     load_robot,
+    snap_free_certificate,
 )
 from tubeopt.typing import Array
 
@@ -120,6 +121,32 @@ def test_largest_margin_that_can_be_demanded_is_the_margin() -> None:
     block.margin_at_least(least)
     problem.maximize(least)
     assert problem.solve(Ipopt(expand=True)).value("margin") == pytest.approx(near.margin, abs=1e-7)
+
+
+def test_largest_certificate_that_can_be_demanded_is_the_certificate() -> None:
+    """Of helices, arcs and slots, found there as the least eigenvalue of another matrix."""
+    near = forward_kinematics(EXAMPLE, TURNED, SHIFT)
+    known = snap_free_certificate(EXAMPLE, SHIFT)
+    problem = Problem()
+    least = problem.variable("certificate", guess=known - 0.3)
+    EquilibriumBlock(problem, near).certificate_at_least(least)
+    problem.maximize(least)
+    assert problem.solve().value(least) == pytest.approx(known, abs=1e-6)
+    with pytest.raises(InputError, match="whose curvature or stiffness varies"):
+        EquilibriumBlock(Problem(), forward_kinematics(BEFORE, [0.3, 1.4])).certificate_at_least(0.0)
+
+
+def test_a_joint_of_pieces_passes_the_plate() -> None:
+    """The inner tube is drawn back until the joint of its pieces lies behind the plate: the order changes."""
+    near = forward_kinematics(EXAMPLE, TURNED, [-0.024, -0.012, -0.002])
+    goal = forward_kinematics(EXAMPLE, TURNED, [-0.034, -0.012, -0.002])
+    problem = Problem()
+    shift = problem.variable("translation", guess=-0.024, lower=-0.06, upper=0.0, scale=0.01)
+    block = EquilibriumBlock(problem, near, translations=ca.vertcat(shift, -0.012, -0.002))
+    problem.minimize(1e4 * ca.sumsqr(shift + 0.034))
+    solution = problem.solve()
+    assert solution.value(shift) == pytest.approx(-0.034, abs=1e-7)
+    np.testing.assert_allclose(block.equilibrium(solution).tip_position, goal.tip_position, atol=1e-8)
 
 
 def test_a_helix_alone_is_not_strained() -> None:

@@ -12,14 +12,15 @@ import typer
 from pydantic import Field
 from typer.testing import CliRunner
 
-from tests.command_line import COLOUR, ROOT, THESIS, Run, answer
+from tests.command_line import COLOUR, ROOT, THESIS, Run, answer, refused
 from tubeopt.cli.flags import asks
 from tubeopt.cli.output import Output
 from tubeopt.errors import InputError
-from tubeopt.files.checked import Number, Positive
-from tubeopt.runs.base import Progress, RobotPath, Study, Whole
+from tubeopt.files.checked import Number, Positive, Whole
+from tubeopt.runs.base import Progress, RobotPath, Study
 from tubeopt.runs.study_file import STUDY_KINDS
 
+TRIALS = str(ROOT / "configs" / "molds" / "example_trials.csv")
 RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
 
 
@@ -111,9 +112,13 @@ def test_every_key_of_a_study_is_a_flag_of_its_command(run: Run) -> None:
     commands = {
         "forward_kinematics": "fk", "inverse_kinematics": "ik", "equilibria": "equilibria", "snap": "snap",
         "follow": "follow", "certify": "certify", "stability_map": "stability-map", "validation": "validate",
-        "heating": "heat plan", "mold_plan": "mold plan",
+        "heating": "heat plan", "mold_plan": "mold plan", "measure": "measure", "workspace": "workspace",
+        "verify": "verify", "heating_calibration": "heat calibrate", "mandrel": "mold mandrel",
+        "mold_materials": "mold materials", "mold_calibration": "mold calibrate", "fabrication": "fabricate",
     }  # fmt: skip
-    placed = {"follow": ("robot", "path"), "validation": ("robot", "measurements"), "heating": ("rig",)}
+    placed = {"follow": ("robot", "path"), "validation": ("robot", "measurements"), "heating": ("rig",),
+              "verify": ("trajectory", "rates"), "heating_calibration": ("log",),
+              "mold_calibration": ("trials",)}  # fmt: skip
     for kind, command in commands.items():
         shown = run(*command.split(), "--help").out
         keys = [key for key in STUDY_KINDS[kind].model_fields if key not in ("kind", *placed.get(kind, ("robot",)))]
@@ -143,3 +148,34 @@ def test_a_flag_that_must_be_given_is_named(run: Run, command: list[str], words:
     outcome = run(command[0], *(str(ROOT / part) if "configs" in part else part for part in command[1:]))
     assert outcome.code == 2
     assert words in outcome.err
+
+
+def test_flags_override_the_keys_of_a_file(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(f"kind: plan\nrobot: {THESIS}\ngoal_deg: [5, 0, 0]\nobjective: none\n")
+    planned = answer(run("plan", str(path), "--goal-deg", "9,0,0", "--json"))
+    assert planned["goal"]["rotations_deg"] == pytest.approx([9, 0, 0])
+    shown = run("plan", "--help").out
+    assert "--goal-deg" in shown
+    assert "--rates" not in shown  # a mapping is not typed
+    told = refused(run("plan", str(path), "--goal-deg", "1,2", "--seed", "-1", "--min-margin", "2"))
+    assert told == [
+        "--goal-deg has 2 numbers; it must be 3 (one per tube)",
+        "--min-margin is 2; it must be less than 1",
+        "--seed is -1; it must be at least 0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("typed", "study"),
+    [
+        (("mold", "materials", THESIS, "--tube", "2", "--hold-s", "5"),
+         f"kind: mold_materials\nrobot: {THESIS}\ntube: 2\nhold_s: 5\n"),
+        (("mold", "calibrate", TRIALS, "--model", "linear"),
+         f"kind: mold_calibration\ntrials: {TRIALS}\nmodel: linear\n"),
+    ],
+)  # fmt: skip
+def test_other_commands_and_their_studies_are_one(run: Run, tmp_path: Path, typed: tuple[str, ...], study: str) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(study)
+    assert answer(run("run", str(path), "--json")) == answer(run(*typed, "--json"))

@@ -25,6 +25,7 @@ from tubeopt.design import (
     Reach,
     SnapFree,
     Target,
+    Wall,
 )
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import compile_task, state_at
@@ -159,6 +160,27 @@ def test_own_requirement_and_objective_give_the_optimum_of_the_built_in_ones() -
         "robot", "curvatures"
     )
     assert any(check.what == "certificate at home" and check.kept for check in design.verification.checks)
+
+
+@pytest.mark.parametrize("method", ["reduced", "collocation"])
+def test_a_small_number_is_minimised_as_exactly_as_any_other(method: str) -> None:
+    """The metal of two tubes is 1e-7 m^3 of SI: a thinner wall than the least is not left on the table."""
+
+    @dataclass(frozen=True)
+    class Metal(OwnObjective):
+        words, unit, factor = "metal of all tubes", "mm3", 1e9
+
+        def expression(self, q: Quantities) -> Any:
+            od, bore, length = (q.tubes[name] for name in ("outer_diameter", "inner_diameter", "straight_length"))
+            return ca.dot(np.pi / 4 * (od**2 - bore**2), length + q.tubes["curved_length"])
+
+    free = (Free("outer_diameter", (0, 1), 0.9 * MM, 1.6 * MM), Free("curved_length", (0, 1), 0.05, 0.09))
+    design = optimize_design(
+        DesignTask(two_tubes(), free, (Wall(0.1 * MM),), Metal(), ordered=False), method=method, turns=0
+    )
+    for tube, bore in zip(design.robot.tubes, (0.8, 1.1), strict=True):
+        assert tube.outer_diameter == pytest.approx((bore + 0.2) * MM, rel=1e-5)
+        assert tube.curved_length == pytest.approx(0.05, rel=1e-5)
 
 
 def test_own_requirement_on_poses_is_kept_and_verified() -> None:

@@ -9,7 +9,16 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.design.tasks import THESIS, closed_form, equal_pair, snap_free_thesis, three_tubes, tightest, two_tubes
-from tubeopt import DesignTask, certify, optimize_design, snap_free_certificate, worst_certificate, worst_margin
+from tubeopt import (
+    DesignTask,
+    InputError,
+    SolveError,
+    certify,
+    optimize_design,
+    snap_free_certificate,
+    worst_certificate,
+    worst_margin,
+)
 from tubeopt.design import Free, Objective, SnapFree, Strain, count_snaps, pareto_front
 from tubeopt.design.program import compile_task
 from tubeopt.design.solve import solve
@@ -137,3 +146,20 @@ def test_scaled_curvatures_follow_the_law_of_squares() -> None:
     design = optimize_design(task, turns=1)
     factor = np.sqrt(0.9 / (1 - snap_free_certificate(THESIS)))
     assert design.robot.tubes[0].curvature == pytest.approx(10 * factor, rel=1e-6)
+
+
+def test_a_design_that_no_force_up_to_a_size_can_snap() -> None:
+    task = tightest(equal_pair(0.1, 0.05), 0.3)
+    bearing = replace(task, requirements=(SnapFree(0.3, max_force=0.02), *task.requirements[1:]))
+    design = optimize_design(bearing, turns=1)
+    bears = snap_free_certificate(design.robot, max_force=0.02)
+    assert 0.3 <= bears < 0.305
+    assert design.certificate > bears
+    assert design.verification.checks[-1].kept
+    assert "up to 20 mN" in design.verification.checks[-1].what
+    assert design.task is bearing
+    strong = replace(task, requirements=(SnapFree(0.05, max_force=1e3), *task.requirements[1:]))
+    with pytest.raises(SolveError, match=r"no design was found that bears 1e\+06 mN"):
+        optimize_design(strong, turns=0)
+    with pytest.raises(InputError, match="max_force and box are given"):
+        SnapFree(0.05, box=((0.0,), (0.1,)), max_force=0.01)

@@ -205,6 +205,42 @@ def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot
         assert np.abs(compliance[3:, k] - turned).max() < 1e-6 * np.abs(compliance[3:]).max()
 
 
+@pytest.mark.parametrize("at", [0.03, 0.06, 0.12])
+def test_compliance_along_the_arm_is_that_of_differences(thesis: ConcentricRobot, at: float) -> None:
+    here = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, -0.05, 0.02), points=((at, (0, 0, 0)),)))
+    compliance = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, -0.05, 0.02))).compliance_at(at)
+    assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
+    for k in range(3):
+        push = 1e-3 * np.eye(3)[k]
+        sides = [
+            forward_kinematics(thesis, ROTATIONS, load=Load((0.1, -0.05, 0.02), points=((at, tuple(s * push)),)))
+            for s in (1, -1)
+        ]
+        place = [np.argmin(np.abs(e.arc_length - at)) for e in (*sides, here)]
+        assert abs(here.arc_length[place[2]] - at) < 1e-12
+        moved = (sides[0].position[place[0]] - sides[1].position[place[1]]) / 2e-3
+        assert np.abs(compliance[:3, k] - moved).max() < 1e-5 * np.abs(compliance[:3]).max()
+        turn = (sides[0].frame[place[0]] - sides[1].frame[place[1]]) @ here.frame[place[2]].T / 2e-3
+        turned = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        # Of the frame, which has not the tube's twist in it: alike across the arm.
+        across = np.eye(3) - np.outer(here.frame[place[2]][:, 2], here.frame[place[2]][:, 2])
+        assert np.abs(across @ (compliance[3:, k] - turned)).max() < 1e-5 * np.abs(compliance[3:]).max()
+
+
+def test_compliance_along_the_arm_ends_at_the_tip(thesis: ConcentricRobot) -> None:
+    e = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, -0.05, 0.02)))
+    assert np.allclose(e.compliance_at(e.arc_length[-1], 0), e.compliance, rtol=1e-10, atol=1e-12)
+    # A straight tube gives way in torsion in proportion to the distance, and in bending as a cantilever.
+    column = rod(0.2, 1e-3)
+    there = forward_kinematics(column, [0.0]).compliance_at(0.1)
+    assert there[5, 5] == pytest.approx(0.1 / column.tubes[0].torsional_stiffness, rel=1e-12)
+    assert there[0, 0] == pytest.approx(0.1**3 / 3e-3, rel=1e-12)
+    with pytest.raises(InputError, match="it must be on the arm"):
+        e.compliance_at(1.0)
+    with pytest.raises(InputError, match="tube is 2; tubes 0 are at"):
+        e.compliance_at(e.arc_length[-1], 2)
+
+
 @pytest.mark.parametrize(
     "load", [Load((0.1, -0.05, 0.02), gravity=(0, 0, -9.81)), Load((0.02, 0, 0), (0.002, 0, 0.001))]
 )
@@ -418,7 +454,6 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
         (lambda: forward_kinematics(thesis, ROTATIONS, load=Load(points=((0.3, (0, 0, 1)),))), "at most the length"),
         (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "tube 1 has no density"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=(1, 2, 3)), "it must be a Load"),  # type: ignore[arg-type]
-        (lambda: e.jacobian(), "bears a load"),
         (lambda: verify_equilibrium(e), "bears a load"),
         (lambda: follow(thesis, [ROTATIONS, ROTATIONS], start=e), "bears a load"),
     ]

@@ -14,12 +14,17 @@ from tests.command_line import ROOT, Run
 from tests.command_line import THESIS as THESIS_FILE
 from tests.examples import CRL, DEG, THESIS, TWO_TUBE
 from tubeopt import (
+    ConcentricRobot,
     Equilibrium,
+    InverseOptions,
     JointLimits,
     PlanOptions,
     SolveError,
     Trajectory,
+    Tube,
+    follow_the_leader,
     forward_kinematics,
+    inverse_kinematics,
     load_robot,
     plan_trajectory,
     verify_trajectory,
@@ -96,9 +101,8 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
         for left in (0.03, spare)
     )
     assert tight.proved
-    assert tight.statistics.smoothed == "length"
-    assert tight.statistics.length < 1.01 * free.statistics.length
-    assert tight.statistics.iterations <= 2 * free.statistics.iterations
+    assert tight.statistics.length < 1.02 * free.statistics.length
+    assert tight.time[-1] < 1.02 * free.time[-1]
 
 
 def test_goals_of_barely_enough_margin_are_planned_to() -> None:
@@ -225,6 +229,37 @@ def test_time_limits_bound_the_whole_call() -> None:
         assert time.perf_counter() - began <= 1.1 * 3.0 + 0.5
 
 
+def slow_robot(kind: str) -> Robot:
+    """One of nine tubes, whose every equilibrium takes milliseconds: beside each other, or in three segments."""
+    if kind == "segments":
+        return load_robot(ROOT / "configs" / "robots" / "example_three_segment_etr.yaml")
+    tubes = (Tube(8e-4 + 5e-4 * k, 6e-4 + 5e-4 * k, 0.35 - 0.03 * k, 0.12 - 0.01 * k, 4.0 + k) for k in range(9))
+    return ConcentricRobot(tuple(tubes))
+
+
+@pytest.mark.parametrize("kind", ["segments", "nine"])
+def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
+    robot, limit = slow_robot(kind), 0.2
+    space = joint_space(robot)
+    start, goal = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
+    body = Sphere((0.03, 0.03, 0.1), 4e-3)
+    plan, ik = PlanOptions(time_limit=limit), InverseOptions(time_limit=limit)
+    Chart(space).arms(Chart(space).of(start)[None], 0.0)
+    for ask in (
+        lambda: plan_trajectory(robot, start, goal, options=plan),
+        lambda: plan_trajectory(robot, start, (goal.rotations, goal.translations), obstacles=[body], options=plan),
+        lambda: plan_trajectory(robot, start, goal.tip_position, options=plan),
+        lambda: follow_the_leader(robot, goal, options=plan),
+        lambda: inverse_kinematics(robot, goal.tip_position, seed=start, obstacles=[body], options=ik),
+        lambda: inverse_kinematics(robot, goal.tip_position, all_solutions=True, options=ik),
+        lambda: inverse_kinematics(robot, 3 * goal.tip_position, reachable=True, options=ik),
+    ):
+        began = time.process_time()
+        with suppress(SolveError):
+            ask()
+        assert time.process_time() - began <= 1.1 * limit + 0.5
+
+
 def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
     random = np.random.default_rng(0)
     places = random.uniform([-0.1, -0.1, 0.02], [0.1, 0.1, 0.2], (100, 3))
@@ -234,7 +269,10 @@ def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
     found = plan_trajectory(CRL, *ends_of_a_way(CRL), obstacles=bodies, options=options)
     assert time.process_time() - began < 3.0
     assert found.proved
-    assert found.statistics.smoothed == "length"
+    assert found.statistics.length < 1.1 * np.linalg.norm(
+        (posture_of(joint_space(CRL), found.end).q - posture_of(joint_space(CRL), found.start).q)
+        / joint_space(CRL).scale
+    )
 
 
 def test_a_turn_that_must_snap_is_told_at_once() -> None:

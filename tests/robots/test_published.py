@@ -1,4 +1,4 @@
-"""The robots in configs/robots: each says where its numbers are from, and solves to what re-integration gives."""
+"""The robots in configs/robots: each names its source, loads, and solves to what re-integration gives."""
 
 from __future__ import annotations
 

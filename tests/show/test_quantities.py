@@ -42,8 +42,10 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 def test_what_a_command_prints_is_what_its_list_describes(run: Run, command: str) -> None:
     outcome = run(*COMMANDS[command], "--json")
     data = answer(outcome, outcome.code)
-    del data["files"], data["warnings"]
-    jsonschema.Draft202012Validator(schema(reports()[command].quantities)).validate(data)
+    listed = reports()[command].quantities
+    for every in {"files", "warnings"} - {quantity.key for quantity in listed}:
+        del data[every]
+    jsonschema.Draft202012Validator(schema(listed)).validate(data)
 
 
 def test_the_page_is_in_step() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -88,7 +89,19 @@ def test_failure_names_the_verdict_and_the_worst_equations() -> None:
 
 
 def test_unknowns_of_the_energy_are_held_by_named_equations() -> None:
-    program = _program(structure_of(reduced_problem(THESIS, (0.06, 0.03, 0.0), DEFAULT_DISCRETISATION)), "energy")
+    program = _program(structure_of(reduced_problem(THESIS, (0.06, 0.03, 0.0), DEFAULT_DISCRETISATION)), "energy", 0)
     names = [program.entries(name) for name in ("rotation equation", "continuity of rotation", "base rotation")]
     assert names[0][-1].startswith("rotation equation, tube 3, section 5, point ")
     assert (names[1][0], names[2][0]) == ("continuity of rotation, tube 1, section 2", "base rotation, tube 1")
+
+
+def test_threads_solve_side_by_side() -> None:
+    problem = reduced_problem(THESIS, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
+    turns = [np.array([0.0, 0.1, 0.2]) * k for k in range(1, 9)]
+
+    def solved(rotations: Array) -> Array:
+        return solve_ipopt(problem, rotations, untwisted(problem, rotations)).state.theta
+
+    with ThreadPoolExecutor(4) as pool:
+        for rotations, theta in zip(turns, pool.map(solved, turns), strict=True):
+            assert theta == pytest.approx(newton(problem, rotations, np.zeros(problem.size)).state.theta, abs=1e-9)

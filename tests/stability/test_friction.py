@@ -24,6 +24,7 @@ from tubeopt import (
     Tube,
     follow,
     forward_kinematics,
+    friction_band,
     load_equilibrium,
     load_robot,
     snap_free_certificate,
@@ -291,3 +292,30 @@ def test_wrong_input() -> None:
         follow(THESIS, [rubbed.rotations], start=rubbed, friction=Friction(2e-3))
     with pytest.raises(InputError, match="bears friction, which is not supported here"):
         rubbed.jacobian()
+
+
+def certified() -> ConcentricRobot:
+    return ConcentricRobot(
+        (Tube(1.0 * MM, 0.75 * MM, 100 * MM, 80 * MM, 8.0), Tube(1.5 * MM, 1.15 * MM, 70 * MM, 60 * MM, 8.0))
+    )
+
+
+def test_band_holds_every_history() -> None:
+    robot, at = certified(), [0.3, 1.9]
+    rub = Friction(1e-3, ends=2e-5)
+    band = friction_band(forward_kinematics(robot, at), rub)
+    assert band.certificate > 0
+    ways = np.random.default_rng(1).normal(0, 2.0, (25, 2)) + at
+    states = follow(robot, [point for way in ways for point in (way, at)], friction=rub).equilibria[1::2]
+    off = np.array([state.tip_position for state in states]) - band.equilibrium.tip_position
+    # Tight to first order, for there are ways that make everything slip; and a proof is above all.
+    assert np.abs(off).max(0) == pytest.approx(band.tip_half_widths, rel=0.02)
+    assert np.linalg.norm(off, axis=1).max() < band.tip_radius < 10 * np.linalg.norm(band.tip_half_widths)
+    assert band.guaranteed[0] == band.first_order[0].max() == 0
+
+
+def test_band_is_infinite_without_a_certificate() -> None:
+    band = friction_band(forward_kinematics(pair(4, 1.0, 0.5), [0, 1.0]), friction(0.1))
+    assert band.certificate < 0
+    assert np.isinf(band.tip_radius)
+    assert np.isfinite(band.tip_half_widths).all()

@@ -17,7 +17,7 @@ from typer.main import get_command
 
 from .. import __version__
 from .failures import INTERRUPTED, complain, failure
-from .interruption import interruptible, kept
+from .interruption import interruptible, kept, stop_workers
 from .lazy import LazyCommand, PlanByDefault
 from .messages import LEVELS, listening, log_level
 
@@ -107,6 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         try:
             code = program()(typed, prog_name="tubeopt", standalone_mode=False)
             if code == INTERRUPTED:
+                stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
         except Exception as error:
             told = failure(error)

@@ -108,7 +108,7 @@ def asks(
     flags: Mapping[str, str] | None = None,
     defaults: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Made]:
-    """Make a command of a function that takes a study.
+    """Make a command of a function that takes a study. Keys that are mappings, or lists of them, have no flag.
 
     Args:
         example, note: what its help ends with.
@@ -117,7 +117,7 @@ def asks(
         defaults: keys whose default on the command line is not that of a study, as they would be typed.
     """
     placed = {"robot": ROBOT} if arguments is None else arguments
-    fields = {key: field for key, field in study.model_fields.items() if key != "kind"}
+    fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
     called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
     names = _names(fields, called, tuple(placed))
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}

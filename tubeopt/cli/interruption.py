@@ -83,9 +83,14 @@ def left_alone() -> Iterator[None]:
         _OWN.pop()
 
 
-def _end(as_json: bool) -> None:
+def stop_workers() -> None:
+    """End the processes that work for this one, which would wait for what they are at when it ends."""
     for child in multiprocessing.active_children():
         child.kill()
+
+
+def _end(as_json: bool) -> None:
+    stop_workers()
     if sys.stderr.isatty():
         sys.stderr.write("\r\x1b[2K\x1b[?25h")  # whatever bar was there, and the cursor that it hid
     complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)

@@ -12,9 +12,9 @@ import typer
 from pydantic import Field
 
 from ..errors import InputError
-from ..files.checked import Entry, in_file
+from ..files.checked import Entry, Whole, in_file
 from ..robots.path_file import Waypoints as Way
-from ..runs.base import RobotPath, Study, Whole, metres, radians
+from ..runs.base import RobotPath, Study, metres, radians
 from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
 from ..runs.obstacle_file import Bodies

@@ -18,6 +18,7 @@ from ..equilibrium.result import Equilibrium
 from ..transcription.buffered import Buffered
 from ..transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters, explicit_size
 from ..typing import Array, Mask
+from .clock import Clock, LateError
 from .joints import JointSpace
 from .outline import outer_radius
 
@@ -113,15 +114,20 @@ class Chart:
         """(N, m) independent joint values of points and their arms."""
         return np.concatenate([arms.rotations, z[:, self.space.robot.n_tubes :]], axis=1)
 
-    def arms(self, z: Array, margin: float | Array) -> Arms:
-        """The equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,)."""
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+        """The equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
+
+        Raises:
+            LateError: the clock is over before all of them are known.
+        """
         n = self.space.robot.n_tubes
         shift = self.translations(z)
         floor = np.broadcast_to(margin, len(z))
-        parts = [
-            self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], floor[k : k + BATCH, None])
-            for k in range(0, len(z), BATCH)
-        ]
+        parts = []
+        for k in range(0, len(z), BATCH):
+            if clock is not None and clock.over:
+                raise LateError
+            parts.append(self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], floor[k : k + BATCH, None]))
         rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
         tubes = self.space.robot.tubes
         end = shift + np.array([tube.length - tube.straight_length for tube in tubes])

@@ -5,6 +5,10 @@ from __future__ import annotations
 import time
 
 
+class LateError(Exception):
+    """Time is over, in the middle of what can be cut short."""
+
+
 class Clock:
     """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
 

@@ -14,6 +14,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
 from .chart import BATCH, Arms, Chart
+from .clock import Clock, LateError
 
 TURN_STEP = 0.15
 """Largest change (rad) of a tip rotation between points of a motion that are checked."""
@@ -48,6 +49,7 @@ class Task:
 
     `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
     found to be allowed by other code.
+    `clock`: when it is over, looking at points raises LateError, and no further motion is found to hold.
     """
 
     chart: Chart
@@ -58,6 +60,7 @@ class Task:
     clearance_room: float = 3e-4
     floor: float = 3e-5
     ends: Array | None = None
+    clock: Clock | None = None
 
     @cached_property
     def scene(self) -> Scene:
@@ -121,7 +124,8 @@ class Task:
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""
-        return self.chart.arms(z, self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z)))
+        floor = self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z))
+        return self.chart.arms(z, floor, self.clock)
 
     def _away(self, z: Array) -> Array:
         """(N,) distance of points from the nearest of the ends, in units of the scales; infinite without ends."""
@@ -163,6 +167,12 @@ class Task:
 
     def fineness(self, start: Array, end: Array) -> int | None:
         """Times that the steps of a straight motion had to be halved to tell that it holds; None where it does not."""
+        try:
+            return self._fineness(start, end)
+        except LateError:
+            return None
+
+    def _fineness(self, start: Array, end: Array) -> int | None:
         ends = np.stack([start, end])
         arms = self.arms(ends)
         line = np.concatenate([start[None], self.between(start, end, arms), end[None]])

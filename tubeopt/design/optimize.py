@@ -16,11 +16,13 @@ from ..typing import Array, Sentence
 from .checks import whole
 from .collocation import check_collocation
 from .exchange import carry, certified_at, check_rounds, robot_at, violations
+from .force import Loaded, forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
+from .requirements import SnapFree
 from .sensitivities import Sensitivity, sensitivities
 from .solve import METHODS, Attempt, Report, solve
 from .task import DesignTask
@@ -123,7 +125,6 @@ def optimize_design(
     workers: int = 1,
     turns: int = 6,
     progress: Progress | None = None,
-    report: Callable[[str, float], object] | None = None,
     begin: Attempt | None = None,
 ) -> DesignSolution:
     """The best robot that keeps all requirements of a task.
@@ -143,8 +144,8 @@ def optimize_design(
         seed: of random starts.
         workers: processes for the starts.
         turns: random full turns forth and back, per translations checked, on which no certified robot may snap.
-        progress: called with the number of starts done, and of all.
-        report: called with stage and measure after each iteration; with one worker.
+        progress: called with the number of starts done, and of all; where it has a method `iteration`, that is called
+            with stage and measure after each iteration, with one worker.
         begin: an earlier answer for a task with the same unknowns, from which to start instead.
 
     Raises:
@@ -170,6 +171,11 @@ def optimize_design(
     if choice("method", method, METHODS) == "collocation":
         check_collocation(task)
     began = time.perf_counter()
+    one = forced(task)
+    if one is not None:
+        again = partial(optimize_design, method=method, starts=starts, seed=seed, workers=workers, turns=turns)
+        return _bearing(task, one, partial(again, progress=progress), began)
+    report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
     if begin is None:
@@ -184,6 +190,26 @@ def optimize_design(
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     ranking = replace(ranking, designs=(best, *(others or ranking.designs[1:])))
     return _solution(task, best, ranking, rounds, turns, began)
+
+
+def _bearing(
+    task: DesignTask, one: SnapFree, run: Callable[[DesignTask], DesignSolution], began: float
+) -> DesignSolution:
+    """The design for a task that names a force."""
+    found: dict[float, tuple[DesignSolution, Loaded]] = {}
+
+    def bears(floor: float) -> float:
+        try:
+            solution = run(without_force(task, one, floor))
+        except InfeasibleDesignError as error:
+            head = f"no design was found that bears {one.max_force * 1e3:g} mN"
+            raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
+        found[floor] = solution, under_force(solution.attempt, solution.robot, one)
+        return found[floor][1].value
+
+    solution, loaded = found[raised(one, bears)]
+    verification = Verification((*solution.verification.checks, loaded.check))
+    return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
 
 
 def _recompiled(task: DesignTask, begin: Attempt) -> Program:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from ..block.own import OwnRequirement
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite, positive
+from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
 from .checks import Rows, items, table, triple, whole
 
@@ -19,20 +20,29 @@ from .checks import Rows, items, table, triple, whole
 class SnapFree:
     """No snap at any rotation: certificate mu_cert >= margin.
 
-    margin: at most 1.  translations: (T, n) at which it must hold, m; None and no box is home.
-    box: least and greatest translations (n,), m; over the box the worst case counts, found by exchange.
-    tolerance: by which the margin may fall short anywhere in the box.
+    Over a box the worst case counts, found by exchange.
     """
 
-    margin: float = 0.05
-    translations: Rows | None = None
-    box: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    tolerance: float = 1e-4
+    margin: Annotated[float, "of the certificate, less than 1"] = 0.05
+    translations: Annotated[Rows | None, unit("mm"), "rows at which it must hold; by default home"] = None
+    box: Annotated[
+        tuple[tuple[float, ...], tuple[float, ...]] | None, unit("mm"), "least and greatest translations"
+    ] = None
+    tolerance: Annotated[float, POSITIVE, "by which the margin may fall short anywhere in the box"] = 1e-4
+    max_force: Annotated[
+        float,
+        key("max_tip_force_mN"),
+        NOT_NEGATIVE,
+        "the margin is kept whatever pushes on the tip with up to this force, in any direction that it keeps",
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if finite("margin", self.margin) >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
         positive("tolerance of the certificate", self.tolerance)
+        positive("max_force of the certificate", self.max_force, zero=True)
+        if self.max_force and self.box is not None:
+            raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
             object.__setattr__(self, "translations", table("translations of the certificate", self.translations, 0))
         if self.box is not None:
@@ -49,12 +59,11 @@ class SnapFree:
 
 @dataclass(frozen=True)
 class SnapFreeInUse:
-    """No snap where the robot works: margin >= `margin` at every task pose and, with `paths`, on the straight joint
-    path from each pose to the next, to `tolerance`."""
+    """No snap where the robot works: at every task pose and, with `paths`, on the way between them."""
 
-    margin: float = 0.05
-    paths: bool = True
-    tolerance: float = 1e-3
+    margin: Annotated[float, POSITIVE, "least of the poses and paths"] = 0.05
+    paths: Annotated[bool, "whether it is kept on the straight joint path from each pose to the next"] = True
+    tolerance: Annotated[float, POSITIVE, "to which it is kept on paths"] = 1e-3
 
     def __post_init__(self) -> None:
         if not 0 < finite("margin", self.margin) < 1:
@@ -66,12 +75,12 @@ class SnapFreeInUse:
 class Strain:
     """Largest bending strain of every tube: held straight, and at every task pose, r |u - u*| / (1 - r |u*|).
 
-    Nothing is said of the ways between poses. limits: one per tube, or one for all.
+    Nothing is said of the ways between poses.
     """
 
-    limits: tuple[float, ...] = (0.01,)
-    straightened: bool = True
-    in_poses: bool = True
+    limits: Annotated[tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, "one per tube, or one for all"] = (0.01,)
+    straightened: Annotated[bool, "held straight"] = True
+    in_poses: Annotated[bool, "at every task pose"] = True
 
     def __post_init__(self) -> None:
         limits: tuple[Any, ...] = (self.limits,) if np.ndim(self.limits) == 0 else tuple(self.limits)
@@ -131,13 +140,12 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Target:
-    """Where the tip must get: position (3,) m, within `tolerance`; and, if given, along `direction` (3,) within
-    `direction_tolerance`, rad."""
+    """Where the tip must get, and along which direction it must point there."""
 
-    position: tuple[float, float, float]
-    tolerance: float = 1e-4
-    direction: tuple[float, float, float] | None = None
-    direction_tolerance: float = np.radians(2.0)
+    position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0)]
+    tolerance: Annotated[float, unit("mm"), POSITIVE, "largest distance of the tip"] = 1e-4
+    direction: Annotated[tuple[float, float, float] | None, "of any length; by default any direction"] = None
+    direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", triple("position of a target", self.position))
@@ -168,13 +176,13 @@ class Reach:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The tip reaches every point of a box, m, to `tolerance`: the corners, and of `samples` Sobol points within those
-    that exchange finds to be out of reach."""
+    """The tip reaches every point of a box: the corners, and of Sobol points within those that exchange finds to be out
+    of reach."""
 
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-    tolerance: float = 1e-3
-    samples: int = 32
+    lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the least coordinates"]
+    upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the greatest coordinates"]
+    tolerance: Annotated[float, unit("mm"), POSITIVE, "largest distance of the tip"] = 1e-3
+    samples: Annotated[int, NOT_NEGATIVE, "Sobol points within the box"] = 32
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
@@ -203,12 +211,12 @@ class Poses:
 class Corridor:
     """At every task pose the whole arm, with its thickness, lies in a tube around a polyline.
 
-    centreline: points (K, 3), m.  radius: m. Distance is to the nearest point of the polyline, so that its ends are
-    round. Nothing is said of the ways between poses: `plan_trajectory` finds and proves such.
+    Distance is to the nearest point of the polyline, so that its ends are round. Nothing is said of the ways between
+    poses: `plan_trajectory` finds and proves such.
     """
 
-    centreline: Rows
-    radius: float
+    centreline: Annotated[tuple[tuple[float, float, float], ...], unit("mm"), "at least two points"]
+    radius: Annotated[float, unit("mm"), POSITIVE]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centreline", table("centreline of the corridor", self.centreline, 3))

@@ -31,7 +31,9 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
     layout = program.layout
     space = layout.space
-    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * max(count, 1)))))
+    if count == 1:
+        return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
+    unit = scipy.stats.qmc.Sobol(layout.designs, rng=seed).random_base2(int(np.ceil(np.log2(DRAWS * count))))
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]

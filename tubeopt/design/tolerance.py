@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, choice, positive, vector
+from ..files.marks import NOT_NEGATIVE, OneOf, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube, must_follow_section
 from ..typing import Array
@@ -29,16 +31,15 @@ BATCH = 64
 class Tolerances:
     """Independent errors of every tube: standard deviations, or half widths where uniform.
 
-    curvature, stiffness: relative (bending and torsional stiffness together); straight_length, curved_length: m.
     Translations count from home, which each tube finds by its own transition: a longer straight part is a longer
     transmission, and no longer arm.
     """
 
-    curvature: float = 0.0
-    stiffness: float = 0.0
-    straight_length: float = 0.0
-    curved_length: float = 0.0
-    distribution: str = "normal"
+    curvature: Annotated[float, unit("percent"), NOT_NEGATIVE, "relative error"] = 0.0
+    stiffness: Annotated[float, unit("percent"), NOT_NEGATIVE, "relative error, bending and torsional together"] = 0.0
+    straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE] = 0.0
+    curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE] = 0.0
+    distribution: Annotated[str, OneOf(("normal", "uniform"))] = "normal"
 
     def __post_init__(self) -> None:
         choice("distribution", self.distribution, ("normal", "uniform"))

@@ -25,6 +25,8 @@ from ..transcription.linear import (
     Slopes,
     along,
     chain_of,
+    cross,
+    cumulate,
     poses_inside,
     respond,
     rotation_change,
@@ -257,12 +259,12 @@ class Derivatives:
         """(3, Q) change of tip position and of tip rotation (turn vector), by carriages."""
         (frame, position), end = self._poses, self.arm.position[-1]
         across = frame[..., :2] * (self.arm.length[:, None] * self.arm.tableau.weights)[..., None, None]
-        levers = np.concatenate([across, _cross(across, end - position)], axis=-2)
+        levers = np.concatenate([across, cross(across, end - position)], axis=-2)
         out = np.tensordot(levers, self.bent, axes=([0, 1, 3], [0, 1, 2]))
         if len(self.jumps):
             behind = end - self.arm.position[self.jumps.index * (len(ENDS) - 1)]
             jumps = self._turns[..., None]
-            out += np.concatenate([jumps, _cross(jumps, behind)], axis=1)[..., 0].T @ self.jumps.spread
+            out += np.concatenate([jumps, cross(jumps, behind)], axis=1)[..., 0].T @ self.jumps.spread
         return out[3:] + self.pushed, out[:3]
 
     @property
@@ -292,8 +294,8 @@ class Derivatives:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
         frame, place = self._poses
         rate = frame[..., :2] @ self.bent
-        turn = _cumulate(self.arm, rate)
-        out = _cross(turn, self.arm.position) - _cumulate(self.arm, _cross(rate, place))
+        turn = cumulate(self.arm, rate)
+        out = cross(turn, self.arm.position) - cumulate(self.arm, cross(rate, place))
         for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             k = index * (len(ENDS) - 1)
             out[k:, :, column] += np.cross(gain, self.arm.position[k:] - self.arm.position[k])
@@ -304,7 +306,7 @@ class Derivatives:
     def turn_ahead(self) -> Array:
         """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
         breakpoint there adds."""
-        out = _cumulate(self.arm, self._poses[0][..., :2] @ self.bent)
+        out = cumulate(self.arm, self._poses[0][..., :2] @ self.bent)
         for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
             out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
         return out
@@ -396,21 +398,3 @@ class Derivatives:
 def _total(weights: Array, change: Array) -> Array:
     """(Q,) sum of weights (...) times changes (..., Q)."""
     return np.asarray(weights.reshape(-1) @ change.reshape(weights.size, change.shape[-1]))
-
-
-def _cumulate(arm: Arm, values: Array) -> Array:
-    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
-    up_to = arm.tableau.lagrange(ENDS, integrals=1)
-    inner = np.einsum("jk,pk...->pj...", up_to, values) * arm.length.reshape(-1, *[1] * (values.ndim - 1))
-    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
-    table = before[:, None] + inner
-    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
-
-
-_CROSS = np.array([[0.0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]])
-"""The matrix of c x a by rows, from a."""
-
-
-def _cross(columns: Array, arm: Array) -> Array:
-    """(..., 3, c) cross product of every column with vectors (..., 3)."""
-    return np.asarray((arm @ _CROSS).reshape(*arm.shape, 3) @ columns)

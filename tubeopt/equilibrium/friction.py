@@ -22,7 +22,7 @@ from ..transcription import arm as arms
 from ..transcription.buffered import section_function
 from ..transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
 from ..transcription.piece import EXTRA_POINTS
-from ..transcription.reduced import sections_at
+from ..transcription.reduced import sections_at, to_unknowns
 from ..transcription.tableau import tableau
 from ..typing import Array
 from .result import Equilibrium, FrictionState, Status
@@ -100,19 +100,14 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
         raise InputError("start bears another friction; go on with the same, or start from an equilibrium without")
     shift = equilibrium.translations
     contact = contact_of(robot, tuple(shift.tolist()), friction)
+    if own is None:
+        return shaken(contact, equilibrium)
     bare = replace(equilibrium, friction=None)
     points = sample_rotation(bare, contact.problem.arc_length)
     between = sample_rotation(bare, contact.place)[np.arange(len(contact.place)), contact.tube]
-    x = unknowns_of(contact, equilibrium.rotations, points, between)
-    if own is None:
-        relaxed = newton(contact.problem, equilibrium.rotations, x[: contact.problem.size])
-        if not relaxed.converged:
-            raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
-        x = np.concatenate([relaxed.state.z, np.zeros(contact.loose.shape[1])])
-        state, nothing = evaluate_contact(contact, equilibrium.rotations, x), np.zeros(len(contact.capacity))
-        found = Increment(state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
-        return Held(contact, equilibrium.rotations, shift, found, 0.0)
-    state = evaluate_contact(contact, equilibrium.rotations, x)
+    state = evaluate_contact(
+        contact, equilibrium.rotations, unknowns_of(contact, equilibrium.rotations, points, between)
+    )
     torque = np.array(own.torque)
     if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
         raise SolveError("start bears friction that does not balance it: it is of another robot")
@@ -120,6 +115,23 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
     signs = (np.sign(torque) * slips).astype(np.int8)
     found = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
     return Held(contact, equilibrium.rotations, shift, found, own.heat)
+
+
+def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
+    """An equilibrium without friction as a state of a contact in which nothing bears any.
+
+    Raises:
+        SolveError: it is no equilibrium of the contact's robot.
+    """
+    problem, alpha = contact.problem, equilibrium.rotations
+    z = to_unknowns(problem, alpha, sample_rotation(equilibrium, problem.arc_length))
+    relaxed = newton(problem, alpha, z)
+    if not relaxed.converged:
+        raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
+    x = np.concatenate([relaxed.state.z, np.zeros(contact.loose.shape[1])])
+    state, nothing = evaluate_contact(contact, alpha, x), np.zeros(len(contact.capacity))
+    found = Increment(state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
+    return Held(contact, alpha, equilibrium.translations, found, 0.0)
 
 
 def step(robot: Robot, held: Held, rotations: Array, translations: Array) -> Held | None:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import SolveError
-from ..robots.load import Load
+from ..errors import InputError, SolveError, finite
+from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
+from ..transcription.loaded_along import compliance_along
 from ..typing import Array
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
@@ -267,6 +268,29 @@ def compliance_of(equilibrium: Equilibrium) -> Array:
     """(6, 6) change of the tip by a small dead wrench there; see `Equilibrium.compliance`."""
     point = loaded_point(equilibrium)
     return compliance(point.member.problem, point.state)
+
+
+def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
+    """(6, 6) change of a place of the arm by a small dead wrench there; see `Equilibrium.compliance_at`."""
+    if equilibrium.load is not None and not equilibrium.load.has_energy:
+        raise InputError("the load has a moment or turns with the tip; compliance is then told at the tip only")
+    point = loaded_point(equilibrium)
+    assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
+    if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
+        raise InputError(f"arc_length is {arc_length:g} m; it must be on the arm, between 0 and {length:g} m")
+    here = np.flatnonzero(assembly.end >= arc_length - 1e-12)
+    chosen = int(here[-1]) if tube is None else tube
+    if chosen not in here:
+        raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
+    # Where a wrench acts the curvature jumps: elements end there.
+    load = equilibrium.load or Load()
+    cut = replace(load, points=(*load.points, PointForce(min(arc_length, length), (0.0, 0.0, 0.0))))
+    shift = point.member.translations
+    there = Member(loaded_problem(equilibrium.robot, shift, cut), point.member.rotations, shift)
+    result = loaded_newton(there.problem, there.rotations, carry(point, there))
+    if not result.converged:
+        raise SolveError("the equilibrium is a fold (margin 0), where the compliance is infinite")
+    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

@@ -174,6 +174,20 @@ class Equilibrium(Displayed):
         found: Array = late("tubeopt.equilibrium.loaded.compliance_of")(self)
         return found
 
+    def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
+        """(6, 6) translation (m) and rotation (rad) of the arm at an arc length (m) by a small dead force (N) and
+        moment (N m) there, in world axes; concentric tubes, without load or under forces that keep their direction.
+
+        Args:
+            tube: from 0, on which the moment acts and whose rotation is told; by default the outermost there.
+
+        Raises:
+            InputError: a place that is not on the arm, a tube that is not there, a load without an energy.
+        """
+        from .loaded import compliance_at
+
+        return compliance_at(self, arc_length, tube)
+
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""

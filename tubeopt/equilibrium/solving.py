@@ -14,8 +14,8 @@ from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult, newton
 from ..transcription import arm as arms
+from ..transcription.collocated import ENDS, STEPS
 from ..transcription.mesh import make_mesh, piece_counts
-from ..transcription.piece import ENDS, STEPS
 from ..transcription.reduced import (
     ReducedProblem,
     margin,

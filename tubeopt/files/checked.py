@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from ..errors import InputError, nearest
-from .plausible import converted, models, suspects
-from .units import decimal, shown
+from .plausible import models, suspects
+from .units import decimal, meant, shown
 
 LOGGER = logging.getLogger(__name__)
 
@@ -31,6 +31,17 @@ Number = Annotated[Decimal, BeforeValidator(decimal)]
 
 Positive = Annotated[Decimal, Field(gt=0), BeforeValidator(decimal)]
 NotNegative = Annotated[Decimal, Field(ge=0), BeforeValidator(decimal)]
+
+
+def _whole(value: object) -> int:
+    number = decimal(value)
+    if number != number.to_integral_value():
+        raise ValueError(f"is {shown(value)}; it must be a whole number")
+    return int(number)
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+"""A whole number."""
 
 
 class Entry(BaseModel):
@@ -133,7 +144,7 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} is missing"]
         case "extra_forbidden":
             known, key = _known_keys(model, loc[:-1]), str(loc[-1])
-            return [f"{path} is not a known key{converted(key, known) or nearest(key, known)}"]
+            return [f"{path} is not a known key{meant(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):

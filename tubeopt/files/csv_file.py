@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..typing import Array
 from .files import read_text
-from .units import decimal, parse_number, to_si
+from .units import decimal, meant, parse_number, to_si
 
 MOST_PROBLEMS = 20
 """Problems told at once; the others are counted."""
@@ -49,6 +49,37 @@ class CsvTable:
     def numbers(self, columns: Sequence[str], unit: Decimal) -> Array:
         """(rows, columns) numbers of `columns` in SI, given their unit."""
         return np.array([[to_si(self.number(k, c), unit) for c in columns] for k in range(len(self.rows))])
+
+    def expect(
+        self, needed: Sequence[str], optional: Sequence[str] = (), together: Sequence[str] = (), *, shown: str = ""
+    ) -> bool:
+        """Whether there are the columns that stand `together`: all of them, or none.
+
+        `shown`: how messages list the known columns.
+
+        Raises:
+            InputError: a column that is none of these, or that is missing: one line for each.
+        """
+        known = (*needed, *optional, *together)
+        listed = shown or ", ".join(known)
+        given = [name for name in together if name in self.columns]
+        refuse(
+            self.path,
+            [
+                *(
+                    f"column {name} is not known; columns are {listed}{meant(name, known)}"
+                    for name in self.columns
+                    if name not in known
+                ),
+                *(f"column {name} is missing" for name in needed if name not in self.columns),
+                *(
+                    f"column {name} is missing; it must be there since {given[0]} is"
+                    for name in together
+                    if given and name not in given
+                ),
+            ],
+        )
+        return bool(given)
 
     def check(self) -> None:
         """Raise InputError with one line for every problem noted, if there are any."""

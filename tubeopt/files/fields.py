@@ -21,7 +21,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, g
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
-from .checked import Entry
+from .checked import Entry, Whole
 from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, marked
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, plainest, to_si
 
@@ -165,7 +165,8 @@ def _default(field: Described) -> Any:
         return Field(**options)
     if isinstance(field.default, dict):  # a part: what it is where none of its keys is given
         return Field(default_factory=field.annotation, **options)
-    return Field(_decimals(field.default), **options)
+    whole = getattr(field.annotation, "__origin__", None) is int
+    return Field(field.default if whole else _decimals(field.default), **options)
 
 
 def _decimals(value: Any) -> Any:
@@ -189,6 +190,9 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
             return Literal[mark.words], lambda word: word, lambda word: word
     if kind is float:
         return _number(marks, suffix)
+    if kind is int:
+        allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
+        return Annotated[Whole, Field(ge=allowed.least, le=allowed.most)], lambda number: number, lambda number: number
     if get_origin(kind) is tuple:
         return _several(get_args(kind), marks, suffix)
     if dataclasses.is_dataclass(kind):

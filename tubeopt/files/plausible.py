@@ -1,26 +1,16 @@
-"""Units that were probably mistaken: numbers that no such thing has, and known keys with the ending of another unit."""
+"""Numbers that were probably meant in another unit, by what their fields say is usual."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
 from typing import Any, get_args
 
 from pydantic import BaseModel
 
 from .marks import Usual
-from .units import UNITS, to_si, unit_of
-
-ALIKE = (
-    {"m": Decimal(1), "cm": Decimal("1e-2"), "mm": Decimal("1e-3"), "um": Decimal("1e-6"), "inch": Decimal("0.0254")},
-    {"Pa": Decimal(1), "MPa": Decimal("1e6"), "GPa": Decimal("1e9"), "kPa": Decimal("1e3")},
-    {"per_mm": Decimal(1000), "per_m": Decimal(1), "per_cm": Decimal(100)},
-    {"s": Decimal(1), "ms": Decimal("1e-3"), "min": Decimal(60), "h": Decimal(3600)},
-    {"N": Decimal(1), "mN": Decimal("1e-3")},
-    {"rad": Decimal(1), "deg": UNITS["deg"]},
-)
-"""Units that are taken for one another, the likeliest first -> each in SI."""
+from .units import UNITS, others, to_si, unit_of
 
 
 def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | None = None) -> Iterator[str]:
@@ -84,7 +74,7 @@ def _unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
         return
     shown = ", ".join(str(number) for number in numbers)
     sentence = f"{key} is {f'[{shown}]' if isinstance(value, list) else shown}"
-    for meant, scale in _others(unit):
+    for meant, scale in others(unit):
         if usual.least <= abs(to_si(largest, scale)) <= usual.most:
             factor = scale / UNITS[unit]
             right = ", ".join(f"{float(number * factor):.6g}" for number in numbers)
@@ -92,21 +82,3 @@ def _unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
             return
     low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (usual.least, usual.most))
     yield f"{sentence}; usual is {low} to {high}"
-
-
-def _others(unit: str) -> Iterator[tuple[str, Decimal]]:
-    """Units that are taken for one, the likeliest first, and each in SI."""
-    for group in ALIKE:
-        if unit in group:
-            yield from ((name, size) for name, size in group.items() if name != unit)
-
-
-def converted(key: str, known: Iterable[str]) -> str:
-    """How a key with another unit is written, as "; did you mean 'curvature_per_m', 1000 times the number?"."""
-    for right in known:
-        unit = unit_of(right)
-        for other, size in _others(unit) if unit else ():
-            if key == f"{right.removesuffix(unit)}{other}":
-                factor = size / UNITS[unit]
-                return f"; did you mean {right!r}, {float(factor):.6g} times the number?"
-    return ""

@@ -9,8 +9,11 @@ from __future__ import annotations
 import functools
 import math
 import reprlib
+from collections.abc import Collection, Iterator
 from decimal import Context, Decimal, InvalidOperation
 from typing import TypeGuard
+
+from ..errors import nearest
 
 MM = Decimal("1e-3")
 GPA = Decimal("1e9")
@@ -68,6 +71,16 @@ UNITS = {
 }
 """Units that a key may end in -> one of it in SI; degC counts as K, without the offset."""
 
+ALIKE = (
+    {"m": Decimal(1), "cm": Decimal("1e-2"), "mm": Decimal("1e-3"), "um": Decimal("1e-6"), "inch": Decimal("0.0254")},
+    {"Pa": Decimal(1), "MPa": Decimal("1e6"), "GPa": Decimal("1e9"), "kPa": Decimal("1e3")},
+    {"per_mm": Decimal(1000), "per_m": Decimal(1), "per_cm": Decimal(100)},
+    {"s": Decimal(1), "ms": Decimal("1e-3"), "min": Decimal(60), "h": Decimal(3600)},
+    {"N": Decimal(1), "mN": Decimal("1e-3")},
+    {"rad": Decimal(1), "deg": DEG},
+)
+"""Units that are taken for one another, the likeliest first -> each in SI."""
+
 SIGNS = {
     "percent": "%",
     "per_m": "1/m",
@@ -92,6 +105,24 @@ def unit_of(key: str) -> str:
     parts = key.split("_")
     endings = ("_".join(parts[k:]) for k in range(1, len(parts)))
     return next((ending for ending in endings if ending in UNITS), "")
+
+
+def others(unit: str) -> Iterator[tuple[str, Decimal]]:
+    """Units that are taken for one, the likeliest first, and each in SI."""
+    for group in ALIKE:
+        if unit in group:
+            yield from ((name, size) for name, size in group.items() if name != unit)
+
+
+def meant(key: str, known: Collection[str]) -> str:
+    """Which known key was probably meant, as "; did you mean 'radius_mm'?"; with the factor where units differ."""
+    for right in known:
+        unit = unit_of(right)
+        for other, size in others(unit) if unit else ():
+            if key == f"{right.removesuffix(unit)}{other}":
+                factor = size / UNITS[unit]
+                return f"; did you mean {right!r}, {float(factor):.6g} times the number?"
+    return nearest(key, known)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -61,7 +61,7 @@ def approach(goal: Goal, start: Posture) -> Search | None:
     descent = _Descent(goal)
     here = descent.minimum(first)
     for _ in range(MOST_CROSSINGS):
-        there = descent.across(here) if descent.solves < MOST_SOLVES else None
+        there = descent.across(here) if descent.solves < MOST_SOLVES and not goal.late else None
         if there is None:
             break
         here = descent.minimum(there)
@@ -167,7 +167,7 @@ class _Descent:
         here, size, side = self._model(start), FIRST_STEP, 1
         hessian = here.square
         for _ in range(MOST_STEPS):
-            if self.solves >= MOST_SOLVES:
+            if self.solves >= MOST_SOLVES or self.goal.late:
                 break
             there, size, force = self._step(here, hessian, size)
             if there is None and side > 0 and len(here.at.q) > self.goal.space.robot.n_tubes:

@@ -37,9 +37,6 @@ from ..transcription.program import Structure, add_torsion
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
 
-JACOBI_STEPS = 2
-"""Steps per piece for the Jacobi fields: margins below 0.9 to about 1e-6."""
-
 SHARPNESS = 30.0
 """Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
 
@@ -73,8 +70,8 @@ class Question:
 
 
 @lru_cache(maxsize=64)
-def inverse_program(question: Question) -> Problem:
-    """The program of a question; built once.
+def inverse_program(question: Question, thread: int) -> Problem:
+    """The program of a question, built once; each `thread` has its own numbers.
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
@@ -214,5 +211,5 @@ def _piece_fields(grid: Grid) -> ca.Function:
     """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
     torsion, n = torsion_of(symbols(grid)), grid.n_tubes
     fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
-    marched = marched_fields(torsion, fields, margin, steps=JACOBI_STEPS)
+    marched = marched_fields(torsion, fields, margin)
     return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})

@@ -72,7 +72,7 @@ def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
         slope = np.vstack([goal.slope(here, side=side), goal.collisions(here)[1]])
         rows, bounds = goal.inequalities(here)
         there, promised = None, 0.0
-        while there is None:
+        while there is None and not goal.late:
             chosen = _towards(goal, slope, missing, rows, bounds, step)
             promised = sizes[-1] - float(np.linalg.norm(missing + slope @ chosen.x)) if chosen is not None else 0.0
             if chosen is None or promised <= STALLED * sizes[-1] or step < SHORTEST_STEP:
@@ -81,11 +81,12 @@ def reach(goal: Goal, start: Posture, *, iterations: int = 30) -> Search:
             solves += 1
             if there is None:
                 step = 0.35 * min(step, _length(goal, chosen.x))
-        if there is None and side > 0 and not _done(goal, here, 1e-8):
+        if there is None and side > 0 and not goal.late and not _done(goal, here, 1e-8):
             # Breakpoints may coincide: what holds forwards may not hold backwards.
             side, step = -1, 0.5 * FIRST_STEP
             continue
-        if there is None or _stagnant(sizes):
+        if there is None or _stagnant(sizes) or goal.late:
+            here = here if there is None else there
             return Search(here, _done(goal, here, 1e-8), iteration, solves)
         here, side, missing = there, 1, _missing(goal, there)
         sizes.append(float(np.linalg.norm(missing)))
@@ -157,7 +158,7 @@ def improve(goal: Goal, start: Posture, *, iterations: int = 60) -> Search:
         if there is None:
             return Search(here, True, iteration, path.solves)
         here = there
-        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3):
+        if cost - path.cost < 1e-7 * max(abs(path.cost), 1e-3) or goal.late:
             return Search(here, True, iteration + 1, path.solves)
         step = min(1.8 * step, FIRST_STEP)
     return Search(here, True, iterations, path.solves)
@@ -177,7 +178,7 @@ class _Path:
         kept, gap = order.steps(here.q)
         rows, bounds = goal.inequalities(here)
         limits = np.vstack([rows, kept]), np.concatenate([bounds, gap])
-        while step > 1e-4:
+        while step > 1e-4 and not goal.late:
             chosen = _downhill(goal, here, (slope, residual), limits, step)
             if chosen is None or _length(goal, chosen.x) < 1e-7:
                 return None, step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ class Goal:
     makes |t - direction|^2 a cost of that weight.
     min_margin, clearance (m) of all bodies of the scene: what must hold.
     objective, reference (m,), weights (m,): what is best.   extras: own cost and constraints beside all that.
+    until: moment of `time.perf_counter` at which searches end where they are.
     """
 
     space: JointSpace
@@ -47,6 +49,17 @@ class Goal:
     reference: Array
     weights: Array
     extras: Extras = NOTHING
+    until: float = np.inf
+
+    @property
+    def left(self) -> float:
+        """Seconds that a search may take."""
+        return max(0.0, self.until - time.perf_counter())
+
+    @property
+    def late(self) -> bool:
+        """Whether time is over."""
+        return self.left == 0.0
 
     @property
     def pointed(self) -> bool:

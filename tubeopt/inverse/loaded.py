@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..control.joints import Configuration
 from ..control.outline import Outline
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -71,6 +72,14 @@ def under_load(
         "best answer that was found",
         answer,
     )
+
+
+def without_load(seed: Configuration | None) -> Configuration | None:
+    """Where a robot is, without the load that it bears there."""
+    known = getattr(seed, "equilibrium", seed)
+    if isinstance(known, Equilibrium) and known.load is not None:
+        return known.rotations, known.translations
+    return seed
 
 
 def _aim(

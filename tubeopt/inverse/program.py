@@ -6,6 +6,8 @@ and the program of the new order goes on.
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 
 from ..control.posture import Posture
@@ -31,6 +33,9 @@ MOST_SWITCHES = 6
 MOST_BODIES = 16
 """Obstacles at most: every one costs as much as all of the arm."""
 
+BUILDING = 0.025
+"""Seconds of `building` per cube of the number of tubes, and per obstacle and one."""
+
 MARGIN_ROOM = 1e-4
 """Margin kept above the bound: more than the steps of the Jacobi fields are off."""
 
@@ -46,6 +51,8 @@ def programmable(goal: Goal) -> bool:
 
 def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
+    if goal.left < building(goal):
+        return Search(start, False, 0, 0)
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
     for _ in range(MOST_SWITCHES + 1):
@@ -62,6 +69,11 @@ def solve_program(goal: Goal, start: Posture) -> Search:
             break
         here = other
     return Search(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
+
+
+def building(goal: Goal) -> float:
+    """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
+    return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:
@@ -110,7 +122,8 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
 
 def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     """The program of a goal, with its numbers, that starts at a posture."""
-    program, space, problem = inverse_program(_question(goal, at, order)), goal.space, at.solution.problem
+    space, problem = goal.space, at.solution.problem
+    program = inverse_program(_question(goal, at, order), threading.get_ident())
     n, mesh = space.robot.n_tubes, problem.mesh
     numbers = torsion_numbers(problem)
     shift = (space.spread @ at.q)[n:]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, overload
 
 from numpy.typing import ArrayLike
@@ -18,7 +19,7 @@ from ..robots.robot import Robot
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
-from .loaded import under_load
+from .loaded import under_load, without_load
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -131,7 +132,7 @@ def inverse_kinematics(
                 robot,
                 at,
                 direction=along,
-                seed=seed if last is None else last,
+                seed=without_load(seed) if last is None else last,
                 reference=reference,
                 min_margin=floor,
                 limits=limits,
@@ -155,6 +156,7 @@ def inverse_kinematics(
             "robot can choose; use auto or gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
+    goal = replace(goal, until=began + options.time_limit)
     search = Hunt(goal, first, reference is not None or seed is not None, options, began)
     found: list[InverseSolution] = []
     if all_solutions:

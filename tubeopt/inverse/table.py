@@ -46,8 +46,11 @@ NEARNESS_WEIGHT = 0.02
 """Weight of the distance from a reference in joint space, in units of the joints' scales."""
 
 
+FIRST_SLICE, QUICK = 8, 0.02
+"""Configurations solved between two looks at the clock at first, and seconds below which there are twice as many."""
+
 SLICE = 128
-"""Configurations that are solved between two looks at the clock."""
+"""Configurations that are solved between two looks at the clock at most."""
 
 POOL = 400
 """Most promising configurations among which starts are spread."""
@@ -71,13 +74,16 @@ def build_table(space: JointSpace, size: int, clock: Clock | None = None) -> Sta
     clock = clock or Clock(math.inf)
     q = _by_mirror(space, space.sample(size))
     n, parts, tried = space.robot.n_tubes, [], 0
+    count = FIRST_SLICE
     while tried < size and not clock.over:
-        some = q[tried : tried + SLICE]
+        began, some = clock.seconds, q[tried : tried + count]
         joint = some @ space.spread.T + space.offset
         found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
-        tried += SLICE
+        tried += count
+        if clock.seconds - began < QUICK:
+            count = min(2 * count, SLICE)
     m = len(space.lower)
     empty = (np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     solved, tip, direction, margin = (np.concatenate(each) for each in zip(empty, *parts, strict=True))

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, nearest
-from ..files.csv_file import read_csv, refuse, to_csv
+from ..errors import InputError
+from ..files.csv_file import read_csv, to_csv
 from ..files.files import read_text, write_text
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
@@ -123,14 +123,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     own = robot if robot is not None else load_robot(Path(path).parent / named[0])
     table = read_csv(path)
     turns, shifts = joint_columns(own.n_tubes)
-    known = [TIME, *turns, *shifts]
-    problems = [f"column {c} is not known{nearest(c, known)}" for c in table.columns if c not in known]
-    problems += [f"column {c} is missing" for c in [TIME, *turns] if c not in table.columns]
-    moved = [c for c in shifts if c in table.columns]
-    problems += [
-        f"column {c} is missing; it must be there since {moved[0]} is" for c in shifts if moved and c not in moved
-    ]
-    refuse(path, problems)
+    moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
     home = np.tile(own.home_translations, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -37,6 +38,10 @@ DISTINCT = 1e-3
 FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
 
+
+FEW_TUBES, FOR_MANY = 3, 30.0
+"""Tubes whose equilibria are found at once; seconds that must be left to look for those of more, which nothing can cut
+short. Else only the one that forward kinematics finds is tried."""
 
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
@@ -163,10 +168,10 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> list
         return _posed(task, start, wanted, clock)
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
-    try:
-        found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    except SolveError:
-        found = []
+    found: list[Equilibrium] = []
+    if task.chart.eccentric or space.robot.n_tubes <= FEW_TUBES or clock.left > FOR_MANY:
+        with suppress(SolveError):
+            found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
     if not found:
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.

@@ -26,7 +26,7 @@ from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .plan import Built, actuators, build
-from .question import asked
+from .question import asked, in_time
 from .timing import through
 from .tip_path import distance_from
 from .trajectory import PlanStatistics, Trajectory
@@ -78,16 +78,9 @@ def follow_the_leader(
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
-    last = _goal(task, goal)
-    length = float(last.arc_length[-1])
-    z, points = task.chart.of(last), []
-    for share in np.linspace(1.0, begin, STEPS + 1):
-        if clock.over:
-            raise SolveError(f"no deployment was found within {clock.limit:g} s")
-        points.append(_fit(task, z, last, share * length) if share < 1 else z)
-        z = points[-1]
-    path = np.array(points[::-1])
-    q = task.chart.joints(path, task.arms(path))
+    with in_time(clock):
+        last, path = _withdrawal(task, goal, begin)
+        q = task.chart.joints(path, task.arms(path))
     q[-1] = task.chart.space.join(last.rotations, last.translations)
     first = _first(task, last, q[::-1])
     motion = through(q, task.scale, actuators(task, first, rate_limits))
@@ -102,6 +95,17 @@ def follow_the_leader(
     done = clock.seconds
     statistics = PlanStatistics("leader", "", 0, moved, moved, 0, len(q), searched, 0.0, done - searched, done)
     return built.trajectory(task, first, end, rate_limits, statistics, deviation)
+
+
+def _withdrawal(task: Task, goal: Any, begin: float) -> tuple[Equilibrium, Array]:
+    """The equilibrium at the end, and points of the chart (k, m) of arms that lie on it, from the shortest on; raises
+    LateError."""
+    last = _goal(task, goal)
+    length = float(last.arc_length[-1])
+    points = [task.chart.of(last)]
+    for share in np.linspace(1.0, begin, STEPS + 1)[1:]:
+        points.append(_fit(task, points[-1], last, share * length))
+    return last, np.array(points[::-1])
 
 
 def _goal(task: Task, goal: Any) -> Equilibrium:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..control.clock import Clock
+from ..control.clock import Clock, LateError
 from ..control.search import Way, find_way, shorten
 from ..control.task import Task
 from ..equilibrium.result import Equilibrium
@@ -22,7 +23,7 @@ from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, ot
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
-from .question import asked
+from .question import asked, in_time
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 from .trajectory import PlanStatistics, Trajectory
@@ -55,6 +56,9 @@ SHARE_OF_SMOOTHING = 0.5
 SHORT, SAME = 1e-9, 2e-3
 """Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
 count as the same."""
+
+WORTH = 0.02, 0.1
+"""Share of its length by which a way must exceed the straight line to be smoothed for length: free, among bodies."""
 
 ROUNDINGS = (0.4, 0.2, 0.1, 0.05)
 """Distances (joints' scales) of the points of a polyline whose corners are rounded."""
@@ -103,6 +107,14 @@ def plan_trajectory(
         True
     """
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    with in_time(clock):
+        return _planned(task, start, goal, rate_limits, options, clock)
+
+
+def _planned(
+    task: Task, start: Any, goal: Any, rate_limits: RateLimits, options: PlanOptions, clock: Clock
+) -> Trajectory:
+    """The plan; raises as `plan_trajectory` does, and LateError."""
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -118,9 +130,9 @@ def plan_trajectory(
         if isinstance(made, Trajectory):
             return made
         faults = made
-        task = _between(task.roomier(), first, goals)
         if clock.over:
             break
+        task = _between(task.roomier(), first, goals)
     raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
 
 
@@ -162,9 +174,12 @@ def _make(
     """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
     assert way.points is not None
     searched = clock.seconds
-    points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
-    raw = task.length(way.points)
-    motions = _motions(task, first, points, rates, options, clock)
+    try:
+        points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
+        raw = task.length(way.points)
+        motions = _motions(task, first, points, rates, options, clock)
+    except LateError:
+        return (_no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
@@ -178,6 +193,10 @@ def _make(
         seconds = (searched, smoothed - searched, done - smoothed, done)
         return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
     return faults
+
+
+def _no_time(clock: Clock) -> str:
+    return f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
 
 
 def _motions(
@@ -194,7 +213,7 @@ def _motions(
     resting = stopping_at(curves, limits)
     own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < LEAST_SMOOTHING or task.length(points) < SHORT:
+        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
             break
         best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
         if best is not None:
@@ -215,6 +234,16 @@ def _motions(
     return [*found, (resting, "", 0, len(points))]
 
 
+def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
+    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
+    straight line. With bodies in the way smoothing takes twice as long."""
+    length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
+    if length < SHORT or options.objective != "length" or options.extra_cost is not None:
+        return length >= SHORT
+    straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
+    return 1 - straight / length > WORTH[bool(task.obstacles)]
+
+
 def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
     """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
     slight rounding leads where the robot may not be, or time is over."""
@@ -232,7 +261,7 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = walk(replace(task, obstacles=()), first, q).tip
+        found = walk(task, first, q).tip
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
@@ -246,7 +275,6 @@ class Built:
     joints: Array
     tip: Array
     margin: Array
-    clearance: Array
     equilibria: tuple[Equilibrium, ...]
     proof: Proof
 
@@ -269,7 +297,7 @@ class Built:
             translations=translations,
             tip_position=self.tip,
             margin=self.margin,
-            clearance=self.clearance,
+            arms=self.equilibria,
             start=first,
             end=self.equilibria[-1],
             turns=end.turns,
@@ -300,8 +328,7 @@ def build(
     n = space.robot.n_tubes
     walked = walk(task, first, q, clock)
     if walked.lost:
-        over = f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
-        return (over if clock.over else "the branch is lost between samples",)
+        return (_no_time(clock) if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
         t,
@@ -320,7 +347,7 @@ def build(
     reached = walked.equilibria[-1]
     if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, walked.tip, walked.margin, walked.clearance, walked.equilibria, proof)
+    return Built(t, q, walked.tip, walked.margin, walked.equilibria, proof)
 
 
 def _not_found(
@@ -337,7 +364,9 @@ def _not_found(
     partial, distance = None, float("nan")
     if way.closest is not None and len(way.closest) > 1:
         distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
-        points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
+        points, motion = way.closest, None
+        with suppress(LateError):
+            points, motion = _affordable(task, way.closest, actuators(task, first, rates), clock.left)
         built = () if motion is None else build(task, first, None, motion, rates, clock)
         if isinstance(built, Built) and built.proof.holds and motion is not None:
             end = End(points[-1], motion.joints[-1], (0,) * task.chart.space.robot.n_tubes)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from ..bodies.obstacles import Obstacle
 from ..control.chart import Chart
-from ..control.clock import Clock
+from ..control.clock import Clock, LateError
 from ..control.task import Task
-from ..errors import InputError, finite
+from ..errors import InputError, SolveError, finite
 from ..inverse.question import prepared
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
@@ -16,6 +17,15 @@ from .arguments import check_robot, checked_obstacles, kind_of
 from .motion import RateLimits
 from .options import PlanOptions
 from .smooth import path_cost
+
+
+@contextmanager
+def in_time(clock: Clock) -> Iterator[None]:
+    """Raise SolveError where the clock is over in the middle of something."""
+    try:
+        yield
+    except LateError:
+        raise SolveError(f"no plan was found within {clock.limit:g} s, which ran out before a way was found") from None
 
 
 def asked(
@@ -43,4 +53,4 @@ def asked(
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
-    return Task(Chart(space), bodies, floor, options.clearance), clock
+    return Task(Chart(space), bodies, floor, options.clearance, clock=clock), clock

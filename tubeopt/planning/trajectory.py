@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 
+import numpy as np
+
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import scene_of
+from ..control.outline import Outline
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
@@ -44,7 +49,8 @@ class Trajectory(Displayed):
 
     Attributes:
         time: (T,) s, evenly spaced.   rotations (T, n) rad, translations (T, n) m, not wrapped.
-        tip_position: (T, 3) m.   margin: (T,).   clearance: (T,) m, infinite without obstacles.
+        tip_position: (T, 3) m.   margin: (T,).   arms: equilibria at the samples.
+        clearance: (T,) m, infinite without obstacles; measured where it is asked for.
         start, end: equilibria at both ends.
         turns: (n,) whole turns by which the rotations at the end differ from the goal as given.
         obstacles, min_margin, min_clearance (m), rate_limits: what is kept.
@@ -62,7 +68,7 @@ class Trajectory(Displayed):
     translations: Array
     tip_position: Array
     margin: Array
-    clearance: Array
+    arms: tuple[Equilibrium, ...]
     start: Equilibrium
     end: Equilibrium
     turns: tuple[int, ...]
@@ -73,6 +79,12 @@ class Trajectory(Displayed):
     proof: Proof
     statistics: PlanStatistics
     deviation: Array | None = None
+
+    @cached_property
+    def clearance(self) -> Array:
+        """(T,) least distances of the arm from obstacles, m; infinite without."""
+        scene = scene_of(self.obstacles)
+        return np.array([Outline(e).clearance(scene) for e in self.arms])
 
     @property
     def value(self) -> tuple[Array, Array]:

@@ -22,11 +22,9 @@ lies between them can be off. It falls with the square of their distance."""
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """Equilibria in the order of the table, their margins and clearances (m); `lost` where the branch ended early, or
-    time did."""
+    """Equilibria in the order of the table; `lost` where the branch ended early, or time did."""
 
     equilibria: tuple[Equilibrium, ...]
-    clearance: Array
     lost: bool
 
     @property
@@ -46,7 +44,8 @@ class Walked:
         q = np.reshape(joints, (-1, len(task.scale))) / task.scale
         step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
         left = LEFT * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
-        out = np.array([task.min_margin + left - self.margin, task.clearance + left - self.clearance])
+        clear = [clearance_of(task, e, task.clearance + LEFT) for e in self.equilibria]
+        out = np.array([task.min_margin + left - self.margin, task.clearance + left - np.array(clear)])
         for end in {0, len(q) - 1} if len(q) else ():
             out[:, end] = np.minimum(out[:, end], 0.0)
         return out
@@ -57,7 +56,6 @@ def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -
     space = task.chart.space
     here = start
     found: list[Equilibrium] = []
-    clear: list[float] = []
     for row in q:
         rotations, shift = space.split(row)
         try:
@@ -67,10 +65,9 @@ def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -
         if not here.stable or (clock is not None and clock.over):
             break
         found.append(here)
-        clear.append(clearance_of(task, here))
-    return Walked(tuple(found), np.array(clear), len(found) < len(q))
+    return Walked(tuple(found), len(found) < len(q))
 
 
-def clearance_of(task: Task, equilibrium: Equilibrium) -> float:
-    """Least distance of the arm from obstacles, m; infinite without."""
-    return Outline(equilibrium).clearance(task.scene)
+def clearance_of(task: Task, equilibrium: Equilibrium, enough: float = np.inf) -> float:
+    """Least distance of the arm from obstacles, m, or a bound of it that is `enough`; infinite without."""
+    return Outline(equilibrium).clearance(task.scene, enough)

@@ -7,8 +7,7 @@ from os import PathLike
 
 import numpy as np
 
-from ..errors import nearest
-from ..files.csv_file import read_csv, refuse
+from ..files.csv_file import read_csv
 from ..files.units import DEG, MM
 from ..typing import Array
 from .robot import Robot
@@ -37,21 +36,8 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     """
     table = read_csv(path)
     turns, shifts = joint_columns(robot.n_tubes)
-    known = [*turns, *shifts]
-    problems = [
-        f"column {name} is not known; columns are {turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
-        f"{nearest(name, known)}"
-        for name in table.columns
-        if name not in known
-    ]
-    moved = [name for name in shifts if name in table.columns]
-    problems += [f"column {name} is missing" for name in turns if name not in table.columns]
-    problems += [
-        f"column {name} is missing; it must be there since {moved[0]} is"
-        for name in shifts
-        if moved and name not in table.columns
-    ]
-    refuse(path, problems)
+    listed = f"{turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
+    moved = table.expect(turns, together=shifts, shown=listed)
     rotations = table.numbers(turns, DEG)
     home = np.tile(robot.home_translations, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, ValidationInfo
 
-from ..files.checked import Entry, Number, in_file
-from ..files.units import DEG, MM, decimal, shown, to_si
+from ..files.checked import Entry, Number, Whole, in_file
+from ..files.units import DEG, MM, to_si
 from ..robots.file import AnyRobot, load_robot
 from ..typing import Array
 
@@ -50,16 +50,6 @@ def _of_the_robot(tube: int, info: ValidationInfo) -> int:
         raise ValueError(f"is {tube}; it must be 1 to {robot.n_tubes}")
     return tube
 
-
-def _whole(value: object) -> int:
-    number = decimal(value)
-    if number != number.to_integral_value():
-        raise ValueError(f"is {shown(value)}; it must be a whole number")
-    return int(number)
-
-
-Whole = Annotated[int, BeforeValidator(_whole)]
-"""A whole number."""
 
 Count = Annotated[Whole, Field(ge=1)]
 """A whole number, at least 1."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from decimal import Decimal
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -27,12 +27,11 @@ from ..design import (
     Wall,
 )
 from ..design.requirements import Requirement
-from ..files.checked import Entry, NotNegative, Number, Positive
-from ..files.fields import Part
-from ..files.units import DEG, MM, PER_M, PERCENT, to_si
+from ..files.checked import Entry, NotNegative, Number, Positive, Whole
+from ..files.fields import Part, asking, entry_of, values
+from ..files.units import DEG, MM, PER_M, to_si
 from ..robots.file import Range
-from .base import Whole
-from .obstacle_file import Bodies, Place, Triple, point
+from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""
@@ -83,44 +82,15 @@ class FreeEntry(Part):
         return Free(field, tuple(i - 1 for i in self.tubes), to_si(low, unit), to_si(high, unit), tie)
 
 
-class SnapFreeEntry(Part):
-    """No snap at any rotation, by certificate."""
-
-    margin: Number = Decimal("0.05")
-    translations_mm: list[Row] | None = None
-    box_mm: Annotated[list[Row], Field(min_length=2, max_length=2)] | None = None
-    tolerance: Positive = Decimal("1e-4")
-
-    def build(self) -> SnapFree:
-        """The requirement in SI."""
-        rows = None if self.translations_mm is None else tuple(metres(row) for row in self.translations_mm)
-        box = None if self.box_mm is None else (metres(self.box_mm[0]), metres(self.box_mm[1]))
-        return SnapFree(float(self.margin), rows, box, float(self.tolerance))
-
-
-class InUseEntry(Part):
-    """No snap where the robot works."""
-
-    margin: Positive = Decimal("0.05")
-    paths: bool = True
-    tolerance: Positive = Decimal("1e-3")
-
-    def build(self) -> SnapFreeInUse:
-        """The requirement."""
-        return SnapFreeInUse(float(self.margin), self.paths, float(self.tolerance))
-
-
-class StrainEntry(Part):
-    """Largest bending strain of every tube."""
-
-    limits_percent: Annotated[list[Positive], Field(min_length=1)]
-    straightened: bool = True
-    in_poses: bool = True
-
-    def build(self) -> Strain:
-        """The requirement in SI."""
-        limits = tuple(to_si(limit, PERCENT) for limit in self.limits_percent)
-        return Strain(limits, self.straightened, self.in_poses)
+if TYPE_CHECKING:  # to which an entry is whatever can be built
+    SnapFreeEntry = Part
+    InUseEntry = Part
+    StrainEntry = Part
+    TargetEntry = Part
+    CoverageEntry = Part
+else:
+    SnapFreeEntry, InUseEntry, StrainEntry = entry_of(SnapFree), entry_of(SnapFreeInUse), entry_of(Strain)
+    TargetEntry, CoverageEntry = entry_of(Target), entry_of(Coverage)
 
 
 class LengthEntry(Part):
@@ -140,35 +110,6 @@ class LengthEntry(Part):
         return Length(field, self.tube - 1, to_si(limit, MM), self.at_most_mm is None)
 
 
-class TargetEntry(Part):
-    """Where the tip must get."""
-
-    position_mm: Place
-    tolerance_mm: Positive = Decimal("0.1")
-    direction: Triple | None = None
-    direction_tolerance_deg: Positive = Decimal(2)
-
-    def build(self) -> Target:
-        """The target in SI."""
-        x, y, z = self.direction or (None, None, None)
-        direction = None if x is None or y is None or z is None else (float(x), float(y), float(z))
-        tolerance = to_si(self.direction_tolerance_deg, DEG)
-        return Target(point(self.position_mm), to_si(self.tolerance_mm, MM), direction, tolerance)
-
-
-class CoverageEntry(Part):
-    """A box that the tip must cover."""
-
-    lower_mm: Triple
-    upper_mm: Triple
-    tolerance_mm: Positive = Decimal(1)
-    samples: Annotated[Whole, Field(ge=0)] = 32
-
-    def build(self) -> Coverage:
-        """The requirement in SI."""
-        return Coverage(point(self.lower_mm), point(self.upper_mm), to_si(self.tolerance_mm, MM), self.samples)
-
-
 class PoseEntry(Entry):
     """A task pose with given joint values."""
 
@@ -176,15 +117,13 @@ class PoseEntry(Entry):
     translations_mm: Row
 
 
+@asking(Corridor)
 class CorridorEntry(Part):
     """A tube around a polyline in which the whole arm must stay."""
 
-    centreline_mm: Annotated[list[Triple], Field(min_length=2)]
-    radius_mm: Positive
-
     def build(self) -> Corridor:
         """The requirement in SI."""
-        return Corridor(tuple(point(row) for row in self.centreline_mm), to_si(self.radius_mm, MM))
+        return Corridor(**values(Corridor, self))
 
 
 class AvoidEntry(Part):
@@ -247,22 +186,12 @@ class ObjectiveEntry(Part):
         return Objective(self.kind, float(self.weight), depth, shift)
 
 
+@asking(Tolerances)
 class TolerancesEntry(Part):
     """Errors of manufacture: standard deviations, or half widths where uniform."""
 
-    curvature_percent: NotNegative = Decimal(0)
-    stiffness_percent: NotNegative = Decimal(0)
-    straight_length_mm: NotNegative = Decimal(0)
-    curved_length_mm: NotNegative = Decimal(0)
-    distribution: Literal["normal", "uniform"] = "normal"
     samples: Annotated[Whole, Field(ge=2)] = 500
 
     def build(self) -> Tolerances:
         """The tolerances in SI."""
-        return Tolerances(
-            to_si(self.curvature_percent, PERCENT),
-            to_si(self.stiffness_percent, PERCENT),
-            to_si(self.straight_length_mm, MM),
-            to_si(self.curved_length_mm, MM),
-            self.distribution,
-        )
+        return Tolerances(**values(Tolerances, self))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -25,10 +24,10 @@ from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Number, in_file
+from ..files.checked import Entry, NotNegative, Number, Whole, in_file
 from ..files.units import MM, to_si
 from ..robots.concentric import ConcentricRobot
-from .base import Count, Progress, RobotPath, Study, Whole
+from .base import Count, Progress, RobotPath, Study
 from .design_parts import FreeEntry, ObjectiveEntry, Requirements, TolerancesEntry
 from .stock_file import load_stock
 
@@ -115,12 +114,11 @@ class DesignStudy(Study):
         )
 
     def run(self, progress: Progress | None = None) -> DesignAnswer:
-        """The design; `progress.iteration`, where there is such, is called after every iteration of a solve.
+        """The design.
 
         Raises:
             SolveError: no design meets all requirements, or the one found does not keep them.
         """
-        watch: Callable[[str, float], object] | None = getattr(progress, "iteration", None)
         task, choice = self.task(), None
         if self.stock is not None:
             clearance = to_si(self.stock.clearance_mm, MM)
@@ -141,7 +139,6 @@ class DesignStudy(Study):
             workers=self.workers,
             turns=self.turns,
             progress=progress,
-            report=watch,
         )
         tolerance = None
         if self.tolerances is not None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ..display import Displayed
-from ..files.checked import Positive
+from ..files.checked import Positive, Whole
 from ..files.units import PERCENT, to_si
 from ..robots.robot import Robot
 from ..shaping.heating.rig import Rig
@@ -17,7 +17,7 @@ from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, heating_for, plan_tube
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study
 from .heating_study import Ensemble, Heating, RigPath, heating_of
 from .mold_study import MoldPath
 

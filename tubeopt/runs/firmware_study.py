@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..errors import choice
-from ..files.checked import NotNegative, Positive
+from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
 from ..shaping.feedback.feedback import Feedback, lead_by
 from ..shaping.feedback.sensors import SENSORS, Sensor
@@ -17,7 +17,7 @@ from ..shaping.firmware.boards import BOARDS, CONVERTERS, Wiring, pwm_frequency
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.spec import HeatingSpec
-from .base import Progress, Whole
+from .base import Progress
 from .heating_study import HeatedTube
 
 

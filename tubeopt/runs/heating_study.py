@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..display import Displayed
-from ..files.checked import NotNegative, Positive, in_file
+from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.fields import asking, values
 from ..files.units import PERCENT, to_si
 from ..robots.tubes import Tube
@@ -21,7 +21,7 @@ from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.mold.materials import mold_material
-from .base import Progress, RobotPath, Study, TubeNumber, Whole
+from .base import Progress, RobotPath, Study, TubeNumber
 from .rig_file import load_rig
 
 

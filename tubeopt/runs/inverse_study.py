@@ -11,14 +11,14 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive, in_file
+from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..robots.calibration import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, Whole, metres, radians
+from .base import OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, Triple, point
 from .target_file import Targets, load_joints, load_targets

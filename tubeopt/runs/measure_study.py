@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ..files.checked import NotNegative, Positive
+from ..files.checked import NotNegative, Positive, Whole
 from ..files.units import MM, to_si
 from ..validation import Placement, where_to_measure
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study
 
 
 class MeasureStudy(Study):

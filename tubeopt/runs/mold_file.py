@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ..errors import nearest
 from ..files.checked import Positive, check
-from ..files.csv_file import read_csv, refuse
+from ..files.csv_file import read_csv
 from ..files.fields import entry_of, to_data
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
@@ -112,14 +111,7 @@ def load_trials(path: str | PathLike[str]) -> Trials:
             every problem.
     """
     table = read_csv(path)
-    known = (*TRIAL_COLUMNS, NOTE)
-    problems = [
-        f"column {name} is not known; columns are {', '.join(known)}{nearest(name, known)}"
-        for name in table.columns
-        if name not in known
-    ]
-    problems += [f"column {name} is missing" for name in TRIAL_COLUMNS if name not in table.columns]
-    refuse(path, problems)
+    table.expect(TRIAL_COLUMNS, [NOTE])
     radii = table.numbers(TRIAL_COLUMNS, MM)
     for row in range(len(table.rows)):
         for k, column in enumerate(TRIAL_COLUMNS):

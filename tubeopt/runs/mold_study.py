@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..display import Displayed
-from ..files.checked import NotNegative, Number, Positive, in_file
+from ..files.checked import NotNegative, Number, Positive, Whole, in_file
 from ..files.units import MM, to_si
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
@@ -20,7 +20,7 @@ from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Springback
-from .base import Progress, RobotPath, Study, TubeNumber, Whole
+from .base import Progress, RobotPath, Study, TubeNumber
 from .mold_file import load_mold_spec, load_springback
 
 

@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..files.checked import Entry, NotNegative, Positive
+from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import DEG, MM, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
-from .base import OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .obstacle_file import Bodies, Place, Triple, point
 
 Default = PlanOptions()

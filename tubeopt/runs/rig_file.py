@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -94,7 +93,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> Heatin
         InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
     """
     table = read_csv(path)
-    _columns(path, table, LOG_COLUMNS, ("time_s", "duty"))
+    table.expect(LOG_COLUMNS[:2], LOG_COLUMNS[2:])
     values = {name: _readings(table, name) for name in table.columns}
     table.check()
     temperature = values.get("temperature_degC")
@@ -130,7 +129,7 @@ def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
         InputError: no such file, columns unknown or missing, or cells that make no trial: one line for every problem.
     """
     table = read_csv(path)
-    _columns(path, table, TRIAL_COLUMNS, ("duty", "time_s"))
+    table.expect(TRIAL_COLUMNS[:2], TRIAL_COLUMNS[2:])
     if not {"result", "spring_back_percent"} & set(table.columns):
         refuse(path, ["column result or spring_back_percent is missing"])
     trials = []
@@ -157,13 +156,3 @@ def _result(table: CsvTable, row: int) -> str:
         table.complain(row, "result", "is empty; it must be under, good, over or set")
         return "set"
     return "under" if float(table.number(row, "spring_back_percent")) > SPRING_BACK_TOLERANCE else "set"
-
-
-def _columns(path: str | PathLike[str], table: CsvTable, known: tuple[str, ...], needed: tuple[str, ...]) -> None:
-    problems = [
-        f"column {name} is not known; columns are {', '.join(known)}{nearest(name, known)}"
-        for name in table.columns
-        if name not in known
-    ]
-    problems += [f"column {name} is missing" for name in needed if name not in table.columns]
-    refuse(Path(path), problems)

@@ -10,9 +10,11 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..files.checked import Positive, in_file
+from ..errors import InputError
+from ..files.checked import Positive, Whole, in_file
 from ..files.units import UNITS, to_si
 from ..robots.calibration import to_model
+from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
@@ -32,7 +34,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array
-from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, Whole, metres, radians
+from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, Study, metres, radians
 from .load_file import LoadedStudy
 
 
@@ -137,9 +139,11 @@ class FollowStudy(LoadedStudy):
         in_file(load_waypoints, "a CSV file", of_robot=True),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
+    shaken: bool = Field(False, description="without the friction of the robot's file, as if the robot were shaken")
 
     def run(self, progress: Progress | None = None) -> Motion:
-        """The motion; raises SolveError where there is no stable equilibrium to start from or to land on."""
+        """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
+        equilibrium to start from or to land on."""
         last = len(self.path.rotations) - 1
 
         def step(waypoint: int) -> None:
@@ -147,7 +151,11 @@ class FollowStudy(LoadedStudy):
                 progress(waypoint, last)
 
         joints = to_model(self.robot, self.path.rotations, self.path.translations)
-        return Motion(self.robot, follow(self.robot, *joints, load=self.pushing(), progress=step))
+        friction = None if self.shaken else friction_of(self.robot)
+        if friction is not None and self.pushing() is not None:
+            raise InputError("the robot's file tells of friction, beside which no load can be given; give shaken too")
+        path = follow(self.robot, *joints, load=self.pushing(), friction=friction, progress=step)
+        return Motion(self.robot, path)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,11 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import BeforeValidator, Field, model_validator
 
 from ..errors import InputError, nearest
-from ..files.checked import Entry, Number, check, check_kind
+from ..files.checked import Entry, Number, Whole, check, check_kind
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
-from .base import Study, Whole
+from .base import Study
 from .mold_file import mold_spec_from_dict
 from .rig_file import rig_from_dict
 from .study_file import STUDY_KINDS

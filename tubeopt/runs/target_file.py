@@ -8,7 +8,6 @@ from os import PathLike
 import numpy as np
 from pydantic import Field
 
-from ..errors import nearest
 from ..files.checked import Entry, Number, check
 from ..files.csv_file import read_csv, refuse
 from ..files.units import MM, RAD
@@ -37,20 +36,7 @@ def load_targets(path: str | PathLike[str]) -> Targets:
             length: one line for each problem.
     """
     table = read_csv(path)
-    known = [*POSITION, *DIRECTION]
-    problems = [
-        f"column {name} is not known; columns are {', '.join(known)}{nearest(name, known)}"
-        for name in table.columns
-        if name not in known
-    ]
-    problems += [f"column {name} is missing" for name in POSITION if name not in table.columns]
-    given = [name for name in DIRECTION if name in table.columns]
-    problems += [
-        f"column {name} is missing; it must be there since {given[0]} is"
-        for name in DIRECTION
-        if given and name not in table.columns
-    ]
-    refuse(path, problems)
+    given = table.expect(POSITION, together=DIRECTION)
     position = table.numbers(POSITION, MM)
     direction = table.numbers(DIRECTION, RAD) if given else None
     if direction is not None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive, in_file
+from ..files.checked import Number, Positive, Whole, in_file
 from ..files.units import DEG, MM, to_si
 from ..validation import (
     BasePose,
@@ -21,7 +21,7 @@ from ..validation import (
     fit,
     validate,
 )
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study
 from .measurement_file import load_measurements
 
 MeasurementsPath = Annotated[

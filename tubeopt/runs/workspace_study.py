@@ -8,11 +8,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..files.checked import Number, Positive
+from ..files.checked import Number, Positive, Whole
 from ..files.units import MM, to_si
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
-from .base import Progress, RobotPath, Study, Whole
+from .base import Progress, RobotPath, Study
 
 
 class WorkspaceStudy(Study):

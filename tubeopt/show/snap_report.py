@@ -38,6 +38,18 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
         lambda e: None if e.load is None else e.potential,
         optional=True,
     ),
+    Quantity(
+        "held_margin",
+        "margin while friction holds what it holds; absent without friction",
+        lambda e: None if e.friction is None else e.friction.held_margin,
+        optional=True,
+    ),
+    Quantity(
+        "friction_heat_mJ",
+        "what friction has taken since the first waypoint; absent without friction",
+        lambda e: None if e.friction is None else e.friction.heat,
+        optional=True,
+    ),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
@@ -90,11 +102,20 @@ WAY: tuple[Quantity[Way], ...] = (
 MOTION: tuple[Quantity[Motion], ...] = (
     Quantity("robot", "name of the robot", lambda m: m.robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.path.equilibria):.3f} at a waypoint"),
+    line("friction", lambda m: _rubbed(m)),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.path.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.path.equilibria[-1].tip_position, ".4f")),
     Quantity("snaps", "the snaps on the way", lambda m: list(m.path.snaps),
              of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
+
+
+def _rubbed(m: Motion) -> str | None:
+    """What friction did on the way; None without friction."""
+    last = m.path.equilibria[-1].friction
+    if last is None:
+        return None
+    return f"took {last.heat * TO_MILLI:.3f} mJ; tubes stick at {100 * last.sticking.mean():.0f} % of where they rub"
 
 
 def way_sentence(w: Way) -> str:

@@ -49,22 +49,23 @@ def ipopt_function(program: Closed, settings: Ipopt, *, warm: bool) -> ca.Functi
     """
     symbols = [*program.variables, *program.parameters]
     whole = function_of(symbols, [program.objective, *program.constraints])
-    scaled, p = ca.MX.sym("x", len(program.scale)), ca.MX.sym("p", sum(each.numel() for each in program.parameters))
-    parts = _parted(ca.DM(program.scale) * scaled, program.variables) + _parted(p, program.parameters)
+    x: Any = ca.MX.sym("x", len(program.scale))
+    p: Any = ca.MX.sym("p", sum(each.numel() for each in program.parameters))
+    parts = _parted(ca.DM(program.scale) * x, program.variables) + _parted(p, program.parameters)
     f, *rows = whole.call(parts, True, False)
     options = settings.options(warm=warm)
     with _few_directions():
         if settings.expand:
-            flat = ca.Function("flat", [scaled, p], [f, *rows]).expand()
-            scaled, p = (ca.SX.sym(name, size) for name, size in (("x", len(program.scale)), ("p", p.numel())))
-            f, *rows = flat.call([scaled, p], True, False)
+            flat = ca.Function("flat", [x, p], [f, *rows]).expand()
+            x, p = flat.sx_in()
+            f, *rows = flat.call([x, p], True, False)
+        if settings.expand and settings.hessian == "limited-memory":
             # Each constraint by itself: the rows of a few that depend on everything are cheap in reverse, and would
             # spoil the colouring of all that are local.
-            slopes = ca.vertcat(ca.SX(0, scaled.numel()), *(ca.jacobian(each, scaled) for each in rows))
+            slopes = ca.vertcat(ca.SX(0, x.numel()), *(ca.jacobian(each, x) for each in rows))
             both = [ca.vertcat(ca.SX(0, 1), *rows), slopes]
-            options["jac_g"] = ca.Function("jac_g", [scaled, p], both, ["x", "p"], ["g", "jac_g_x"])
-        problem = {"x": scaled, "p": p, "f": f, "g": ca.vertcat(*rows)}
-        return ca.nlpsol("program", "ipopt", problem, options)
+            options["jac_g"] = ca.Function("jac_g", [x, p], both, ["x", "p"], ["g", "jac_g_x"])
+        return ca.nlpsol("program", "ipopt", {"x": x, "p": p, "f": f, "g": ca.vertcat(*rows)}, options)
 
 
 def function_of(symbols: list[Any], expressions: list[Any]) -> ca.Function:

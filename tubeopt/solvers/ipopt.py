@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 from typing import Any
 
@@ -24,8 +25,8 @@ EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
 
 
 @lru_cache(maxsize=64)
-def _program(structure: Structure, formulation: str) -> Problem:
-    """The program of one equilibrium, all that is given of it parameters."""
+def _program(structure: Structure, formulation: str, thread: int) -> Problem:
+    """The program of one equilibrium, all that is given of it parameters; each thread has its own numbers."""
     problem = Problem(formulation)
     rotations = problem.parameter("rotations", np.zeros(structure.grid.n_tubes))
     if formulation == "equations":
@@ -87,7 +88,7 @@ def solve_ipopt(
     """
     if not len(problem.mesh.length):
         return NewtonResult(evaluate(problem, rotations, np.zeros(0)), True, 0, 0.0)
-    program = _program(structure_of(problem), formulation)
+    program = _program(structure_of(problem), formulation, threading.get_ident())
     for name, numbers in {"rotations": rotations, **torsion_numbers(problem)}.items():
         program.set_value(name, numbers)
     start = torsion_guess(problem, guess)

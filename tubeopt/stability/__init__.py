@@ -6,6 +6,7 @@ from .deflection import deflection_bound
 from .eccentric_verdict import EccentricVerdict
 from .equilibria import find_equilibria
 from .following import Path, Snap, follow
+from .friction_band import FrictionBand, friction_band
 from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
@@ -20,6 +21,7 @@ __all__ = [
     "EccentricVerdict",
     "EnergyMap",
     "Finding",
+    "FrictionBand",
     "LoadLimit",
     "Path",
     "Snap",
@@ -34,6 +36,7 @@ __all__ = [
     "find_load_limit",
     "find_snap",
     "follow",
+    "friction_band",
     "judge",
     "snap_free_certificate",
     "stability_map",

@@ -71,7 +71,7 @@ def rubbing_legs(
 
 def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
     """States along a straight path of joint values, and snaps; the last is at its end."""
-    t, longest = 0.0, path.largest_step()
+    t, longest, far = 0.0, path.largest_step(), -1.0
     for goal in path.events():
         size = longest
         while t < goal:
@@ -79,12 +79,15 @@ def _walk(path: JointPath, held: Held) -> Iterator[Held | RubbingSnap]:
             there = _near(path, held, at)
             if there is None:
                 size /= 4
-                # What friction alone holds lets go row by row, in hops that a fine mesh would make small.
-                there = _hopped(path, held, at) if held.margin <= 0 and size < HOP * longest else None
+                # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
+                # goes far, a snap lies before it.
+                if held.margin <= 0 and size < HOP * longest and t >= far:
+                    there = _hopped(path, held, at)
+                    far = at if there is None else far
                 if there is None and size >= SHORTEST_STEP:
                     continue
                 if there is None:
-                    at = min(goal, t + PAST * longest)
+                    at, far = min(goal, t + PAST * longest), -1.0
                     there = _landed(path, held, at)
                     if _distance(held, there) > SMOOTH_TURN:
                         yield RubbingSnap(t, held, there)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -102,8 +103,9 @@ MOVING = ("rotations", "transmission", "lengths")
 
 
 @lru_cache(maxsize=32)
-def _program(structure: Structure) -> Problem:
-    """max t subject to the equilibrium equations at joint values and lengths that are linear in t."""
+def _program(structure: Structure, thread: int) -> Problem:
+    """max t subject to the equilibrium equations at joint values and lengths that are linear in t; each thread has its
+    own numbers."""
     problem = Problem("snap")
     t = problem.variable("fraction of the path")
     sizes = {"rotations": structure.grid.n_tubes, **{name: shape[0] for name, shape in structure.shapes.items()}}
@@ -132,7 +134,7 @@ def largest_fraction(path: JointPath, here: Point, goal: float) -> Point:
         return here
     span = 0.5 * (goal - here.t)
     counts = np.bincount(mesh.section, minlength=assembly.n_sections)
-    program = _program(structure_of(problem))
+    program = _program(structure_of(problem), threading.get_ident())
     rates = {
         "rotations": np.split(path.end - path.start, 2)[0],
         "transmission": (ahead.transmission - assembly.transmission) / span,

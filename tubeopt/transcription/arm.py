@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from ..typing import Array
+from .collocated import ENDS
 from .mesh import Mesh
-from .piece import ENDS
 from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
 

@@ -26,10 +26,10 @@ from ..typing import Array
 from .panel import Local, local, width
 from .tableau import Tableau, tableau
 
-SHAPE_STEPS = 4
+STEPS = 4
 """Steps of the shape per piece, as those of `forward_kinematics`."""
 
-ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
+ENDS = np.arange(STEPS + 1) / STEPS
 """Fractions of a piece at which its shape points lie, its beginning included."""
 
 
@@ -210,9 +210,9 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]
     of it, which may be a symbol."""
     turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
     out = []
-    step = fraction / SHAPE_STEPS
-    for k in range(SHAPE_STEPS):
-        x = (k + GAUSS_POINTS) / SHAPE_STEPS
+    step = fraction / STEPS
+    for k in range(STEPS):
+        x = (k + GAUSS_POINTS) / STEPS
         u = torsion.curvature(fraction * ca.SX(ca.DM(x)) if isinstance(fraction, ca.SX) else fraction * x)
         turn, shift = magnus_quaternion(turn, shift, u, torsion.piece.length * step)
         out.append((turn, shift, (k + 1) * step))

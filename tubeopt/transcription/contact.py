@@ -64,14 +64,15 @@ class Contact:
     loose: Array
 
 
-def make_contact(assembly: Assembly, friction: Friction) -> Contact:
-    """The rows of friction of concentric tubes, on a mesh fine enough for them."""
+def make_contact(assembly: Assembly, friction: Friction, *, everywhere: bool = False) -> Contact:
+    """The rows of friction of concentric tubes, on a mesh fine enough for them; with `everywhere`, the rotation of each
+    tube is unknown wherever it bends the arm, where no other one does too."""
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
     # (m, n - 1) sections in which a pair touches that rubs anywhere.
     rub = np.sum(list(capacities.values()), axis=0) > 0
     touching = assembly.present[:, 1:] & rub
-    unknown = assembly.curved & assembly.coupled[:, None]
+    unknown = assembly.curved & (assembly.coupled | everywhere)[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
     problem = _problem(assembly, friction, touching, unknown)

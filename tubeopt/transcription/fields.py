@@ -25,10 +25,10 @@ _BUTCHER = (
 _WEIGHTS = (11 / 120, 0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120)
 
 SOFT_STEPS = 2
-"""Steps of that method per piece: the margin to about 1e-9."""
+"""Steps of that method per piece: margins below 0.9 to about 1e-6."""
 
 
-def marched_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = SOFT_STEPS) -> Any:
+def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
 
     The fields are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt where w
@@ -38,9 +38,9 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any, *, steps: int = S
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
     piece, n = torsion.piece, torsion.piece.grid.n_tubes
-    h = piece.length / steps
-    for step in reversed(range(steps)):
-        x = (step + SOFT_NODES) / steps
+    h = piece.length / SOFT_STEPS
+    for step in reversed(range(SOFT_STEPS)):
+        x = (step + SOFT_NODES) / SOFT_STEPS
         theta, w = torsion.rotation(x), torsion.torsion(x)
         rates = [_field_rate(piece, x[k], (theta[:, k], w[:, k]), margin) for k in range(len(x))]
         slopes: list[Any] = []

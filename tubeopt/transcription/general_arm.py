@@ -11,7 +11,8 @@ from ..robots.lengthwise import CrossSections
 from ..typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at
 from .buffered import mapped, section_function
-from .piece import COARSE_STEPS, ENDS, EXTRA_POINTS, STEPS
+from .collocated import ENDS, STEPS
+from .piece import COARSE_STEPS, EXTRA_POINTS
 from .reduced import Evaluation, ReducedProblem, reach, sections_at
 from .tableau import tableau
 

@@ -327,3 +327,21 @@ def along(matrix: Array, values: Array) -> Array:
     """(P, X, n, Q) of a matrix (X, K) applied to the points of values (P, K, n, Q)."""
     pieces, count, n, size = values.shape
     return np.asarray((matrix @ values.reshape(pieces, count, n * size)).reshape(pieces, len(matrix), n, size))
+
+
+def cumulate(arm: Arm, values: Array) -> Array:
+    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points."""
+    up_to = arm.tableau.lagrange(ENDS, integrals=1)
+    inner = np.einsum("jk,pk...->pj...", up_to, values) * arm.length.reshape(-1, *[1] * (values.ndim - 1))
+    before = np.concatenate([np.zeros_like(inner[:1, -1]), np.cumsum(inner[:, -1], axis=0)[:-1]])
+    table = before[:, None] + inner
+    return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, *table.shape[2:])])
+
+
+_CROSS = np.array([[0.0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]])
+"""The matrix of c x a by rows, from a."""
+
+
+def cross(columns: Array, arm: Array) -> Array:
+    """(..., 3, c) cross product of every column with vectors (..., 3)."""
+    return np.asarray((arm @ _CROSS).reshape(*arm.shape, 3) @ columns)

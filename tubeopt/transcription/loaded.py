@@ -306,20 +306,6 @@ def tip_position(problem: LoadedProblem, state: LoadedState) -> Array:
     return np.asarray(problem.torsion.weight @ tangents(state.orientation.stage))
 
 
-def position_slopes(problem: LoadedProblem, state: LoadedState, s: float) -> tuple[Array, Array]:
-    """(3,) position at arc length s, m, and (3, U + 2 N) its change."""
-    mesh, count = problem.mesh, len(state.orientation.stage)
-    piece = int(np.clip(np.searchsorted(mesh.start, s, side="right") - 1, 0, len(mesh.start) - 1))
-    x = min(1.0, (s - mesh.start[piece]) / mesh.length[piece])
-    degree = mesh.tableau.degree
-    weight = np.where(np.arange(count) < piece * degree, problem.torsion.weight, 0.0)
-    inside = slice(piece * degree, (piece + 1) * degree)
-    weight[inside] = mesh.length[piece] * mesh.tableau.lagrange([x], integrals=1)[0]
-    along = state.orientation
-    moved = weight @ (tangent_slopes(along.stage) @ along.stage_slope).reshape(count, -1)
-    return weight @ tangents(along.stage), moved.reshape(3, -1) @ state.turned
-
-
 def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     """(6, 6) translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there, world axes."""
     slopes = tip_slopes(problem, state)

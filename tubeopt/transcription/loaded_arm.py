@@ -11,9 +11,9 @@ from ..robots.lengthwise import CrossSections
 from ..typing import Array
 from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at
 from .buffered import mapped, section_function
+from .collocated import ENDS
 from .loaded import LoadedProblem, LoadedState
 from .orientation import tangents
-from .piece import ENDS
 from .reduced import ReducedProblem, reach, sections_at
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from ..typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths
 from .buffered import piece_chain
+from .collocated import STEPS
 from .general_arm import general_arm
-from .piece import COARSE_STEPS, STEPS
+from .piece import COARSE_STEPS
 from .reduced import Evaluation, ReducedProblem
 
 _HOME = np.tile(np.concatenate([np.eye(3).ravel(), np.zeros(3)]), 2)

@@ -144,8 +144,8 @@ def descend(
             # After so short a step the slopes are those of the state before it.
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
-            promised = -2 * slope @ step - step @ square @ step
-            serves = accepted and before - cost > max(enough, FAITHFUL * promised)
+            promised = float(-2 * slope @ step - step @ square @ step)
+            serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
             fresh = not (serves and model.costly(state))
             slopes = model.jacobian(state) if fresh else slopes
     return Descent(state, residuals, slopes, False, obstacle)

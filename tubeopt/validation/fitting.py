@@ -256,8 +256,8 @@ class FitProblem:
         return weigh(self.model, self.options, self.sigma)
 
     def _settle(self, start: State, slopes: Array) -> Descent:
-        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least squares of positions it does not
-        matter what it is."""
+        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
+        squares of positions it does not matter what it is."""
         found = descend(self.model, self.weights(), start, first=slopes)
         for _ in range(6):
             last, self.sigma = self.sigma, self._noise(found)
@@ -284,7 +284,7 @@ class FitProblem:
             elif self.options.loss == "linear":
                 out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * spare))))
             else:
-                out.append(float(np.median(sizes) / np.sqrt(scipy.stats.chi2.ppf(0.5, coordinates))))
+                out.append(float(np.median(sizes) / np.sqrt(2 * scipy.special.gammaincinv(coordinates / 2, 0.5))))
         return max(out[0], 1e-12), max(out[1], 1e-12)
 
     @property
@@ -319,8 +319,8 @@ class FitProblem:
         )
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
-        half = scipy.stats.t.ppf((1 + options.confidence) / 2, degrees) * errors
-        wide = scipy.stats.t.ppf((1 + options.confidence) / 2, max(1, len(np.unique(block)) - 1)) * blocked
+        half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
+        wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
         setup = model.setup(state.x)
         calibrated = setup.robot(model.robot, f"{len(measurements)} rows of {measurements.source or 'measurements'}")
         return Fit(

@@ -15,7 +15,8 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..transcription.loaded import position_slopes, tip_slopes
+from ..transcription.loaded import tip_slopes
+from ..transcription.loaded_along import position_slopes
 from ..typing import Array
 from .measurements import SAME_PLACE, Measurements
 

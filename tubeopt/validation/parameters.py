@@ -93,7 +93,12 @@ def numbers_of(context: Context, effect: Effect) -> list[str]:
 
 def _count(context: Context, effect: Effect) -> int:
     robot = context.robot
-    counts = {"pair": len(context.setup.friction), "tube": robot.n_tubes, "kind": len(members(robot)), "carriage": len(robot.moving_together)}
+    counts = {
+        "pair": len(context.setup.friction),
+        "tube": robot.n_tubes,
+        "kind": len(members(robot)),
+        "carriage": len(robot.moving_together),
+    }
     return counts.get(effect.each, len(effect.each))
 
 

@@ -202,7 +202,7 @@ def calibrate(
         remarks.append(f"{free[weak]} is not determined by the log; it is held at what the file says")
         free.pop(weak)
     freedom = max(problem.count - len(free), 1)
-    reach = float(scipy.stats.t.ppf(0.5 + confidence / 2, freedom))
+    reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
     values = dict(zip(free, zip(x, errors, strict=True), strict=True))
     estimates = tuple(_estimate(name, values.get(name), reach) for name in names)
     fitted = problem.rig(free, x)

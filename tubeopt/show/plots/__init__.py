@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .branch import plot_branch
 from .hysteresis import plot_hysteresis
-from .loads import plot_force_estimates, plot_load_limits, plot_payload
+from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
 from .shape import plot_equilibria, plot_shape, plot_shapes
@@ -13,6 +13,7 @@ from .style import save_figure, tube_colour
 from .torsion import plot_torsion, plot_torsions
 
 __all__ = [
+    "plot_bearing",
     "plot_branch",
     "plot_energy_maps",
     "plot_equilibria",

@@ -33,7 +33,7 @@ def plot_effects(comparison: Comparison, path: str | PathLike[str] | None = None
     """
     c = comparison
     both = c.fit is not None and c.fit.before.parity is not None
-    figure = new_figure(9.6 if both else 7.2, 0.9 + 0.30 * (2 + len(c.steps) + len(c.refused)))
+    figure = new_figure(9.6 if both else 7.2, max(3.0, 0.9 + 0.30 * (2 + len(c.steps) + len(c.refused))))
     if both:
         left, right = figure.subplots(1, 2, width_ratios=[2.6, 1])
         _draw_parity(right, c)

@@ -117,6 +117,34 @@ def plot_load_limits(
 
 
 @styled
+def plot_bearing(
+    forces: Array,
+    certificates: Mapping[str, Array],
+    path: str | PathLike[str] | None = None,
+    *,
+    title: str = "",
+) -> Figure:
+    """Picture of certificates over the largest force on the tip, of several robots; below 0 nothing is proved.
+
+    Args:
+        forces: (T,) N.   certificates: (T,) by the name of the robot.
+        path: where to save the picture; None saves nothing.
+    """
+    figure = new_figure(4.6, 3.0)
+    axes = figure.subplots()
+    for k, (name, values) in enumerate(certificates.items()):
+        axes.plot(forces * TO_MILLI, values, "-o", ms=3, lw=1.6, color=TUBE_COLOURS[k], label=name)
+    axes.axhline(0.0, color=INK, lw=0.8)
+    axes.set_xlabel("largest force on the tip (mN)")
+    axes.set_ylabel("certificate")
+    axes.grid(color=GRID, lw=0.5)
+    axes.set_axisbelow(True)
+    axes.legend(loc="best")
+    figure.suptitle(title, fontsize=9, x=0.02, ha="left")
+    return finish(figure, path)
+
+
+@styled
 def plot_force_estimates(
     true: Array,
     estimates: Mapping[str, Sequence[ForceEstimate]],

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
+from ..slots import shade, slotted
 from . import mesh as surfaces
 from .mesh import Centreline, Mesh
 from .stage import Box, View, draw_box, facets, note, rule_step, widest_view
@@ -184,7 +185,8 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 
 def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[float, float] | None = None) -> Mesh:
-    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside.
+    """Surfaces of all tubes in m: each where it shows, closed by the rim of its wall and the bore inside; darker where
+    slots have made it softer.
 
     Args:
         opacity: 0 to 1.
@@ -207,10 +209,11 @@ def robot_mesh(equilibrium: Equilibrium, *, opacity: float = 1.0, window: tuple[
         offset = assembly.offset[i] * np.array([np.cos(angle), np.sin(angle)])
         colour = np.array(to_rgba(tube_colour(i), opacity))
         first, last = max(start, low), min(end, high)
-        if last > first:
-            count = 2 + int(pieces * (last - first) / (min(high, line.length) - max(low, 0.0)))
-            s = np.linspace(first, last, count)
-            parts.append(surfaces.tube_mesh(line, s, outer, colour, offset=offset, sides=sides))
+        for begin, stop, left in slotted(tube, float(assembly.transmission[i]), first, last):
+            count = 2 + int(pieces * (stop - begin) / (min(high, line.length) - max(low, 0.0)))
+            s = np.linspace(begin, stop, count)
+            dark = colour * [*(shade(left),) * 3, 1.0]
+            parts.append(surfaces.tube_mesh(line, s, outer, dark, offset=offset, sides=sides))
         if low <= end <= high:
             rim = 0.45 * colour + 0.55 * np.array([1, 1, 1, opacity])
             parts.append(surfaces.ring_mesh(line, end, (inner, outer), rim, offset=offset, sides=sides))

@@ -19,6 +19,7 @@ from ...typing import Array
 from ..plots.mesh import Centreline
 from ..plots.shape import exposed, plate_radius
 from ..plots.style import tube_colour
+from ..slots import shade, slotted
 
 Faces = NDArray[np.uint32]
 Colour = tuple[int, int, int]
@@ -74,7 +75,8 @@ def margin_colour(margin: float) -> Colour:
 
 
 def robot_parts(equilibrium: Equilibrium) -> list[Part]:
-    """All tubes of true diameter, each where it shows, with the rim of its wall and its bore; sheaths around groups."""
+    """All tubes of true diameter, each where it shows, darker where slots have made it softer, with the rim of its wall
+    and its bore; sheaths around groups."""
     shown = exposed(equilibrium)
     if not shown:
         return []
@@ -87,8 +89,11 @@ def robot_parts(equilibrium: Equilibrium) -> list[Part]:
         angle = float(assembly.offset_angle[i])
         offset = float(assembly.offset[i]) * np.array([np.cos(angle), np.sin(angle)])
         colour = rgb(tube_colour(i))
-        s = np.linspace(start, end, PIECES + 1)
-        parts.append(Part(f"tube_{i + 1}", tube_surface(line, s, outer, offset), colour))
+        for k, (begin, stop, left) in enumerate(slotted(tube, float(assembly.transmission[i]), start, end)):
+            s = np.linspace(begin, stop, PIECES + 1)
+            red, green, blue = (round(shade(left) * c) for c in colour)
+            name = f"tube_{i + 1}" + f"_{k + 1}" * bool(k)
+            parts.append(Part(name, tube_surface(line, s, outer, offset), (red, green, blue)))
         rim = tuple(round((1 - RIM_COLOUR) * c + RIM_COLOUR * 255) for c in colour)
         parts.append(Part(f"rim_{i + 1}", ring_surface(line, end, (inner, outer), offset), (rim[0], rim[1], rim[2])))
         bores.append(ring_surface(line, end, (0.0, inner), offset))

@@ -202,7 +202,7 @@ typedef struct {
 /* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
    Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
    from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
-static double least_of(Lanczos *l, double *vector) {
+static inline __attribute__((always_inline)) double least_of(Lanczos *l, double *vector) {
     double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
     int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
     double norm = sqrt(dot(vector, vector, n));

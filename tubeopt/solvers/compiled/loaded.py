@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ...physics.shape import quaternion_product_function, rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
+from ...transcription.collocated import ENDS, STEPS
 from ...transcription.loaded import LoadedProblem, compliances
 from ...transcription.loaded_arm import LoadedArm, shape_sections
-from ...transcription.piece import ENDS, STEPS
 from ...transcription.reduced import ReducedProblem
 from ...transcription.tableau import tableau
 from ...typing import Array

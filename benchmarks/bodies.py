@@ -1,0 +1,163 @@
+"""How the time of servo steps, inverse kinematics and planning grows with the number of bodies.
+
+Usage: python -m benchmarks.bodies [--json] [--picture docs/images/growth_with_bodies.png]
+
+Spheres of 2 mm radius lie at random around the places that the robot of the thesis goes to; then there is a ball of
+82,000 triangles alone. Processor time of one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.inverse import circle
+from benchmarks.timing import Timing, clock, dump, milliseconds, show, summarise, table
+from tests.examples import THESIS
+from tests.inverse_targets import reachable
+from tubeopt import IkSession, SolveError, forward_kinematics, inverse_kinematics, plan_trajectory
+from tubeopt.bodies.corridors import MeshObstacle
+from tubeopt.bodies.obstacles import Obstacle, Sphere
+from tubeopt.control.joints import joint_space
+
+COUNTS = (0, 1, 10, 100, 1000, 10000)
+"""Spheres."""
+
+TARGETS = {"servo": 1e-3, "cold": 30e-3, "plan": 1.5}
+"""Most seconds of a servo step and of inverse kinematics with 1,000 spheres or the mesh; most time of a plan with 100
+spheres, over that of a free one."""
+
+KINDS = {"servo": "a servo step", "cold": "inverse kinematics, cold", "plan": "a plan, with its proof"}
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What was timed, among what."""
+
+    what: str
+    among: str
+    count: int
+    timing: Timing
+
+
+def spheres(count: int) -> list[Obstacle]:
+    """Around the box in which the targets of the servo lie, by 10 mm."""
+    random, found = np.random.default_rng(0), list[Obstacle]()
+    while len(found) < count:
+        at = random.uniform([-0.15, -0.15, 0.0], [0.15, 0.15, 0.25])
+        if np.linalg.norm(at - np.clip(at, [-0.04, -0.04, 0.0], [0.1, 0.08, 0.2])) > 0.01:
+            found.append(Sphere(tuple(at.tolist()), 2e-3))
+    return found
+
+
+def ball() -> MeshObstacle:
+    """A ball of 82,000 triangles beside the way of the servo."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
+    mesh.apply_translation([0.09, -0.05, 0.15])
+    body = MeshObstacle(tuple(map(tuple, mesh.vertices.tolist())), tuple(map(tuple, mesh.faces.tolist())))
+    assert body.grid
+    return body
+
+
+def servo(bodies: Sequence[Obstacle], steps: int = 200) -> Timing:
+    """Steps of 0.5 mm on a wavy circle."""
+    session = IkSession(THESIS, min_margin=0.1, obstacles=bodies)
+    targets = circle(THESIS, (0.055, 0.02, 0.15), 0.03, steps)
+    session.solve(targets[0])
+    return summarise(clock(partial(session.solve, target))[0] for target in targets[1:])
+
+
+def cold(bodies: Sequence[Obstacle], count: int = 20) -> Timing:
+    """Targets that the free robot reaches, solved from nothing; some are out of reach among the bodies."""
+    seconds = []
+    for e in reachable(THESIS, count, seed=11):
+
+        def ask(position: np.ndarray = e.tip_position) -> None:
+            with suppress(SolveError):
+                inverse_kinematics(THESIS, position, obstacles=bodies)
+
+        seconds.append(clock(ask)[0])
+    return summarise(seconds[1:])
+
+
+def plan(bodies: Sequence[Obstacle], repeats: int = 3) -> Timing:
+    """A straight way of 69 deg."""
+    shift = joint_space(THESIS).split(joint_space(THESIS).inside())[1]
+    ends = [forward_kinematics(THESIS, turned, shift) for turned in (np.zeros(3), [1.2, 0.9, 0.4])]
+    return summarise(clock(partial(plan_trajectory, THESIS, *ends, obstacles=bodies))[0] for _ in range(repeats))
+
+
+def picture(found: Sequence[Growth], path: Path) -> None:
+    """Times over the number of spheres; the free robot at the left."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
+    for colour, what in enumerate(KINDS):
+        rows = [each for each in found if each.what == what and each.among == "spheres"]
+        x = [max(each.count, 0.3) for each in rows]
+        y = [1e3 * each.timing.median for each in rows]
+        axes.loglog(x, y, "o-", color=f"C{colour}", label=KINDS[what])
+        axes.annotate(f"{y[-1]:.3g} ms", (x[-1], y[-1]), (4, -3), textcoords="offset points", color=f"C{colour}")
+        mesh = [1e3 * each.timing.median for each in found if each.what == what and each.among == "mesh"]
+        if mesh:
+            label = "the mesh of 82,000 triangles" if what == "cold" else None
+            axes.loglog([0.3], mesh, "^", color=f"C{colour}", mfc="none", label=label)
+    axes.set_xticks([0.3, *COUNTS[1:]], ["free", *(f"{count:,}" for count in COUNTS[1:])])
+    axes.minorticks_off()
+    axes.set_xlim(0.2, 60000)
+    axes.set_xlabel("spheres")
+    axes.set_ylabel("processor time (ms)")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="lower right", bbox_to_anchor=(0.85, 0.22))
+    figure.savefig(path, dpi=150)
+
+
+def missed(found: Sequence[Growth]) -> list[str]:
+    """What takes longer than wanted."""
+    known = {(each.what, each.among, each.count): each.timing.median for each in found}
+    notes = []
+    for what in ("servo", "cold"):
+        for among, count in (("spheres", 1000), ("mesh", 1)):
+            seconds = known.get((what, among, count), 0.0)
+            if seconds > TARGETS[what]:
+                notes.append(f"{KINDS[what]} among {count} {among}: {1e3 * seconds:.3g} ms")
+    share = known["plan", "spheres", 100] / known["plan", "spheres", 0]
+    if share > TARGETS["plan"]:
+        notes.append(f"{KINDS['plan']} among 100 spheres: {share:.2f} times the free one")
+    return notes or ["all targets are met"]
+
+
+def main() -> None:
+    """Measure, print, and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--picture", type=Path)
+    options = parser.parse_args()
+    scenes = [("spheres", count, spheres(count)) for count in COUNTS] + [("mesh", 1, [ball()])]
+    found = [
+        Growth(what, among, count, measure(bodies))
+        for among, count, bodies in scenes
+        for what, measure in (("servo", servo), ("cold", cold), ("plan", plan))
+    ]
+    if options.picture:
+        picture(found, options.picture)
+    if options.json:
+        dump({"targets": TARGETS, "growth": [asdict(each) for each in found]})
+        return
+    rows = [
+        (f"{KINDS[g.what]}, {g.count} {g.among}", milliseconds(g.timing.median), milliseconds(g.timing.slow))
+        for g in sorted(found, key=lambda g: list(KINDS).index(g.what))
+    ]
+    show([table("growth with bodies", ("", "ms median", "ms 9th decile"), rows)], missed(found))
+
+
+if __name__ == "__main__":
+    main()

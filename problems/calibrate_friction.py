@@ -1,0 +1,79 @@
+"""How good is my robot's model? An error budget of a synthetic robot whose sensors lag and whose tubes rub.
+
+It is driven along a way there and back, first slowly and then twice as fast: a latency grows with the speed,
+friction does not. The truth is known: a latency, and dry friction between the two tubes.
+
+One learns: what each effect explains of the error, that friction is told from latency and from play by two speeds, and
+that what is left is the noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tubeopt import ConcentricRobot, Friction, Tube, follow
+from tubeopt.robots.calibration import Calibration
+from tubeopt.show.plots.effects import plot_effects
+from tubeopt.typing import Array
+from tubeopt.validation import FitOptions, Measurements, compare_effects
+
+ROOT = Path(__file__).resolve().parents[1]
+MM = 1e-3
+RATE, NOISE, FASTER = 10.0, 0.2 * MM, 2.0
+
+ROBOT = ConcentricRobot(
+    (
+        Tube(1.0 * MM, 0.75 * MM, 150 * MM, 90 * MM, 9.0),
+        Tube(1.5 * MM, 1.15 * MM, 70 * MM, 60 * MM, 5.0),
+    ),
+    name="two tubes that rub",
+)
+DRIVES = replace(Calibration.none(2), latency=0.09)
+FRICTION = Friction(torque=0.012)
+"""12 mN m per m: turning the inner tube, its tip lags by some 10 deg."""
+
+TRIED = ("latency", "rotation_play", "friction")
+
+
+def joints(time: Array, slow: float) -> Array:
+    """(N, 4) readings, rad and m, at times (N,), s: a smooth way there and back in `slow` s, then the same faster."""
+    phase = np.where(time < slow, time / slow, (time - slow) * FASTER / slow)
+    there = 30.0 * np.minimum(phase, 1 - phase)[:, None]
+    speed, shift = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
+    waves = np.sin(speed * there + shift) + 0.6 * np.sin(2.3 * speed * there + 2 * shift)
+    return np.asarray(waves * [1.4, 1.6, 6 * MM, 4 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
+
+
+def measure(slow: float = 8.0) -> Measurements:
+    """Rows of the way as the laboratory records them."""
+    time = np.arange(int(RATE * slow * (1 + 1 / FASTER))) / RATE
+    read, lagging = joints(time, slow), joints(np.maximum(time - DRIVES.latency, 0.0), slow)
+    alpha, shift = DRIVES.to_model(lagging[:, :2], lagging[:, 2:])
+    tips = np.array([e.tip_position for e in follow(ROBOT, alpha, shift, friction=FRICTION).equilibria])
+    noise = np.random.default_rng(1).normal(0, NOISE, tips.shape)
+    return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic way")
+
+
+def main(directory: Path) -> list[Path]:
+    """Draw what each effect explains, and print what was found."""
+    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=5))
+    print(f"as given: {found.start.rms / MM:.2f} mm held out")
+    for step in found.steps:
+        print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")
+    assert found.fit is not None
+    for e in found.fit.estimates:
+        print(f"{e.name}: {e.low:.4g} to {e.high:.4g} {e.unit}" + (" (held)" if e.held else ""))
+    path = directory / "calibrate_friction.png"
+    plot_effects(found, path)
+    return [path]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for picture in main(parser.parse_args().out):
+        print(f"saved {picture}")

@@ -1,0 +1,46 @@
+"""The thesis' tube heated on two hundred rigs that nobody measured: with the schedule alone, and led by a thermocouple.
+
+The thesis asks for temperature feedback. Here losses, gap, contacts, resistivity, diameters, ambient, battery and what
+pulses lose are unknown all at once, as in a workshop; the law that the microcontroller runs has gains from the model.
+
+One learns: what no schedule can hold, one thermocouple holds; and the tube's own resistance is no thermometer before
+its slope was measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import tubeopt
+from tubeopt.runs.firmware_study import LedHeating
+from tubeopt.shaping.firmware.boards import Wiring
+from tubeopt.show.plots.feedback import plot_feedback
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(out: Path) -> list[Path]:
+    """Plan the heating, lead it, save the picture into `out`, and return the path."""
+    rig = tubeopt.load_rig(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
+    assert rig.tube is not None
+    plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(objective="margin"), sensor=tubeopt.Thermocouple())
+    assert plan.feedback is not None
+    for sensor, led in (
+        ("thermocouple", plan.feedback),
+        ("resistance", tubeopt.lead_by(plan, tubeopt.TubeResistance())),
+    ):
+        low, high = led.interval
+        print(
+            f"{sensor}: {100 * led.probability:.1f} % of rigs keep the window ({100 * low:.1f} to {100 * high:.1f} %)"
+        )
+    picture = out / "heating_led.png"
+    plot_feedback(LedHeating(plan, plan.feedback, Wiring(), rig.circuit.pwm_frequency), picture)
+    return [picture]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the pictures")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

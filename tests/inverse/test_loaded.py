@@ -1,0 +1,56 @@
+"""Inverse kinematics under a load."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.command_line import THESIS as THESIS_FILE
+from tests.command_line import Run, answer, refused
+from tests.examples import THESIS
+from tubeopt import InputError, InverseOptions, Load, SolveError, forward_kinematics, inverse_kinematics
+from tubeopt.bodies.obstacles import Sphere
+
+LOAD = Load((0.05, 0.02, -0.02))
+TARGET = np.array([0.05, 0.02, 0.16])
+
+
+def test_the_loaded_tip_is_on_target_with_margin() -> None:
+    found = inverse_kinematics(THESIS, TARGET, load=LOAD, min_margin=0.5)
+    cold = forward_kinematics(THESIS, found.rotations, found.translations, load=LOAD)
+    assert np.allclose(cold.tip_position, TARGET, rtol=0, atol=2e-8)
+    assert np.allclose(found.equilibrium.tip_position, cold.tip_position, rtol=0, atol=1e-10)
+    assert found.reached
+    assert found.margin >= 0.5
+    unloaded = forward_kinematics(THESIS, found.rotations, found.translations)
+    assert np.linalg.norm(unloaded.tip_position - TARGET) > 5e-3
+
+
+def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> None:
+    free = inverse_kinematics(THESIS, TARGET, load=LOAD)
+    middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
+    ball = Sphere(middle + np.array([0.0, 0.004, 0.0]), 0.002)
+    kept = inverse_kinematics(
+        THESIS, TARGET, seed=free, load=LOAD, obstacles=[ball], options=InverseOptions(clearance=1e-3)
+    )
+    assert kept.clearance >= 1e-3
+    assert np.allclose(kept.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)
+
+
+def test_what_makes_no_sense_under_load() -> None:
+    with pytest.raises(InputError, match="no margin"):
+        inverse_kinematics(THESIS, TARGET, load=Load(moment=(0.001, 0, 0)))
+    with pytest.raises(InputError, match="for a robot without load"):
+        inverse_kinematics(THESIS, TARGET, load=LOAD, all_solutions=True)
+    with pytest.raises(SolveError):
+        inverse_kinematics(THESIS, [0.5, 0, 0], load=LOAD, options=InverseOptions(starts=2))
+
+
+def test_on_the_command_line(run: Run) -> None:
+    asked = ["ik", THESIS_FILE, "--target-mm", "50,20,160", "--tip-force-mN", "50,20,-20"]
+    data = answer(run(*asked, "--json"))
+    solution = data["solutions"][0] if "solutions" in data else data
+    joints = solution["rotations_deg"], solution["translations_mm"]
+    there = forward_kinematics(THESIS, np.radians(joints[0]), np.array(joints[1]) * 1e-3, load=LOAD)
+    assert np.allclose(there.tip_position, TARGET, rtol=0, atol=2e-8)
+    assert "without load" in refused(run(*asked, "--all"))[0]
