@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..display import Displayed
 from ..equilibrium.friction import Held, check_rubbing, shaken
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..robots.friction import Friction
@@ -29,7 +30,7 @@ from .certificate import snap_free_certificate
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionBand:
+class FrictionBand(Displayed):
     """Where friction can hold an arm at M points along it.
 
     equilibrium: without friction.   friction: as given.   certificate: of freedom from snaps at these translations.
