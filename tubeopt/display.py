@@ -1,26 +1,24 @@
 """How public objects show themselves: in one line where text is wanted, as a table with a picture in a notebook.
 
 Every class of `tubeopt` that holds data derives from `Displayed`. The line is made here; table and picture come from
-the highest layer, which registers itself by its name alone, so that a robot or an answer knows nothing of pictures.
+`show.notebook`, which is loaded when the first is asked for, so that a robot or an answer knows nothing of pictures.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from enum import Enum
 from typing import Any, ClassVar
 
 import numpy as np
+
+from .typing import late
 
 LENGTH = 160
 """Characters that a line holds before what is left of an object is left out."""
 
 SMALL = 6
 """Numbers of an array, or members of a list, that are told one by one."""
-
-NOTEBOOK = "show.notebook"
-"""The module that makes the tables and pictures, loaded when the first is asked for."""
 
 
 class Displayed:
@@ -39,17 +37,13 @@ class Displayed:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        page: str = _notebook().html(self)
+        page: str = late("tubeopt.show.notebook.html")(self)
         return page
 
     def _repr_png_(self) -> bytes | None:
         """The picture alone, where the reader of a notebook takes no HTML; None for what has none."""
-        picture: bytes | None = _notebook().png(self)
+        picture: bytes | None = late("tubeopt.show.notebook.png")(self)
         return picture
-
-
-def _notebook() -> Any:
-    return importlib.import_module(f"{__package__}.{NOTEBOOK}")
 
 
 def in_a_line(answer: Displayed) -> str:

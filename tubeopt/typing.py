@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=256)
 def late(name: str) -> Any:
     """A public function by its full name, for a method of plain data that is a shorthand for it.
 

@@ -136,6 +136,20 @@ def test_a_command_and_its_study_are_one(run: Run, tmp_path: Path) -> None:
     assert answer(run("run", str(path), "--json")) == typed
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["measure", "configs/robots/crl_ctr.yaml"], "--fit is missing"),
+        (["fabricate", "configs/robots/thesis_etr.yaml"], "--rig is missing"),
+        (["heat", "calibrate", "configs/experiments/heating_log.csv"], "--rig is missing"),
+    ],
+)
+def test_a_flag_that_must_be_given_is_named(run: Run, command: list[str], words: str) -> None:
+    outcome = run(command[0], *(str(ROOT / part) if "configs" in part else part for part in command[1:]))
+    assert outcome.code == 2
+    assert words in outcome.err
+
+
 def test_flags_override_the_keys_of_a_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
     path.write_text(f"kind: plan\nrobot: {THESIS}\ngoal_deg: [5, 0, 0]\nobjective: none\n")

@@ -23,7 +23,7 @@ import typer
 from pydantic import PlainValidator
 from pydantic.fields import FieldInfo
 
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..files.checked import Entry, check, check_kind
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml
@@ -135,6 +135,9 @@ def asks(
 
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
+            for key, field in fields.items():
+                if field.is_required() and key not in given and not names[key]:
+                    raise InputError(f"{called[key].split(',')[0]} is missing")
             question = check(study, constant | given, "", names=names)
             function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
@@ -251,7 +254,8 @@ def _option(key: str, field: FieldInfo, flag: str, default: str | None) -> inspe
         return inspect.Parameter(
             key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=field.default, annotation=Annotated[bool, option]
         )
-    shown = default if default is not None else _typed(field.get_default(call_default_factory=True))
+    own = None if field.is_required() else field.get_default(call_default_factory=True)
+    shown = default if default is not None else _typed(own)
     option = typer.Option(*flag.split(","), metavar=_metavar(key, field), help=sentence)
     annotation: Any = Annotated[str, option] if shown is not None else Annotated[str | None, option]
     return inspect.Parameter(key, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=shown, annotation=annotation)

@@ -69,7 +69,17 @@ def rig_from_dict(data: object, where: str | PathLike[str] = "") -> Rig:
 
 
 def save_rig(rig: Rig, path: str | PathLike[str], header: str = "A shape-setting rig for tubeopt.") -> None:
-    """Write `rig` as YAML that `load_rig` turns into an equal rig; raises InputError where that cannot be."""
+    """Write `rig` as YAML that `load_rig` turns into an equal rig; raises InputError where that cannot be.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> rig = tubeopt.load_rig("configs/rigs/thesis_steel.yaml")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tubeopt.save_rig(rig, f"{folder}/rig.yaml")
+        ...     tubeopt.load_rig(f"{folder}/rig.yaml") == rig
+        True
+    """
     save_yaml(path, rig_to_dict(rig), header)
 
 

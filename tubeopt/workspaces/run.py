@@ -87,6 +87,15 @@ def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
 
     Raises:
         InputError: there is none, it is of another robot, or it is not finished.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found = tubeopt.workspace(robot, 50, out=folder)
+        ...     len(tubeopt.load_workspace(robot, folder))
+        50
     """
     directory = Path(directory)
     head = _head(directory)

@@ -271,6 +271,13 @@ def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback
 
     Raises:
         InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> mold = tubeopt.plan_mold(robot.tubes[0])
+        >>> round(tubeopt.predict_tube(mold).curvature, 6)
+        10.0
     """
     instance("mold", mold, Mold)
     count = len(mold.grooves)
