@@ -50,9 +50,15 @@ def test_what_is_kept_is_said_as_json_too(tmp_path: Path) -> None:
 
 
 def started(arguments: list[str]) -> subprocess.Popen[str]:
-    """A command in a process of its own."""
+    """A command in a process of its own, which hears Ctrl-C also where the tests run in the background."""
     command = [sys.executable, "-m", "tubeopt", *arguments]
-    return subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+    def hear() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    return subprocess.Popen(
+        command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear
+    )
 
 
 def interrupted(process: subprocess.Popen[str]) -> tuple[float, int, str, str]:

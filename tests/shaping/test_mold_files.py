@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import builtins
 import math
 import re
+import sys
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -220,14 +219,7 @@ def test_pictures_and_sheet(mold: Mold, tmp_path: Path) -> None:
 def test_a_missing_library_is_named(
     library: str, hint: str, mold: Mold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *rest: Any) -> Any:
-        if name == library:
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, library, None)
     write = write_dxf if hint == "DXF" else stl.write_stl
     with pytest.raises(
         InputError, match=rf"{hint} files need {library}: python -m pip install 'tubeopt\[fabrication\]'"

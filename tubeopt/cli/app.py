@@ -107,6 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         try:
             code = program()(typed, prog_name="tubeopt", standalone_mode=False)
             if code == INTERRUPTED:
+                # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and
+                # would end by the signal in place of the code: running other text makes it forget.
+                exec("")
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
         except Exception as error:

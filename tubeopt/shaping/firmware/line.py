@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, extra
 from ...robots.materials import ZERO_CELSIUS
 from ..feedback.law import HeatingLaw, begin, decide
 from .simulated import SimulatedRig
@@ -38,10 +38,7 @@ class SerialLine:
     """
 
     def __init__(self, port: str) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise InputError("a rig on a port needs pyserial: python -m pip install 'tubeopt[rig]'") from None
+        serial = extra("serial", "rig", "rigs on a port")
         try:
             self._port = serial.Serial(port, BAUD, timeout=1.0)
         except (serial.SerialException, ValueError, OSError) as error:
