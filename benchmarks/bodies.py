@@ -116,7 +116,7 @@ def picture(found: Sequence[Growth], path: Path) -> None:
     axes.set_xlabel("spheres")
     axes.set_ylabel("processor time (ms)")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="lower right", bbox_to_anchor=(0.85, 0.22))
+    axes.legend(fontsize="small", loc="center", bbox_to_anchor=(0.42, 0.59), ncols=2)
     figure.savefig(path, dpi=150)
 
 
