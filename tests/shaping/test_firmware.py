@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tubeopt import Feedback, HeatingPlan, InputError, Thermocouple
+from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.feedback.feedback import fleet_of
 from tubeopt.shaping.feedback.law import HeatingLaw, begin, decide
-from tubeopt.shaping.firmware.boards import BOARDS, Wiring, pwm_frequency
+from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.simulated import SimulatedRig
@@ -223,3 +223,21 @@ def test_a_board_on_a_port_is_run_as_a_simulated_one() -> None:
     assert found.done
     with pytest.raises(InputError, match="--port is '/dev/no_such_port'; it must be a serial port"):
         SerialLine("/dev/no_such_port")
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals")
+def test_a_line_that_is_lost_is_told() -> None:
+    ours, theirs = os.openpty()
+    line = SerialLine(os.ttyname(theirs))
+    os.close(ours)
+    with pytest.raises(SolveError, match="the line to the rig is lost"):
+        run_heating(line)
+    os.close(theirs)
+
+
+def test_a_sketch_reads_what_it_has_a_converter_for() -> None:
+    assert converter_for("camera") == "analog"
+    with pytest.raises(InputError, match="converter of a camera is 'max6675'; it must be one of analog"):
+        converter_for("camera", "max6675")
+    with pytest.raises(InputError, match="sensor is 'resistance'; for a sketch it must be one of thermocouple, camera"):
+        converter_for("resistance")

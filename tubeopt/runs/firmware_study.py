@@ -13,7 +13,7 @@ from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
 from ..shaping.feedback.feedback import Feedback, lead_by
 from ..shaping.feedback.sensors import SENSORS, Sensor
-from ..shaping.firmware.boards import BOARDS, CONVERTERS, Wiring, pwm_frequency
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, pwm_frequency
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.spec import HeatingSpec
@@ -38,12 +38,14 @@ class LedHeatingStudy(HeatedTube):
     doing = "planning the heating and its law"
 
     kind: Literal["led_heating"]
-    sensor: str = Field("thermocouple", description=f"what is felt of the tube: {', '.join(SENSORS)}")
+    sensor: str = Field("thermocouple", description=f"what is felt of the tube: {', '.join(READS)}")
     bias_K: NotNegative | None = Field(
         None, description="half-width of the sensor's error that stays; by default what is usual for its kind"
     )
     board: str = Field("uno", description=f"what runs the sketch: {', '.join(BOARDS)}")
-    converter: str = Field("max31855", description=f"what reads the thermometer: {', '.join(CONVERTERS)}")
+    converter: str | None = Field(
+        None, description=f"what reads the sensor: {', '.join(CONVERTERS)}; by default the usual one of its kind"
+    )
     pwm_Hz: Positive | None = Field(
         None, description="of the pulses, the nearest that the board has; by default its lowest, which loses least"
     )
@@ -60,7 +62,7 @@ class LedHeatingStudy(HeatedTube):
         return kind() if self.bias_K is None else kind(bias=float(self.bias_K))
 
     def _wiring(self) -> Wiring:
-        return Wiring(board=self.board, converter=self.converter)
+        return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
 
     def _wanted(self) -> float | None:
         return None if self.pwm_Hz is None else float(self.pwm_Hz)

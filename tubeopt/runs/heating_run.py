@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
@@ -29,6 +30,12 @@ from .rig_file import LOG_COLUMNS, load_rig
 
 LOG_FILE = "log.csv"
 """Name of the log in the directory of a run."""
+
+REPORTED = {"state", "time_s", "temperature_degC", "reference_degC", "count", "place", "voltage_V", "current_A"} | {
+    "reason",
+    "dry",
+}
+"""Keys of every report on the state; one without all of them is passed over, as noise on the line is."""
 
 SILENCE = 5
 """Seconds without a word from the rig after which it counts as lost."""
@@ -79,8 +86,10 @@ class HeatingRunStudy(Study):
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        if (self.port is None) == (self.simulate is None):
-            raise ValueError("port or simulate is missing, or both are given; one of them must be")
+        if self.port is None and self.simulate is None:
+            raise ValueError("port and simulate are missing; one of them must be given")
+        if self.port is not None and self.simulate is not None:
+            raise ValueError("port and simulate are given; it must be one of them")
         if self.simulate is not None and self.simulate.tube is None:
             raise ValueError("simulate: the rig file names no tube; it must name the one that is heated")
         return self
@@ -156,8 +165,9 @@ def run_heating(
             if found["state"] == "stopped":
                 return HeatingRun(tuple(rows), str(found["reason"]), log)
     except BaseException:
-        # Whatever happens here, nothing stays hot there.
-        line.send("stop")
+        # Whatever happens here, nothing stays hot there; a line that is gone can carry no word.
+        with contextlib.suppress(SolveError):
+            line.send("stop")
         raise
     finally:
         line.close()
@@ -169,7 +179,7 @@ def _next(line: Line, *events: str) -> dict[str, Any]:
     while silent < SILENCE:
         found = line.receive()
         silent = silent + 1 if found is None else 0
-        if found and found.get("event") in events:
+        if found and found.get("event") in events and (found["event"] != "status" or found.keys() >= REPORTED):
             return found
     raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it where its board hangs")
 

@@ -13,6 +13,9 @@ from ..heating.rig import Rig
 CONVERTERS = ("max31855", "max6675", "analog")
 """Converter of a thermocouple, or an analog line such as a camera's."""
 
+READS = {"thermocouple": ("max31855", "max6675"), "camera": ("analog",)}
+"""Sensor -> converters with which the sketch reads it, the usual one first. It reads no temperature from resistance."""
+
 CONVERSION_MS = {"max31855": 125, "max6675": 250, "analog": 20}
 """Least time between two readings, ms: data sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
 
@@ -75,6 +78,20 @@ class Wiring:
     def known(self) -> Board:
         """The board."""
         return BOARDS[self.board]
+
+
+def converter_for(sensor: str, wanted: str | None = None) -> str:
+    """The converter with which the sketch reads a sensor: `wanted`, or the usual one.
+
+    Raises:
+        InputError: the sketch does not read such a sensor, or not by the converter that is wanted.
+    """
+    if sensor not in READS:
+        raise InputError(
+            f"sensor is {sensor!r}; for a sketch it must be one of {', '.join(READS)}; what it would make of the "
+            "heating tells plan_heating(..., sensor=) in Python"
+        )
+    return READS[sensor][0] if wanted is None else choice(f"converter of a {sensor}", wanted, READS[sensor])
 
 
 def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:

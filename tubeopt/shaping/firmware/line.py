@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections import deque
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 import numpy as np
 
-from ...errors import InputError, extra
+from ...errors import InputError, SolveError, extra
 from ...robots.materials import ZERO_CELSIUS
 from ..feedback.law import HeatingLaw, begin, decide
 from .simulated import SimulatedRig
@@ -30,6 +32,15 @@ class Line(Protocol):
         """Let go of it."""
 
 
+@contextlib.contextmanager
+def _lost() -> Iterator[None]:
+    """Say of a port that it is gone."""
+    try:
+        yield
+    except OSError as error:  # of which the exceptions of pyserial are
+        raise SolveError(f"the line to the rig is lost: {error}; look whether the rig is off") from None
+
+
 class SerialLine:
     """The serial port of a board that runs the sketch.
 
@@ -46,12 +57,18 @@ class SerialLine:
         self._rest = b""
 
     def send(self, do: str, **more: Any) -> None:
-        """Send a command."""
-        self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
+        """Send a command; raises SolveError where the port is gone."""
+        with _lost():
+            self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
 
     def receive(self) -> dict[str, Any] | None:
-        """The next report, or None where none came within a second; what is no report is passed over."""
-        self._rest += self._port.readline()
+        """The next report, or None where none came within a second; what is no report is passed over.
+
+        Raises:
+            SolveError: the port is gone.
+        """
+        with _lost():
+            self._rest += self._port.readline()
         if not self._rest.endswith(b"\n"):
             return None
         text, self._rest = self._rest, b""
