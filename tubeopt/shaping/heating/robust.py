@@ -18,7 +18,7 @@ from .plan import HeatingPlan
 from .rates import State, current
 from .rig import COUNTS
 from .schedule import Counts, sum_up_rounding
-from .simulation import integrate, simulate, simulate_feedback
+from .simulation import resimulate, simulate, simulate_feedback
 from .thermal import FINE, ThermalModel, thermal_model
 from .uncertainty import Uncertainty
 
@@ -58,7 +58,7 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
     counts = guarded_counts(model, plan.spec, rig, scaled)
-    history = integrate(model, slot, counts / COUNTS)
+    history = resimulate(model, slot, counts / COUNTS)
     return HeatingPlan.of(
         tube=plan.tube, rig=rig, spec=plan.spec, start=plan.hold_start, model=model, schedule=(counts, scaled),
         histories=(history, exact), mesh_error=plan.mesh_error, iterations=plan.iterations,
@@ -130,7 +130,7 @@ def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
     coldest, hottest = curved.min(2), curved.max(2)
     top = history.tube.max(2) - ZERO_CELSIUS
     # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
-    fine = integrate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
+    fine = resimulate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
     reference = thermal_model(plan.tube, plan.rig, FINE)
     exact = joined(reference, fine.tube[:, 0]) - ZERO_CELSIUS
     coldest = coldest[:, 1:] + (exact.min(1) - coldest[:, 0])[:, None]
@@ -200,7 +200,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan.duty, plan, before, before)
-    histories = (integrate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled))
+    histories = (resimulate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled))
     robust = HeatingPlan.of(
         tube=plan.tube, rig=plan.rig, spec=plan.spec, start=plan.hold_start, model=fine, schedule=(counts, scaled),
         histories=histories, mesh_error=plan.mesh_error, iterations=plan.iterations,
