@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import InputError
 from ...files.files import write_text
 from ...typing import Array
-from ..feedback.feedback import Feedback
+from ..feedback.feedback import Feedback, prolonged
 from ..feedback.law import HeatingLaw
 from ..heating.counts import full_current
 from ..heating.plan import HeatingPlan
@@ -182,7 +182,7 @@ def schedules(plan: HeatingPlan, feedback: Feedback, charges: Sequence[float] = 
     found = [(plan.rig.battery.voltage, law.planned)]
     for charge in sorted({c for c in charges if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
         other = at_charge(plan, charge)
-        found.append((other.rig.battery.voltage, np.maximum(other.ideal_duty[: len(law.planned)] - lost, 0.0)))
+        found.append((other.rig.battery.voltage, np.maximum(prolonged(other, len(law.planned)) - lost, 0.0)))
     return found
 
 
