@@ -23,7 +23,9 @@ from ..heating.robust import at_charge
 from .boards import CONVERSION_MS, Wiring
 
 NAME = "tube_heater"
-SOURCES = ("heater.h", "heater.cpp", "hardware.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino")
+SOURCES = (
+    "heater.h", "heater.cpp", "hardware.h", "converter.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino",
+)  # fmt: skip
 HOST = "host.cpp"
 """The board in place of a board, for tests on a computer."""
 
