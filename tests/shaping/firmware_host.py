@@ -24,7 +24,7 @@ CORE = Path(__file__).parent / "arduino_core"
 
 
 def built(folder: Path, core: str = "") -> Path:
-    """The heater of a sketch with host.cpp for a board; or as it is, on a core that is as much of `core` as it takes."""
+    """The heater of a sketch with host.cpp for a board; or with that of an Arduino core, as much as it takes."""
     out = folder / "host"
     board = [
         f"-DARDUINO_ARCH_{core}", "-DARDUINO=1", f"-I{CORE}", "-I.", "hardware_arduino.cpp", str(CORE / "core.cpp"),
