@@ -17,9 +17,9 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
-from .hunt import Hunt, known_home
 from .joints import Configuration
 from .loaded import under_load, without_load
+from .multistart import Multistart, known_home
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -157,7 +157,7 @@ def inverse_kinematics(
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     goal = replace(goal, until=began + options.time_limit)
-    search = Hunt(goal, first, reference is not None or seed is not None, options, began)
+    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
     found: list[InverseSolution] = []
     if all_solutions:
         found = search.all()

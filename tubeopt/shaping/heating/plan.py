@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .cures import Cure
+from .feedback import Feedback
 from .outcome import Outcome, hold_slots, outcome_of, remarks
 from .rates import stored
 from .rig import COUNTS, Rig
@@ -23,9 +24,6 @@ from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, thermal_data
-
-if TYPE_CHECKING:
-    from ..feedback.feedback import Feedback
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a

@@ -18,15 +18,15 @@ from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from ..feedback.feedback import lead_by
-from ..feedback.sensors import Sensor
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
 from .ideal import Ideal, Shift, joined, solve_ideal
+from .leading import lead_by
 from .outcome import Outcome, outcome_of
 from .plan import HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
+from .sensors import Sensor
 from .simulation import History, integrate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model

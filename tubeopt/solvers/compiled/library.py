@@ -28,9 +28,9 @@ import platformdirs
 
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.general_arm import COARSE, FINE
+from ...block.transcription.green import INWARDS
 from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
-from ...block.transcription.reduced import INWARDS
 from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
