@@ -83,7 +83,7 @@ MOST_TURN = 1e3
 """Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
-def forward_kinematics(
+def forward_kinematics(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
@@ -65,7 +65,7 @@ def inverse_kinematics(
 
 
 @small
-def inverse_kinematics(
+def inverse_kinematics(  # noqa: PLR0913
     robot: Robot,
     position: ArrayLike,
     *,
@@ -145,7 +145,8 @@ def inverse_kinematics(
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
+    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
+    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
     if options.direction_weight is not None and direction is None:

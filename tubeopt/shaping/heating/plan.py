@@ -93,6 +93,21 @@ class Energies:
 
 
 @dataclass(frozen=True, eq=False)
+class Computed:
+    """What a plan is told from: model, beginning of the hold (s), counts and ideal mean duties, what both do to the
+    tube (that of the counts from `integrate`), error of the mesh (K), iterations."""
+
+    model: ThermalModel
+    start: float
+    counts: Counts
+    levels: Array
+    checked: History
+    exact: History
+    mesh_error: float
+    iterations: int
+
+
+@dataclass(frozen=True, eq=False)
 class HeatingPlan(Displayed):
     """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
 
@@ -237,38 +252,23 @@ class HeatingPlan(Displayed):
         return end + max(end - self.tube.straight_length, 0.0)
 
     @classmethod
-    def of(
-        cls,
-        *,
-        tube: Tube,
-        rig: Rig,
-        spec: HeatingSpec,
-        start: float,
-        model: ThermalModel,
-        schedule: tuple[Counts, Array],
-        histories: tuple[History, History],
-        mesh_error: float = 0.0,
-        cures: tuple[Cure, ...] = (),
-        iterations: int = 0,
-    ) -> Self:
-        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, that
-        of the counts from `integrate`."""
-        history, exact = histories
-        counts, levels = schedule
-        outcome = outcome_of(model, rig, spec, history, start, mesh_error)
+    def of(cls, tube: Tube, rig: Rig, spec: HeatingSpec, computed: Computed, *, cures: tuple[Cure, ...] = ()) -> Self:
+        """The plan from what was computed."""
+        model, start, history = computed.model, computed.start, computed.checked
+        outcome = outcome_of(model, rig, spec, history, start, computed.mesh_error)
         _, last = hold_slots(spec, start)
         row = history.tube[last, 0]
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
         course = Course(
             time=history.time,
-            duty=np.append(counts, 0),
+            duty=np.append(computed.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
             curved=np.concatenate([model.curved, model.curved[::-1]]),
             zone=np.concatenate([model.zone, model.zone[::-1]]),
-            ideal_duty=np.append(COUNTS * levels, 0.0),
-            ideal_temperature=_mirrored(exact.tube[:, 0]) - ZERO_CELSIUS,
+            ideal_duty=np.append(COUNTS * computed.levels, 0.0),
+            ideal_temperature=_mirrored(computed.exact.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
             charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
@@ -284,12 +284,12 @@ class HeatingPlan(Displayed):
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
             hold_start=start,
-            mesh_error=mesh_error,
+            mesh_error=computed.mesh_error,
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
             growth=_growth(tube, model, row),
-            iterations=iterations,
+            iterations=computed.iterations,
         )
 
 

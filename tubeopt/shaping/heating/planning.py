@@ -23,7 +23,7 @@ from .cures import find_cures
 from .ideal import Ideal, Shift, joined, solve_ideal
 from .leading import lead_by
 from .outcome import Outcome, outcome_of
-from .plan import HeatingPlan
+from .plan import Computed, HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
 from .sensors import Sensor
@@ -102,11 +102,11 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    plan = HeatingPlan.of(
-        tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
-        schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
-        cures=cures, iterations=found.ideal.iterations,
-    )  # fmt: skip
+    start, iterations = hold_start(found.ideal, spec), found.ideal.iterations
+    computed = Computed(
+        found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
+    )
+    plan = HeatingPlan.of(tube, found.ideal.rig, spec, computed, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
