@@ -17,6 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
+from .goal import Goal
 from .joints import Configuration
 from .loaded import under_load, without_load
 from .multistart import Multistart, known_home
@@ -121,6 +122,7 @@ def inverse_kinematics(  # noqa: PLR0913
     """
     began = time.perf_counter()
     choice("on_failure", on_failure, ("raise", "closest"))
+    kept: dict[str, Any] = {"limits": limits, "weights": weights, "obstacles": obstacles}
     if load is not None:
         if all_solutions or reachable or on_failure != "raise":
             raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
@@ -128,34 +130,19 @@ def inverse_kinematics(  # noqa: PLR0913
         def without(
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
-            return inverse_kinematics(
-                robot,
-                at,
-                direction=along,
-                seed=without_load(seed) if last is None else last,
-                reference=reference,
-                min_margin=floor,
-                limits=limits,
-                weights=weights,
-                obstacles=obstacles,
-                options=asked,
-            )
+            begin = without_load(seed) if last is None else last
+            places: dict[str, Any] = {"direction": along, "seed": begin, "reference": reference}
+            found: InverseSolution = inverse_kinematics(robot, at, min_margin=floor, options=asked, **places, **kept)
+            return found
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
-    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
-    if options.objective == "nearest" and seed is None and reference is None:
-        raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
-    if options.direction_weight is not None and direction is None:
-        raise InputError("direction_weight is given without a direction; give the direction to point along")
-    if options.method == "nlp" and goal.overdetermined:
-        raise InputError(
-            f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
-            "robot can choose; use auto or gauss_newton"
-        )
+    goal = pose_question(
+        robot, (position, direction), (seed, reference), min_margin=min_margin, options=options, **kept
+    )
+    _check_options(goal, options, seed is not None or reference is not None)
     first = seed_posture(goal.space, seed) if seed is not None else None
     goal = replace(goal, until=began + options.time_limit)
     search = Multistart(goal, first, reference is not None or seed is not None, options, began)
@@ -169,3 +156,16 @@ def inverse_kinematics(  # noqa: PLR0913
         begin = first if first is not None else known_home(goal.space)
         found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
     return found if all_solutions else found[0]
+
+
+def _check_options(goal: Goal, options: InverseOptions, near: bool) -> None:
+    """Raise InputError for options that ask for what is not given: something to be `near` to, or a direction."""
+    if options.objective == "nearest" and not near:
+        raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
+    if options.direction_weight is not None and goal.direction is None:
+        raise InputError("direction_weight is given without a direction; give the direction to point along")
+    if options.method == "nlp" and goal.overdetermined:
+        raise InputError(
+            f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
+            "robot can choose; use auto or gauss_newton"
+        )

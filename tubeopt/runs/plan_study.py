@@ -17,8 +17,6 @@ from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .obstacle_file import Bodies, Place, Triple, point
 
-Default = PlanOptions()
-
 
 class RatesEntry(Entry):
     """How fast the actuators are."""

@@ -24,6 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import mapped
+from ..physics.certificate import bend_rate_function, worst_function
 from ..robots.assembly import Assembly
 from ..typing import Array
 
@@ -72,17 +74,20 @@ def cells_of(assembly: Assembly, force: float, *, pairs: bool) -> Cells:
     counts = np.maximum(1, np.ceil(CELLS * assembly.length / total)).astype(int)
     section = np.repeat(np.arange(assembly.n_sections), counts)
     length = (assembly.length / counts)[section]
-    stiffness = (assembly.bending_stiffness * assembly.present).sum(1)[section]
-    pull = np.abs(assembly.bending_stiffness * assembly.curvature * assembly.curved)[section]
-    slope = pull / stiffness[:, None]
+    present = assembly.bending_stiffness * assembly.present
+    moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
+    n, sections = assembly.n_tubes, assembly.n_sections
+    slope = mapped(bend_rate_function(n), sections)(present, moment)[0][section]
     # The moment is largest where a cell begins.
     lever = total - (np.cumsum(length) - length)
-    n = assembly.n_tubes
     coupling = np.eye(n) * (force * lever[:, None] * slope)[:, None, :]
     if pairs:
-        both = pull[:, :, None] * pull[:, None, :] / stiffness[:, None, None] * (1 - np.eye(n))
+        worst = mapped(worst_function(n), sections)(present, moment, np.zeros_like(moment))
+        both = worst[3].reshape(-1, n, n)[section]
         coupling = coupling + both + np.eye(n) * both.sum(2)[:, None, :]
-    return Cells(length, stiffness, slope, coupling, assembly.torsional_stiffness, assembly.transmission, force)
+    return Cells(
+        length, present.sum(1)[section], slope, coupling, assembly.torsional_stiffness, assembly.transmission, force
+    )
 
 
 def largest_eigenvalue(cells: Cells) -> float:
