@@ -32,14 +32,14 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.control.chart import Chart
-from tubeopt.control.clock import Clock
-from tubeopt.control import closed
-from tubeopt.control.closed import Wall, pocket, wall
-from tubeopt.control.joints import joint_space
-from tubeopt.control.outline import Outline
-from tubeopt.control.posture import posture_of
-from tubeopt.control.task import Task
+from tubeopt.inverse import closed
+from tubeopt.inverse.chart import Chart
+from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.closed import Wall, pocket, wall
+from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.task import Task
 from tubeopt.planning import plan
 from tubeopt.planning.goals import _way_around
 from tubeopt.robots.robot import Robot
@@ -304,7 +304,9 @@ def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: 
         raise SolveError("an equilibrium is missing")
 
     monkeypatch.setattr("tubeopt.planning.goals.find_equilibria", lost)
-    with pytest.raises(SolveError, match=r"no plan was found, as far as the equilibria at the goal are known: the goal"):
+    with pytest.raises(
+        SolveError, match=r"no plan was found, as far as the equilibria at the goal are known: the goal"
+    ):
         plan_trajectory(THESIS, HOME, goal, min_margin=0.95)
 
 
