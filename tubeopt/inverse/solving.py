@@ -17,6 +17,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
+from .goal import Goal
 from .joints import Configuration
 from .loaded import under_load, without_load
 from .multistart import Multistart, known_home
@@ -128,18 +129,9 @@ def inverse_kinematics(  # noqa: PLR0913
         def without(
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
-            return inverse_kinematics(
-                robot,
-                at,
-                direction=along,
-                seed=without_load(seed) if last is None else last,
-                reference=reference,
-                min_margin=floor,
-                limits=limits,
-                weights=weights,
-                obstacles=obstacles,
-                options=asked,
-            )
+            start = without_load(seed) if last is None else last
+            goal = pose_question(robot, at, along, (start, reference), floor, limits, weights, obstacles, asked)
+            return _answers(goal, (start, reference), asked, began)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
@@ -147,9 +139,28 @@ def inverse_kinematics(  # noqa: PLR0913
         )
     kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
+    found = _answers(
+        goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
+    )
+    return found if all_solutions else found[0]
+
+
+def _answers(
+    goal: Goal,
+    places: tuple[Configuration | None, Configuration | None],
+    options: InverseOptions,
+    began: float,
+    *,
+    every: bool = False,
+    on_failure: str = "raise",
+    reachable: bool = False,
+) -> list[InverseSolution]:
+    """The answer to a question asked at the moment `began`, from which its time limit counts, or `every` one; `places`
+    are seed and reference."""
+    seed, reference = places
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
-    if options.direction_weight is not None and direction is None:
+    if options.direction_weight is not None and goal.direction is None:
         raise InputError("direction_weight is given without a direction; give the direction to point along")
     if options.method == "nlp" and goal.overdetermined:
         raise InputError(
@@ -160,12 +171,13 @@ def inverse_kinematics(  # noqa: PLR0913
     goal = replace(goal, until=began + options.time_limit)
     search = Multistart(goal, first, reference is not None or seed is not None, options, began)
     found: list[InverseSolution] = []
-    if all_solutions:
+    if every:
         found = search.all()
-    elif (answer := search.one()) is not None:
-        found = [answer]
+    else:
+        answer = search.one()
+        found = [] if answer is None else [answer]
     found = found or [search.failure(on_failure)]
     if reachable:
         begin = first if first is not None else known_home(goal.space)
         found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
-    return found if all_solutions else found[0]
+    return found
