@@ -293,12 +293,13 @@ def test_a_batch_under_load_is_that_of_single_solves(robot: ConcentricRobot) -> 
     alpha = random.uniform(-3, 3, (12, n))
     shift = np.repeat([np.zeros(n), np.linspace(-0.01, 0, n)], 6, axis=0)
     batch = forward_kinematics_batch(robot, alpha, shift, load=load)
+    failed = [k for k, _ in batch.failures]
     for k in range(12):
-        try:
-            one = forward_kinematics(robot, alpha[k], shift[k], load=load)
-        except SolveError as error:
-            assert (k, str(error)) in batch.failures
+        if k in failed:
+            with pytest.raises(SolveError):
+                forward_kinematics(robot, alpha[k], shift[k], load=load)
             continue
+        one = forward_kinematics(robot, alpha[k], shift[k], load=load)
         assert batch.tip_position[k] == pytest.approx(one.tip_position, abs=1e-12)
         assert batch.tip_rotations[k] == pytest.approx(one.tip_rotations, abs=1e-11)
         assert batch.margin[k] == pytest.approx(one.margin, abs=1e-9)

@@ -16,25 +16,25 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.loaded import LoadedProblem, compliances
+from ...block.transcription.loaded_arm import LoadedArm, shape_sections
+from ...block.transcription.reduced import ReducedProblem
+from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
-from ...transcription.collocated import ENDS, STEPS
-from ...transcription.loaded import LoadedProblem, compliances
-from ...transcription.loaded_arm import LoadedArm, shape_sections
-from ...transcription.reduced import ReducedProblem
-from ...transcription.tableau import tableau
 from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
-"""Points per piece: of the answer, on which the load grows, and of the check; and what the kernel has room for: others go
-to the general solver."""
+"""Points per piece: of the answer, of the growing of the load, and of the check; and what the kernel has room for, other
+arms go to the general solver."""
 
 FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
-"""Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; how many times
-that which is expected the place is below 1."""
+"""Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
+times as far below 1 as the margin expected that place is."""
 
 ROUGH_STEP = 1e-2
 """A step of Newton's method, rad, that is the last on few points, which are no better."""
