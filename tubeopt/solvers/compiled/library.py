@@ -357,7 +357,7 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
     loaded.solve.argtypes = [pointer] * 7
-    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]
+    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     loaded.solve_many.restype = None
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
