@@ -121,6 +121,7 @@ def inverse_kinematics(  # noqa: PLR0913
         (True, True)
     """
     began = time.perf_counter()
+    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
     if load is not None:
         if all_solutions or reachable or on_failure != "raise":
@@ -130,14 +131,13 @@ def inverse_kinematics(  # noqa: PLR0913
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
             start = without_load(seed) if last is None else last
-            goal = pose_question(robot, at, along, (start, reference), floor, limits, weights, obstacles, asked)
+            goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
             return _answers(goal, (start, reference), asked, began)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
     found = _answers(
         goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
