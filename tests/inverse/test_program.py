@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, eccentric_robot
-from tubeopt import InverseOptions, Problem, forward_kinematics
+from tubeopt import InverseOptions, Ipopt, Problem, ProblemSolution, forward_kinematics
 from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.inverse import program
 from tubeopt.inverse.goal import Goal
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.order import breakpoint_order
@@ -155,3 +159,17 @@ def test_the_order_of_breakpoints_changes_on_the_way() -> None:
     found = solve_program(goal, start)
     assert found.reached
     np.testing.assert_allclose(found.posture.q, space.join(*reference), atol=1e-4)
+
+
+def test_ipopt_has_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits, solve = [], Problem.attempt
+
+    def hurried(self: Problem, solver: Ipopt) -> ProblemSolution:
+        limits.append(solver.time_limit)
+        return solve(self, replace(solver, time_limit=1e-6))
+
+    monkeypatch.setattr(program, "building", lambda goal: 0.1)
+    monkeypatch.setattr(Problem, "attempt", hurried)
+    late = replace(question(pose(THESIS)), until=time.perf_counter() + 100.0)
+    assert not solve_program(late, pose(THESIS, 1)).reached
+    assert limits[0] == 64.0

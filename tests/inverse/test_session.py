@@ -11,7 +11,7 @@ import tubeopt
 from tests.command_line import ROOT
 from tests.examples import CRL, MM, THESIS, eccentric_robot
 from tests.inverse_targets import inside
-from tubeopt import IkSession, InputError, SolveError, forward_kinematics
+from tubeopt import IkSession, InputError, InverseOptions, SolveError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse.leaps import leap
 from tubeopt.inverse.posture import posture_of
@@ -115,6 +115,12 @@ def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.I
     path = tubeopt.follow(robot, rotations, translations, start=before.equilibrium)
     assert not path.snaps
     return np.array([e.tip_position for e in path.equilibria])
+
+
+def test_a_time_limit_ends_a_step() -> None:
+    session = IkSession(THESIS, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-9))
+    with pytest.raises(SolveError, match="the time ran out on the way to the target"):
+        session.solve([0.05, 0.03, 0.15])
 
 
 def test_it_does_not_leap() -> None:

@@ -121,8 +121,8 @@ def inverse_kinematics(  # noqa: PLR0913
         (True, True)
     """
     began = time.perf_counter()
+    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
-    kept: dict[str, Any] = {"limits": limits, "weights": weights, "obstacles": obstacles}
     if load is not None:
         if all_solutions or reachable or on_failure != "raise":
             raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
@@ -130,37 +130,35 @@ def inverse_kinematics(  # noqa: PLR0913
         def without(
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
-            begin = without_load(seed) if last is None else last
-            places: dict[str, Any] = {"direction": along, "seed": begin, "reference": reference}
-            found: InverseSolution = inverse_kinematics(robot, at, min_margin=floor, options=asked, **places, **kept)
-            return found
+            start = without_load(seed) if last is None else last
+            goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
+            return _answers(goal, (start, reference), asked, began)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    goal = pose_question(
-        robot, (position, direction), (seed, reference), min_margin=min_margin, options=options, **kept
+    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
+    found = _answers(
+        goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
     )
-    _check_options(goal, options, seed is not None or reference is not None)
-    first = seed_posture(goal.space, seed) if seed is not None else None
-    goal = replace(goal, until=began + options.time_limit)
-    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
-    found: list[InverseSolution] = []
-    if all_solutions:
-        found = search.all()
-    elif (answer := search.one()) is not None:
-        found = [answer]
-    found = found or [search.failure(on_failure)]
-    if reachable:
-        begin = first if first is not None else known_home(goal.space)
-        found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
     return found if all_solutions else found[0]
 
 
-def _check_options(goal: Goal, options: InverseOptions, near: bool) -> None:
-    """Raise InputError for options that ask for what is not given: something to be `near` to, or a direction."""
-    if options.objective == "nearest" and not near:
+def _answers(
+    goal: Goal,
+    places: tuple[Configuration | None, Configuration | None],
+    options: InverseOptions,
+    began: float,
+    *,
+    every: bool = False,
+    on_failure: str = "raise",
+    reachable: bool = False,
+) -> list[InverseSolution]:
+    """The answer to a question asked at the moment `began`, from which its time limit counts, or `every` one; `places`
+    are seed and reference."""
+    seed, reference = places
+    if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
     if options.direction_weight is not None and goal.direction is None:
         raise InputError("direction_weight is given without a direction; give the direction to point along")
@@ -169,3 +167,17 @@ def _check_options(goal: Goal, options: InverseOptions, near: bool) -> None:
             f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
             "robot can choose; use auto or gauss_newton"
         )
+    first = seed_posture(goal.space, seed) if seed is not None else None
+    goal = replace(goal, until=began + options.time_limit)
+    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
+    found: list[InverseSolution] = []
+    if every:
+        found = search.all()
+    else:
+        answer = search.one()
+        found = [] if answer is None else [answer]
+    found = found or [search.failure(on_failure)]
+    if reachable:
+        begin = first if first is not None else known_home(goal.space)
+        found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
+    return found

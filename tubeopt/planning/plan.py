@@ -150,8 +150,8 @@ def _way(
     begin = task.chart.of(first)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if of_the_tip(goal) or len(goals) == MOST_GOALS:  # there may be others
-        way = replace(way, impossible=False)
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+        way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
     rest = Clock(left - search.seconds)

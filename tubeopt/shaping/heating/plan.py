@@ -95,7 +95,7 @@ class Energies:
 @dataclass(frozen=True, eq=False)
 class Computed:
     """What a plan is told from: model, beginning of the hold (s), counts and ideal mean duties, what both do to the
-    tube (that of the counts from `integrate`), error of the mesh (K), iterations."""
+    tube (that of the counts from `resimulate`), error of the mesh (K), iterations."""
 
     model: ThermalModel
     start: float

@@ -27,7 +27,7 @@ from .plan import Computed, HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
 from .sensors import Sensor
-from .simulation import History, integrate, simulate
+from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
 
@@ -174,7 +174,7 @@ def _schedule(
     levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
     exact = simulate(model, spec.slot, levels)
-    checked = integrate(model, spec.slot, counts / COUNTS)
+    checked = resimulate(model, spec.slot, counts / COUNTS)
     error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
     outcome = outcome_of(model, ideal.rig, spec, checked, hold_start(ideal, spec), error)
     return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve)
@@ -193,7 +193,7 @@ def trimmed(model: ThermalModel, spec: HeatingSpec, rig: Rig, schedule: Array, e
     scale = 1.0
     for _ in range(TRIMS):
         counts = guarded_counts(model, spec, rig, scale * schedule)
-        history = integrate(model, spec.slot, counts / COUNTS)
+        history = resimulate(model, spec.slot, counts / COUNTS)
         excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
         if excess <= 0:
             break
