@@ -28,6 +28,7 @@ from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import InputError, SolveError
 from ..robots.breakpoints import DIMENSIONS
 from ..typing import Array
+from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish
 
@@ -138,8 +139,6 @@ def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
 
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little."""
-    from .kinematics import forward_kinematics
-
     shift = equilibrium.translations.copy()
     shift[tube] += side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
