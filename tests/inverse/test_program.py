@@ -48,14 +48,10 @@ def question(at: Posture, **options: object) -> Goal:
     reference = (at.equilibrium.rotations, at.equilibrium.translations)
     return pose_question(
         at.space.robot,
-        at.tip,
-        direction,
+        (at.tip, direction),  # type: ignore[arg-type]
         (None, reference),
-        0.05,
-        None,
-        None,
-        obstacles,
-        given,  # type: ignore[arg-type]
+        obstacles=obstacles,  # type: ignore[arg-type]
+        options=given,
     )
 
 
@@ -158,9 +154,8 @@ def test_the_order_of_breakpoints_changes_on_the_way() -> None:
     before, after = (THESIS.assembly(e.translations).n_sections for e in (start.equilibrium, wanted))
     assert before != after
     reference = (wanted.rotations, wanted.translations)
-    goal = pose_question(
-        THESIS, wanted.tip_position, None, (None, reference), 0.05, None, None, (), InverseOptions(objective="nearest")
-    )
+    near = InverseOptions(objective="nearest")
+    goal = pose_question(THESIS, (wanted.tip_position, None), (None, reference), options=near)
     found = solve_program(goal, start)
     assert found.reached
     np.testing.assert_allclose(found.posture.q, space.join(*reference), atol=1e-4)

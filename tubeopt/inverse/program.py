@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
-from ..block.transcription.reduced import margin, to_unknowns
+from ..block.transcription.reduced import to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,7 +96,7 @@ class IkSession:
         obstacles: Sequence[Obstacle] = (),
         options: InverseOptions = DEFAULT_OPTIONS,
     ) -> None:
-        self._question = {
+        self._question: dict[str, Any] = {
             "min_margin": min_margin,
             "limits": limits,
             "weights": weights,
@@ -103,9 +104,7 @@ class IkSession:
             "options": options,
         }
         self._robot = robot
-        self._goal = pose_question(
-            robot, np.zeros(3), None, (seed, None), min_margin, limits, weights, obstacles, options
-        )
+        self._goal = pose_question(robot, (np.zeros(3), None), (seed, None), **self._question)
         self._time_limit = options.time_limit
         self._solution: InverseSolution | None = None
         self._here: Posture | None = None
@@ -224,7 +223,7 @@ class IkSession:
         return seed
 
     def _first(self, target: Array, direction: Array | None) -> InverseSolution:
-        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)  # type: ignore[call-overload]
+        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)
         assert isinstance(answer, InverseSolution)
         self._here = seed_posture(self._goal.space, answer)
         self._solution = answer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
@@ -18,9 +18,9 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .goal import Goal
-from .hunt import Hunt, known_home
 from .joints import Configuration
 from .loaded import under_load, without_load
+from .multistart import Multistart, known_home
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -66,7 +66,7 @@ def inverse_kinematics(
 
 
 @small
-def inverse_kinematics(
+def inverse_kinematics(  # noqa: PLR0913
     robot: Robot,
     position: ArrayLike,
     *,
@@ -121,6 +121,7 @@ def inverse_kinematics(
         (True, True)
     """
     began = time.perf_counter()
+    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
     if load is not None:
         if all_solutions or reachable or on_failure != "raise":
@@ -130,14 +131,14 @@ def inverse_kinematics(
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
             start = without_load(seed) if last is None else last
-            goal = pose_question(robot, at, along, (start, reference), floor, limits, weights, obstacles, asked)
+            goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
             return _answers(goal, (start, reference), asked, began)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
+    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
     found = _answers(
         goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
     )
@@ -168,7 +169,8 @@ def _answers(
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     goal = replace(goal, until=began + options.time_limit)
-    search = Hunt(goal, first, reference is not None or seed is not None, options, began)
+    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
+    found: list[InverseSolution] = []
     if every:
         found = search.all()
     else:

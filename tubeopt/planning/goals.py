@@ -25,7 +25,7 @@ from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .reach import least_miss
-from .walk import clearance_of
+from .tracking import clearance_of
 
 MOST_GOALS = 12
 """Goals that are tried, the nearest to the start first."""
