@@ -12,15 +12,8 @@ import numpy as np
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
-from ..block.transcription.reduced import (
-    ReducedProblem,
-    margin,
-    pull_rate,
-    reduce,
-    residual,
-    to_unknowns,
-    unstable_directions,
-)
+from ..block.transcription.reduced import ReducedProblem, pull_rate, reduce, residual, to_unknowns
+from ..block.transcription.second_variation import margin, unstable_directions
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..errors import SolveError

@@ -64,6 +64,10 @@ def _room(kernel: Library) -> _Room:
     return rooms[kernel]
 
 
+LANES = 8
+"""Numbers per coefficient of a table in the kernel's order: it evaluates four polynomials at once."""
+
+
 class _Pieces(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_longlong) for name in ("most", "width", "most_cuts")),
@@ -82,10 +86,13 @@ def _pieces(table: Lengthwise) -> Any:
     )
     order = np.arange(1, channels.shape[-1] + 1)
     count = np.maximum(1, ((channels != 0) * order).max(-1)).astype(float)
+    count = np.concatenate([count, count[:, :, :4].max(-1, keepdims=True)], axis=-1)
+    lanes = np.zeros((*channels.shape[:2], channels.shape[3], LANES))
+    lanes[..., : channels.shape[2]] = channels.swapaxes(-1, -2)
     cuts = np.full((table.n_tubes, max(len(own) for own in table.cuts)), np.inf)
     for row, own in zip(cuts, table.cuts, strict=True):
         row[: len(own)] = own
-    arrays = [table.breaks, channels, count, direction, table.bent.astype(float), table.detail, table.twist]
+    arrays = [table.breaks, lanes, count, direction, table.bent.astype(float), table.detail, table.twist]
     arrays += [table.compliance[:, :-1], cuts]
     kept = [np.ascontiguousarray(array) for array in arrays]
     sizes = channels.shape[1], channels.shape[3], cuts.shape[1]

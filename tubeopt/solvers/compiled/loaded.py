@@ -29,8 +29,8 @@ from ..settings import CONTINUATION, NEWTON
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
-"""Points per piece: of the answer, of the growing of the load, and of the check; and what the kernel has room for,
-others go to the general solver."""
+"""Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
+arms go to the general solver."""
 
 FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
 """Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
