@@ -12,8 +12,9 @@ from ...typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at
 from .buffered import mapped, section_function
 from .collocated import ENDS, STEPS
+from .green import reach, sections_at
 from .piece import EXTRA_POINTS
-from .reduced import Evaluation, ReducedProblem, reach, sections_at
+from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
 
 SUBSTEPS = 2

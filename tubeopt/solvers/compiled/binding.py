@@ -184,9 +184,12 @@ def solve_compiled(
     return room.fields if status == SOLVED else None
 
 
-def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Mask] | None:
+def solve_many_compiled(
+    robot: Robot, rotations: Array, translations: Array, arms: Array | None = None
+) -> tuple[Array, Mask] | None:
     """Cold solves of joint values (N, n): a row per configuration with tip position (3), tip frame by rows (9), tip
-    rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined.
+    rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined. `arms`
+    (N, 2, m, n) gets rotations and torsion at the m points of the arms, which all must have.
 
     None where there is no kernel. The interpreter is free while it runs.
     """
@@ -198,5 +201,6 @@ def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> 
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))
-    kernel.solve_many(tubes, kernel.method, count, *places, *room.at)
+    whole = (0, None) if arms is None else (arms.shape[2], _at(arms))
+    kernel.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
     return table, declined.astype(bool)

@@ -28,9 +28,9 @@ import platformdirs
 
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.general_arm import FINE, ROUGHER, SHAPE_RATIO, SUBSTEPS
+from ...block.transcription.green import INWARDS
 from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
-from ...block.transcription.reduced import INWARDS
 from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
@@ -356,7 +356,7 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
     loaded.solve.argtypes = [pointer] * 7
-    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]
+    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     loaded.solve_many.restype = None
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
