@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,24 @@ from ...planning.file import BRANCH, TIME
 from ...robots.file import save_robot
 from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
-from .host import quiet_server
+from .host import quiet_server, titled_page
 from .playback import paced
 from .scene import Scene, camera
 from .session import Session
 from .surfaces import Part
+
+
+def exported(
+    what: str, session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True
+) -> tuple[str, bytes]:
+    """File name and content of joint values, the robot, the recording, or a page; `layers`, `trail` as of the page."""
+    if what == "joints":
+        return "joints.yaml", joints_yaml(session).encode()
+    if what == "robot":
+        return "robot.yaml", robot_yaml(session.robot).encode()
+    if what == "recording":
+        return "trajectory.csv", recording_csv(session).encode()
+    return "view.html", scene_html(session, layers, trail=trail).encode()
 
 
 def joints_yaml(session: Session) -> str:
@@ -89,6 +101,11 @@ def png(picture: np.ndarray) -> bytes:
     return out.getvalue()
 
 
+def page_title(session: Session) -> str:
+    """What the page of a session is called."""
+    return f"{session.robot.name or 'robot'}, tubeopt"
+
+
 def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
     """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
 
@@ -109,5 +126,4 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
         scene.show_trail(session, trail)
         for name, parts in layers.items():
             scene.layer(name, parts)
-        title = escape(f"{session.robot.name or 'robot'}, tubeopt")
-        return str(server.scene.as_html()).replace("<title>Viser</title>", f"<title>{title}</title>", 1)
+        return titled_page(str(server.scene.as_html()), page_title(session))
