@@ -120,6 +120,7 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
         position, look_at = camera(session.equilibrium)
         server.initial_camera.position = tuple(position)
         server.initial_camera.look_at = tuple(look_at)
+        server.scene.world_axes.visible = True
         scene = Scene(server.scene)
         scene.set_stage(session.equilibrium)
         scene.show(session.equilibrium)

@@ -65,8 +65,6 @@ class Scene:
             shadow_opacity=0.2,
         )
         self._api.configure_default_lights(enabled=True, cast_shadow=False)
-        # Red, green, blue: x, y, z of the plate, 5 cm long.
-        self._api.world_axes.visible = True
 
     def show(self, equilibrium: Equilibrium) -> None:
         """Draw the robot in a shape; parts that do not show are hidden."""

@@ -75,6 +75,8 @@ def _frame_camera(server: Any, session: Session) -> None:
     position, look_at = camera(session.equilibrium)
     server.initial_camera.position = tuple(position)
     server.initial_camera.look_at = tuple(look_at)
+    # Red, green, blue: x, y, z of the plate, 5 cm long.
+    server.scene.world_axes.visible = True
     server.gui.configure_theme(show_share_button=False, show_logo=False)
 
 
