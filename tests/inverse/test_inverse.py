@@ -156,7 +156,7 @@ class TestSeed:
         """No small motion along the postures with the same tip comes closer to the reference."""
         reference = (np.radians([30.0, 60.0, 90.0]), np.array([-0.03, -0.02, -0.01]))
         answer = inverse_kinematics(THESIS, TARGET, reference=reference)
-        goal = pose_question(THESIS, TARGET, None, (None, reference), 0.05, None, None, (), InverseOptions())
+        goal = pose_question(THESIS, (TARGET, None), (None, reference))
         at = posture_of(goal.space, answer.equilibrium)
         kernel = np.linalg.svd(goal.slope(at) * goal.space.scale)[2][3:] * goal.space.scale
         random, tried = np.random.default_rng(0), 0

@@ -6,6 +6,7 @@ import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,19 +23,6 @@ from .playback import paced
 from .scene import Scene, camera
 from .session import Session
 from .surfaces import Part
-
-
-def exported(
-    what: str, session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True
-) -> tuple[str, bytes]:
-    """File name and content of joint values, the robot, the recording, or a page; `layers`, `trail` as of the page."""
-    if what == "joints":
-        return "joints.yaml", joints_yaml(session).encode()
-    if what == "robot":
-        return "robot.yaml", robot_yaml(session.robot).encode()
-    if what == "recording":
-        return "trajectory.csv", recording_csv(session).encode()
-    return "view.html", scene_html(session, layers, trail=trail).encode()
 
 
 def joints_yaml(session: Session) -> str:
@@ -128,3 +116,18 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
         for name, parts in layers.items():
             scene.layer(name, parts)
         return titled_page(str(server.scene.as_html()), page_title(session))
+
+
+def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: bool) -> tuple[str, bytes]:
+    """File name and content of an export: joints, robot, recording, picture, page."""
+    if what == "joints":
+        return "joints.yaml", joints_yaml(session).encode()
+    if what == "robot":
+        return "robot.yaml", robot_yaml(session.robot).encode()
+    if what == "recording":
+        return "trajectory.csv", recording_csv(session).encode()
+    if what == "picture":
+        seen = client.camera
+        height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
+        return "view.png", png(client.get_render(height, width, transport_format="png", timeout=60))
+    return "view.html", scene_html(session, scene.contents, trail=trail).encode()
