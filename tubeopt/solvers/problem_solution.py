@@ -147,6 +147,17 @@ def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
 
     Raises:
         InputError: a file is missing or is not what was written.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> problem = tubeopt.Problem()
+        >>> x = problem.variable("x", 1, guess=1.0)
+        >>> problem.minimize((x - 2) ** 2)
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     problem.solve().save(directory)
+        ...     float(tubeopt.load_problem_solution(directory).value("x"))
+        2.0
     """
     from ..files.files import read_bytes, read_text
 
