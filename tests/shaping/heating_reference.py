@@ -19,7 +19,7 @@ from tubeopt.robots.materials import NITINOL
 from tubeopt.shaping.heating.rates import State, at_rest, rates
 from tubeopt.shaping.heating.simulation import History, history_of
 from tubeopt.shaping.heating.thermal import ThermalModel
-from tubeopt.shaping.mold.materials import MoldMaterial
+from tubeopt.shaping.materials import MoldMaterial
 from tubeopt.typing import Array
 
 CONFIGS = Path(__file__).parents[2] / "configs"

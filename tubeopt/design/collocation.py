@@ -27,7 +27,6 @@ from ..robots.concentric import ConcentricRobot
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
-from .order import ordered_places
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
 from .rows import joint_rows, order_rows
@@ -63,7 +62,9 @@ OPTIONS: dict[str, Any] = {
 
 
 def check_collocation(task: DesignTask) -> None:
-    """Raise InputError where a task holds a requirement that no block expresses."""
+    """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
+    if task.space.spots:
+        raise InputError("method is 'collocation'; pieces of tubes are designed by method 'reduced'")
     for one in task.requirements:
         if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):
             what = "Strain in poses" if isinstance(one, Strain) else type(one).__name__
@@ -180,7 +181,7 @@ class _Collocated:
     def _linear(self) -> None:
         """Order of the tubes and limits of the joints, which are linear in the unknowns."""
         task = self.program.task
-        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, ordered_places(task))
+        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, task.places)
         for values, slopes in parts:
             if len(values):
                 self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))

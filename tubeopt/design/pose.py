@@ -12,7 +12,8 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS
-from ..equilibrium.derivatives import PARAMETERS, Derivatives
+from ..equilibrium.arm_change import PARAMETERS
+from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.solving import Solution
 from ..equilibrium.state import arm_of
@@ -90,6 +91,12 @@ class Pose:
         rate = (self.frame[1:, :, :2] @ bend[..., None])[..., 0]
         turn[1:] = of.turn_ahead[1:] + rate[..., None] * arc[1:, None]
         return position, turn, arc
+
+    @property
+    def tip_slopes(self) -> tuple[Array, Array]:
+        """(3, L) change of the tip's position and of its frame (turn vector)."""
+        position, turn, _ = self.shape_slopes
+        return position[-1], turn[-1]
 
     @cached_property
     def margin_slope(self) -> Array:

@@ -188,6 +188,8 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
             return _by_name(kind, mark.known)
         if isinstance(mark, OneOf) and kind is str:
             return Literal[mark.words], lambda word: word, lambda word: word
+    if isinstance(kind, tuple):
+        return _one_or_several(kind, marks, suffix)
     if kind is float:
         return _number(marks, suffix)
     if kind is int:
@@ -225,6 +227,20 @@ def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tup
         Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most)],
         lambda listed: tuple(read(each) for each in listed),
         lambda listed: [write(each) for each in listed],
+    )
+
+
+def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+    one, several = (_kind(kind, marks, suffix) for kind in kinds)
+    number: Any = Annotated[one[0], Tag("<number>")]
+    listed: Any = Annotated[several[0], Tag("<list>")]
+    either = Annotated[
+        number | listed, Discriminator(lambda value: "<list>" if isinstance(value, list) else "<number>")
+    ]
+    return (
+        either,
+        lambda given: (several if isinstance(given, list) else one)[1](given),
+        lambda value: (several if isinstance(value, tuple) else one)[2](value),
     )
 
 

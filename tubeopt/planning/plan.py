@@ -23,11 +23,11 @@ from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, ot
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
-from .question import asked, in_time
+from .question import asked, bearing, in_time
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
+from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
-from .walk import walk
 
 FOR_SEARCH = 0.9
 """Share of the time limit after which the search ends, so that what was found can be reported in time."""
@@ -116,8 +116,11 @@ def _planned(
 ) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
     first = start_equilibrium(task.chart.space, start)
+    task = bearing(task, first.translations)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
+    n = len(first.translations)
+    task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
     for attempt in range(ATTEMPTS):
@@ -150,8 +153,8 @@ def _way(
     begin = task.chart.of(first)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if of_the_tip(goal) or len(goals) == MOST_GOALS:  # there may be others
-        way = replace(way, impossible=False)
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+        way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
     rest = Clock(left - search.seconds)
@@ -261,7 +264,7 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = walk(task, first, q).tip
+        found = track(task, first, q).tip
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
@@ -303,7 +306,7 @@ class Built:
             turns=end.turns,
             obstacles=task.obstacles,
             min_margin=task.min_margin,
-            min_clearance=task.clearance,
+            min_clearance=task.clearance - task.reserve,
             rate_limits=rates,
             proof=self.proof,
             statistics=statistics,
@@ -326,8 +329,8 @@ def build(
     q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
     table = np.array([space.joint(row) for row in q])
     n = space.robot.n_tubes
-    walked = walk(task, first, q, clock)
-    if walked.lost:
+    tracked = track(task, first, q, clock)
+    if tracked.lost:
         return (_no_time(clock) if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
@@ -337,17 +340,18 @@ def build(
         start=first,
         obstacles=task.obstacles,
         min_margin=task.min_margin - 1e-6,
-        clearance=task.clearance,
+        clearance=task.clearance - task.reserve,
         rate_limits=rates,
         limits=None if space.robot.limits is None else limits_of(space),
         clock=clock,
+        max_force=task.max_force,
     )
     if not (proof.holds or proof.open):
         return proof.faults
-    reached = walked.equilibria[-1]
+    reached = tracked.equilibria[-1]
     if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, walked.tip, walked.margin, walked.equilibria, proof)
+    return Built(t, q, tracked.tip, tracked.margin, tracked.equilibria, proof)
 
 
 def _not_found(

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -15,11 +15,16 @@ import numpy as np
 from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
+from ..files.files import atomic_write, read_bytes, read_text, write_text
 from ..typing import Array
 from .problem_status import ProblemStatus
 
-if TYPE_CHECKING:
-    from .problem import Problem
+
+class Evaluates(Protocol):
+    """A program whose expressions have numbers where it is solved."""
+
+    def evaluate(self, expression: Any, values: dict[str, Array], parameters: dict[str, Array]) -> Array:
+        """An expression at numbers of the variables and parameters."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class ProblemSolution(Displayed):
     violations: tuple[Violation, ...]
     statistics: ProblemStatistics
     attempts: Attempts | None = None
-    program: Problem | None = field(default=None, repr=False)
+    program: Evaluates | None = field(default=None, repr=False)
 
     def value(self, what: Any) -> Any:
         """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.
@@ -113,8 +118,6 @@ class ProblemSolution(Displayed):
         Raises:
             InputError: the files cannot be written.
         """
-        from ..files.files import atomic_write, write_text
-
         tables = {"values": self.values, "multipliers": self.multipliers}
         tables |= {"bound_multipliers": self.bound_multipliers, "parameters": self.parameters}
         names = {table: list(entries) for table, entries in tables.items()}
@@ -143,9 +146,18 @@ def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
 
     Raises:
         InputError: a file is missing or is not what was written.
-    """
-    from ..files.files import read_bytes, read_text
 
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> problem = tubeopt.Problem()
+        >>> x = problem.variable("x", 1, guess=1.0)
+        >>> problem.minimize((x - 2) ** 2)
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     problem.solve().save(directory)
+        ...     float(tubeopt.load_problem_solution(directory).value("x"))
+        2.0
+    """
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     text, content = read_text(result), read_bytes(arrays)
     try:

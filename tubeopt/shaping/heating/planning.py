@@ -20,16 +20,16 @@ from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from ..feedback.feedback import lead_by
-from ..feedback.sensors import Sensor
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
 from .haste import soonest
 from .ideal import Ideal, Shift, joined, solve_ideal
+from .leading import lead_by
 from .outcome import Outcome, outcome_of
-from .plan import HeatingPlan
+from .plan import Computed, HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
+from .sensors import Sensor
 from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
@@ -106,11 +106,11 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    plan = HeatingPlan.of(
-        tube=tube, rig=found.ideal.rig, spec=spec, start=found.start, model=found.model,
-        schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
-        cures=cures, iterations=found.ideal.iterations,
-    )  # fmt: skip
+    start, iterations = found.start, found.ideal.iterations
+    computed = Computed(
+        found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
+    )
+    plan = HeatingPlan.of(tube, found.ideal.rig, spec, computed, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 

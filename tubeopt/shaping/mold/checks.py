@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from ...errors import InputError
 from ...robots.tubes import Tube
+from ..materials import MoldMaterial
 from .groove import Point
-from .materials import MoldMaterial
 from .spec import EndMill, MoldSpec
 
 SLACK = 1e-12

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +13,8 @@ from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .session import Session, joint_names, space_of
 from .view import View
+from .wishes import MIRROR, Wishes
 from .words import log_words, message_words, readout
-
-if TYPE_CHECKING:
-    from .tab import Tab
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
@@ -23,13 +22,14 @@ STEP = 0.1
 EXACT = 6
 """Digits behind the point in the boxes for exact values, deg or mm."""
 
-MIRROR = -1
-"""Stands for the joint that is dragged where it is the direction or the separation."""
-
 LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
 
 PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
+
+
+YAML = ".yaml,.yml,application/yaml"
+"""Files that a browser offers to be loaded as YAML."""
 
 
 class Panel:
@@ -41,7 +41,7 @@ class Panel:
         view: what there is to show.
     """
 
-    def __init__(self, gui: Any, tab: Tab, view: View) -> None:
+    def __init__(self, gui: Any, tab: Wishes, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
         self._shown: dict[int, float] = {}
         self._aimed: dict[int, str] = {}
@@ -97,11 +97,11 @@ class Panel:
 
     def curve(self, content: str, *, text: bool = False) -> None:
         """The S-curve, or why there is none."""
-        self._curve.content = PAD.format(_escaped(content)) if text else content
+        self._curve.content = PAD.format(escape(content)) if text else content
 
     def map(self, content: str, *, text: bool = False) -> None:
         """The stability map, or why there is none."""
-        self._map.content = PAD.format(_escaped(content)) if text else content
+        self._map.content = PAD.format(escape(content)) if text else content
 
     def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
         """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
@@ -142,6 +142,10 @@ class Panel:
         """Layers are shown no more: what they show is of other tubes. Tells the tab as a click would."""
         for layer in layers:
             self._layers[layer].value = False
+
+    def tick(self, layer: str) -> None:
+        """A layer is shown, as a click would have it."""
+        self._layers[layer].value = True
 
     def offer_playback(self, duration: float) -> None:
         """There is a trajectory of this length, s."""
@@ -271,14 +275,17 @@ class Panel:
 
         time.on_update(scrubbed)
         self._button("Play / pause", self._tab.play)
-        upload = self._gui.add_upload_button("Load a trajectory (CSV)", mime_type="text/csv")
-
-        async def loaded(event: Any) -> None:
-            self._tab.load(event.target.value.name, event.target.value.content)
-
-        upload.on_upload(loaded)
+        self._upload("Load a trajectory (CSV)", "trajectory", "text/csv")
         self._check("record what the robot passes", False, self._tab.record)
         return time
+
+    def _upload(self, label: str, what: str, mime_type: str) -> None:
+        button = self._gui.add_upload_button(label, mime_type=mime_type)
+
+        async def loaded(event: Any) -> None:
+            self._tab.load(what, event.target.value.name, event.target.value.content)
+
+        button.on_upload(loaded)
 
     def _check(self, label: str, value: bool, act: Any) -> Any:
         box = self._gui.add_checkbox(label, value)
@@ -310,13 +317,18 @@ class Panel:
         slider.on_update(turned)
 
     def _layer_controls(self) -> None:
-        layers = [("trail of the tip", "trail", True), ("workspace, by margin", "workspace", False)]
-        if self._view.obstacles:
-            layers.append(("obstacles", "obstacles", True))
-        layers.append(("volume swept by the trajectory", "swept", False))
+        layers = [
+            ("trail of the tip", "trail", True),
+            ("workspace, by margin", "workspace", False),
+            ("obstacles", "obstacles", bool(self._view.obstacles)),
+            ("volume swept by the trajectory", "swept", False),
+            ("the robot beside", "beside", False),
+        ]
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
+        self._upload("Load obstacles (YAML)", "obstacles", YAML)
+        self._upload("Put another robot beside (YAML)", "beside", YAML)
         self._check("dark", False, self._dark)
 
     def _dark(self, on: bool) -> None:
@@ -343,9 +355,3 @@ def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
 def _typed(value: float, digits: int) -> str:
     """A number as one would type it."""
     return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)

@@ -16,12 +16,15 @@ from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
+from ...robots.file import load_robot
+from ...runs.obstacle_file import load_obstacles
 from ...stability import Snap
 from ...workspaces import workspace
 from . import export
+from .beside import Beside, session_beside
 from .designs import Knob, with_knob
 from .insights import Insights
-from .panel import MIRROR, Panel
+from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
@@ -30,6 +33,7 @@ from .session import Session, clear_trail, go_home, move, move_joint, other_equi
 from .surfaces import between
 from .swept import swept_volume
 from .view import View
+from .wishes import MIRROR, Wishes
 from .worker import Worker
 
 FRAMES, SNAP_SECONDS = 12, 0.36
@@ -47,7 +51,7 @@ UNDONE = 200
 ADVISED = "this tab has a robot of its own"
 
 
-class Tab:
+class Tab(Wishes):
     """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
 
     def __init__(self, client: Any, view: View) -> None:
@@ -59,6 +63,8 @@ class Tab:
         self._playing: float | None = None
         self._trail = True
         self._target: Any = None
+        self._obstacles = view.obstacles
+        self._beside: Beside | None = None
         self._pulling = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
@@ -73,8 +79,6 @@ class Tab:
     # --- what the page asks for --------------------------------------------------------------------------------------
 
     def slide(self, joint: int, value: float) -> None:
-        """Move one joint to a value (rad or m)."""
-
         def go() -> None:
             if joint < self.session.robot.n_tubes:
                 self._insights.tube = joint
@@ -90,23 +94,18 @@ class Tab:
         self._by_hand(go)
 
     def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
-        """Move to joint values, rad and m."""
         self._by_hand(lambda: self._change(lambda session: move(session, rotations, translations)))
 
     def mirror(self, direction: float, separation: float) -> None:
-        """Turn an eccentric robot's three tubes by the mirror law, rad."""
         rotations = mirror_rotations(direction, separation)
         self._by_hand(
             lambda: self._change(lambda s: move(s, rotations, s.equilibrium.translations), dragged=MIRROR), key="mirror"
         )
 
     def home(self) -> None:
-        """Go home."""
         self._by_hand(lambda: self._change(go_home))
 
     def undo(self) -> None:
-        """Take the last change back: joint values, branch and tubes."""
-
         def go() -> None:
             if not self._past:
                 self._say("nothing was changed")
@@ -119,14 +118,12 @@ class Tab:
         self._by_hand(go)
 
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
-        """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
-
         def go() -> None:
             words = ""
 
             def verb(session: Session) -> Session:
                 nonlocal words
-                led = pull(session, target, min_margin=margin, obstacles=self._view.obstacles)
+                led = pull(session, target, min_margin=margin, obstacles=self._obstacles)
                 if not led.reached:
                     words = f"the tip stops {led.error * TO_MM:.2f} mm short of the target: {', '.join(led.held)}"
                 return led.session
@@ -137,43 +134,33 @@ class Tab:
         self._by_hand(go, key=None if done else "lead")
 
     def turn(self, knob: Knob, value: float) -> None:
-        """Change a dimension of a tube, in the knob's unit."""
         self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
 
     def reset_design(self) -> None:
-        """The robot as it was loaded."""
         self._by_hand(lambda: self._change(lambda session: redesign(session, self._view.robot)))
 
     def ghosts(self) -> None:
-        """Show all other equilibria, or hide them."""
         self._do(self._toggle_ghosts)
 
     def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer: trail, workspace, obstacles, swept, target, map."""
         self._do(lambda: self._show(layer, on))
 
     def forget_trail(self) -> None:
-        """Begin the trail anew."""
         self._do(lambda: self._change(clear_trail))
 
     def record(self, on: bool) -> None:
-        """Record from here, or forget what was recorded."""
         self._do(lambda: self._change(lambda session: record(session, on)))
 
-    def load(self, name: str, content: bytes) -> None:
-        """Take a trajectory from a CSV file."""
-        self._do(lambda: self._load(name, content))
+    def load(self, what: str, name: str, content: bytes) -> None:
+        self._do(lambda: self._load(what, name, content))
 
     def play(self) -> None:
-        """Play, or pause."""
         self._do(self._toggle_play)
 
     def scrub(self, seconds: float) -> None:
-        """Go to a time of the trajectory."""
         self._by_hand(lambda: self._to_time(seconds, log=False), key="scrub")
 
     def save(self, what: str) -> None:
-        """Send an export to the browser: joints, robot, recording, picture, page."""
         self._do(lambda: self._save(what))
 
     def close(self) -> None:
@@ -204,7 +191,7 @@ class Tab:
 
     def _begin(self) -> None:
         self.scene.set_stage(self.session.equilibrium)
-        if self._view.obstacles:
+        if self._obstacles:
             self._show("obstacles", True)
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
@@ -254,6 +241,8 @@ class Tab:
         equilibrium = self.session.equilibrium
         with self._client.atomic():
             self.scene.show(equilibrium)
+            if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
+                self._say(words, bad=True)
             if self._target is not None and not self._pulling:
                 self._target.position = tuple(equilibrium.tip_position * SCALE)
             self.scene.show_trail(self.session, self._trail)
@@ -297,11 +286,19 @@ class Tab:
             self._insights.want_map(on)
         elif layer == "target":
             self._mark_target(on)
+        elif layer == "beside":
+            if self._beside is None:
+                self._say("no other robot was loaded", bad=on)
+                return
+            self._beside.visible = on
+            self._refresh()
         elif not on:
             self.scene.clear(layer)
         elif layer == "obstacles":
+            if not self._obstacles:
+                self._say("no obstacles were loaded", bad=True)
             reach = max(tube.length for tube in self.session.robot.tubes)
-            self.scene.layer("obstacles", obstacle_parts(self._view.obstacles, reach))
+            self.scene.layer("obstacles", obstacle_parts(self._obstacles, reach))
         elif layer == "workspace":
             self._say(f"solving {CLOUD} configurations …")
             found = workspace(self.session.robot, CLOUD)
@@ -329,33 +326,41 @@ class Tab:
             self._target = None
         if not on:
             return
-        tip = self.session.equilibrium.tip_position
-        size = 0.2 * max(tube.curved_length for tube in self.session.robot.tubes) * SCALE
-        self._target = self._client.scene.add_transform_controls(
-            "/target", scale=size, disable_rotations=True, position=tuple(tip * SCALE), depth_test=False
+        self._target = self.scene.handle(
+            self.session.equilibrium, lambda target, done: self.lead(target, self.panel.least_margin, done=done)
         )
 
-        async def led(event: Any) -> None:
-            if event.phase != "start":
-                target = np.array(event.target.position) / SCALE
-                self.lead(target, self.panel.least_margin, done=event.phase == "end")
-
-        self._target.on_update(led)
-
-    def _load(self, name: str, content: bytes) -> None:
+    def _load(self, what: str, name: str, content: bytes) -> None:
+        takers = {"trajectory": self._take_trajectory, "obstacles": self._take_obstacles, "beside": self._take_beside}
         with tempfile.TemporaryDirectory() as directory:
-            path = Path(directory) / "trajectory.csv"
+            path = Path(directory) / f"{what}{Path(name).suffix}"
             path.write_bytes(content)
             try:
-                self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
+                self._say(f"{name}: {takers[what](path)}")
             except (InputError, SolveError) as error:
                 self._say(str(error).replace(str(path), name), bad=True)
-                return
+
+    def _take_trajectory(self, path: Path) -> str:
+        self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
         self.scene.clear("swept")
         self.panel.offer_playback(self._playback.duration)
         self._to_time(0.0, log=False)
         followed = self._playback.path
-        self._say(f"{name}: {len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way")
+        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
+
+    def _take_obstacles(self, path: Path) -> str:
+        self._obstacles = load_obstacles(path)
+        self._show("obstacles", True)
+        self.panel.tick("obstacles")
+        return f"obstacles, {len(self._obstacles)}, of which the tip keeps clear when it is led"
+
+    def _take_beside(self, path: Path) -> str:
+        session = session_beside(load_robot(path), self.session)
+        if self._beside is not None:
+            self._beside.remove()
+        self._beside = Beside(self._client.scene, session, self.session)
+        self.panel.tick("beside")
+        return "stands beside, at the same joint values"
 
     def _toggle_play(self) -> None:
         if self._playback is None:
@@ -397,7 +402,9 @@ class Tab:
 
     def _save(self, what: str) -> None:
         try:
-            name, content = self._exported(what)
+            if what == "picture":
+                self._say("taking the picture …")
+            name, content = export.exported(what, self.session, self.scene, self._client, trail=self._trail)
             if self._view.out is not None:
                 with atomic_write(self._view.out / name) as temporary:
                     temporary.write_bytes(content)
@@ -406,18 +413,3 @@ class Tab:
             return
         self._client.send_file_download(name, content, save_immediately=True)
         self._say(f"saved {name}")
-
-    def _exported(self, what: str) -> tuple[str, bytes]:
-        """File name and content of an export."""
-        if what == "joints":
-            return "joints.yaml", export.joints_yaml(self.session).encode()
-        if what == "robot":
-            return "robot.yaml", export.robot_yaml(self.session.robot).encode()
-        if what == "recording":
-            return "trajectory.csv", export.recording_csv(self.session).encode()
-        if what == "picture":
-            self._say("taking the picture …")
-            seen = self._client.camera
-            height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
-            return "view.png", export.png(self._client.get_render(height, width, transport_format="png", timeout=60))
-        return "view.html", export.scene_html(self.session, self.scene.contents, trail=self._trail).encode()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from ...errors import InputError, choice, finite
-from ...files.marks import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
-from ...robots.materials import ZERO_CELSIUS
+from ..errors import InputError, choice, finite
+from ..files.marks import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
+from ..robots.materials import ZERO_CELSIUS
 
 INSULATING_RESISTIVITY = 1e3
 """Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is
@@ -49,11 +49,6 @@ class MoldMaterial:
     def diffusivity(self) -> float:
         """k / (rho c), m^2/s."""
         return self.conductivity / (self.density * self.heat_capacity)
-
-    @property
-    def effusivity(self) -> float:
-        """sqrt(k rho c), W s^0.5/(m^2 K): what a suddenly heated surface draws is proportional to it."""
-        return float((self.conductivity * self.density * self.heat_capacity) ** 0.5)
 
     @property
     def electrically_insulating(self) -> bool:
