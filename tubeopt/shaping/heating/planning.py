@@ -5,8 +5,8 @@ steps of a tenth of a second on a grid of three times as many cells and shells. 
 program's bounds are shifted by the difference between the two grids, and it is solved again (deferred correction): what
 holds in the end holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count
 alone keeps it; where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
-Where the soonest hold is asked for, the greatest counts that keep the limits are sooner still (`haste`), and what they do
-is checked alike.
+Where the soonest hold is asked for, the greatest counts that keep the limits are sooner still (`haste`), and what they
+do is checked alike.
 """
 
 from __future__ import annotations
