@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -99,7 +100,7 @@ def test_thesis_robot() -> None:
 
 def test_crl_robot() -> None:
     robot = load_robot(CONFIGS / "robots" / "crl_ctr.yaml")
-    alloy = Material.from_poisson_ratio("nitinol of the CRL robot", 50e9, 0.3)
+    alloy = replace(Material.from_poisson_ratio("nitinol of the CRL robot", 50e9, 0.3), thermal=NITINOL.thermal)
     assert robot.tubes == (
         Tube(0.5e-3, 0.4e-3, 0.169, 0.041, 28.0, alloy),
         Tube(0.9e-3, 0.7e-3, 0.065, 0.1, 12.4, alloy),
