@@ -287,10 +287,13 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
     out = []
-    for k, (field, chosen, _) in enumerate(space.unknowns):
+    for k, ((field, chosen, _), name) in enumerate(zip(space.unknowns, space.names, strict=True)):
         unit, factor = UNITS[field]
         gap = 1e-5 * space.scale[k]
         bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
+        if space.spots:
+            out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
+            continue
         for i in chosen:
             before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
             out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))

@@ -254,6 +254,6 @@ def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
     ]
 
     def write(thing: Any) -> Any:
-        return thing.name if known.get(thing.name) == thing else to_data(thing)
+        return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
     return either, lambda given: known[given] if isinstance(given, str) else given.build(), write

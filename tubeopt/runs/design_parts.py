@@ -31,6 +31,7 @@ from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.fields import Part, asking, entry_of, values
 from ..files.units import DEG, MM, PER_M, to_si
 from ..robots.file import Range
+from ..robots.piece_file import DEG_PER_MM
 from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -51,6 +52,12 @@ RANGES = {
     "curvature_factor": ("curvature", PER_M, True),
     "straight_length_factor": ("straight_length", PER_M, True),
     "curved_length_factor": ("curved_length", PER_M, True),
+    "piece_curvature_per_m": ("piece_curvature", PER_M, False),
+    "piece_shape_per_m": ("piece_shape", PER_M, False),
+    "piece_plane_deg": ("piece_plane", DEG, False),
+    "piece_twist_deg_per_mm": ("piece_twist", DEG_PER_MM, False),
+    "piece_bending_factor": ("piece_bending_factor", PER_M, False),
+    "piece_torsion_factor": ("piece_torsion_factor", PER_M, False),
 }
 """Keys of a free dimension: the field, its unit, and whether the tubes are scaled by one factor."""
 
@@ -59,7 +66,11 @@ class FreeEntry(Part):
     """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
 
     tubes: Annotated[list[Whole], Field(min_length=1)]
-    equal: bool = Field(False, description="one value for all these tubes, in place of one for each")
+    equal: bool = Field(False, description="one value for all these tubes, or pieces, in place of one for each")
+    pieces: list[Whole] = Field(
+        [],
+        description="of the tubes, from the straight part to the tip, for the keys of pieces; all if not given",
+    )
     curvature_per_m: Range | None = None
     straight_length_mm: Range | None = None
     curved_length_mm: Range | None = None
@@ -68,6 +79,20 @@ class FreeEntry(Part):
     curvature_factor: Range | None = Field(None, description="one factor for the curvatures of all these tubes")
     straight_length_factor: Range | None = None
     curved_length_factor: Range | None = None
+    piece_curvature_per_m: Range | None = Field(
+        None, description="largest curvature; what varies is bent in proportion"
+    )
+    piece_shape_per_m: Range | None = Field(
+        None, description="coefficients of the Chebyshev polynomials of the curvature about x along the piece"
+    )
+    coefficients: Annotated[Whole, Field(ge=1)] = Field(1, description="of a piece_shape")
+    piece_plane_deg: Range | None = Field(None, description="turn of the bend plane from that of the robot")
+    piece_twist_deg_per_mm: Range | None = None
+    piece_bending_factor: Range | None = Field(None, description="what slots leave of the bending stiffness")
+    piece_torsion_factor: Range | None = Field(None, description="what slots leave of the torsional stiffness")
+    torsion_share: NotNegative | None = Field(
+        None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
+    )
 
     def build(self) -> Free:
         """The free dimension in SI."""
@@ -79,7 +104,16 @@ class FreeEntry(Part):
         if scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
         tie = "scaled" if scaled else "equal" if self.equal else "each"
-        return Free(field, tuple(i - 1 for i in self.tubes), to_si(low, unit), to_si(high, unit), tie)
+        return Free(
+            field,
+            tuple(i - 1 for i in self.tubes),
+            to_si(low, unit),
+            to_si(high, unit),
+            tie,
+            tuple(j - 1 for j in self.pieces),
+            self.coefficients,
+            None if self.torsion_share is None else float(self.torsion_share),
+        )
 
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import Part, entry_of
-from ..files.units import MM, to_si
+from ..files.units import MM, UNITS, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
@@ -49,6 +49,11 @@ class PlanStudy(Study):
         (), description="bodies that the whole arm keeps away from: a list of them, or a YAML file"
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    max_tip_force_mN: NotNegative = Field(
+        Decimal(0),
+        description="margin and clearance under any force on the tip of up to this size, in any direction",
+        examples=["F"],
+    )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
     rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
     search: Literal["auto", "rrt_connect", "optimal"] = Field("auto", description="auto, rrt_connect or optimal")
@@ -86,6 +91,7 @@ class PlanStudy(Study):
             objective=self.objective,
             time_limit=float(self.time_limit_s),
             clearance=to_si(self.clearance_mm, MM),
+            max_force=to_si(self.max_tip_force_mN, UNITS["mN"]),
             modulo_turns=self.modulo_turns,
             seed=self.seed,
         )

@@ -146,6 +146,17 @@ def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
 
     Raises:
         InputError: a file is missing or is not what was written.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> problem = tubeopt.Problem()
+        >>> x = problem.variable("x", 1, guess=1.0)
+        >>> problem.minimize((x - 2) ** 2)
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     problem.solve().save(directory)
+        ...     float(tubeopt.load_problem_solution(directory).value("x"))
+        2.0
     """
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     text, content = read_text(result), read_bytes(arrays)

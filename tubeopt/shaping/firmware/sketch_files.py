@@ -17,13 +17,16 @@ from ...typing import Array
 from ..heating.counts import full_current
 from ..heating.feedback import Feedback
 from ..heating.law import HeatingLaw
+from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
 from ..heating.robust import at_charge
 from .boards import CONVERSION_MS, Wiring
 
 NAME = "tube_heater"
-SOURCES = ("heater.h", "heater.cpp", "hardware.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino")
+SOURCES = (
+    "heater.h", "heater.cpp", "hardware.h", "converter.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino",
+)  # fmt: skip
 HOST = "host.cpp"
 """The board in place of a board, for tests on a computer."""
 
@@ -188,7 +191,7 @@ def schedules(plan: HeatingPlan, feedback: Feedback, charges: Sequence[float] = 
     found = [(plan.rig.battery.voltage, law.planned)]
     for charge in sorted({c for c in charges if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
         other = at_charge(plan, charge)
-        found.append((other.rig.battery.voltage, np.maximum(other.ideal_duty[: len(law.planned)] - lost, 0.0)))
+        found.append((other.rig.battery.voltage, np.maximum(prolonged(other, len(law.planned)) - lost, 0.0)))
     return found
 
 
