@@ -16,9 +16,9 @@ from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_
 from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel
 from tubeopt.shaping.mold.mandrel_files import check_mandrel_stl
 from tubeopt.shaping.mold.robot import chosen_tubes
+from tubeopt.show.mandrel_report import MandrelReport
 from tubeopt.show.plots.mandrel import plot_mandrel
 from tubeopt.show.plots.mandrel_sheet import plot_mandrel_sheet
-from tubeopt.show.report import report
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")
@@ -145,7 +145,7 @@ def test_pictures(made: tuple[Tube, Mandrel, Path], tmp_path: Path) -> None:
 
 def test_a_printed_mandrel_is_told() -> None:
     tube = load_robot(Path(__file__).parents[2] / "configs/robots/example_pieces.yaml").tubes[0]
-    rows = dict(report(plan_mandrel(tube)).rows())
+    rows = dict(MandrelReport(plan_mandrel(tube)).rows())
     assert rows["turned or printed"] == "printed"
     assert "helix, pitch" not in rows
 
