@@ -19,6 +19,7 @@ from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .force import Loaded, forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
+from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
@@ -284,8 +285,6 @@ def _solution(
 
 def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
-    from .parameters import NAMES, UNITS
-
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
     out = []
     for k, ((field, chosen, _), name) in enumerate(zip(space.unknowns, space.names, strict=True)):

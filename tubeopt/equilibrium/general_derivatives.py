@@ -29,6 +29,7 @@ from ..errors import InputError, SolveError
 from ..physics.certificate import worst_function
 from ..robots.breakpoints import DIMENSIONS
 from ..typing import Array
+from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish
 
@@ -139,8 +140,6 @@ def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
 
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little."""
-    from .kinematics import forward_kinematics
-
     shift = equilibrium.translations.copy()
     shift[tube] += side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)

@@ -122,9 +122,10 @@ if TYPE_CHECKING:  # to which an entry is whatever can be built
     StrainEntry = Part
     TargetEntry = Part
     CoverageEntry = Part
+    ObjectiveEntry = Part
 else:
     SnapFreeEntry, InUseEntry, StrainEntry = entry_of(SnapFree), entry_of(SnapFreeInUse), entry_of(Strain)
-    TargetEntry, CoverageEntry = entry_of(Target), entry_of(Coverage)
+    TargetEntry, CoverageEntry, ObjectiveEntry = entry_of(Target), entry_of(Coverage), entry_of(Objective)
 
 
 class LengthEntry(Part):
@@ -192,9 +193,8 @@ class Requirements(Part):
         out: list[Requirement] = []
         for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
             out += [] if entry is None else [entry.build()]
-        out += [] if self.clearance_mm is None else [Nesting(to_si(self.clearance_mm, MM))]
-        out += [] if self.wall_mm is None else [Wall(to_si(self.wall_mm, MM))]
-        out += [] if self.stroke_mm is None else [Stroke(to_si(self.stroke_mm, MM))]
+        singles = (Nesting, self.clearance_mm), (Wall, self.wall_mm), (Stroke, self.stroke_mm)
+        out += [kind(to_si(number, MM)) for kind, number in singles if number is not None]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += [] if self.coverage is None else [self.coverage.build()]
         if self.poses:
@@ -203,21 +203,6 @@ class Requirements(Part):
         out += [] if self.corridor is None else [self.corridor.build()]
         out += [] if self.avoid is None else [self.avoid.build()]
         return tuple(out)
-
-
-class ObjectiveEntry(Part):
-    """One aim of a design."""
-
-    kind: Literal["tip_curvature", "turning_radius", "reach_radius", "strain", "length", "margin", "change"]
-    weight: Positive = Field(Decimal(1), description="of the value in SI, where there are several")
-    depth_mm: Number | None = Field(None, description="for reach_radius: height of the tip")
-    translations_mm: Row | None = Field(None, description="for tip_curvature and turning_radius; home if not given")
-
-    def build(self) -> Objective:
-        """The objective in SI."""
-        depth = None if self.depth_mm is None else to_si(self.depth_mm, MM)
-        shift = None if self.translations_mm is None else metres(self.translations_mm)
-        return Objective(self.kind, float(self.weight), depth, shift)
 
 
 @asking(Tolerances)
