@@ -18,6 +18,7 @@ from ..robots.calibration import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
+from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, Triple, point
@@ -99,6 +100,9 @@ class InverseStudy(LoadedStudy):
         description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
         examples=["OBSTACLES.yaml"],
     )
+    anatomy: AnatomyKey | None = Field(
+        None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
+    )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     method: Literal["auto", "gauss_newton", "nlp"] = Field(
         "auto", description="how to solve: auto, gauss_newton or nlp"
@@ -150,7 +154,7 @@ class InverseStudy(LoadedStudy):
     def _common(self) -> dict[str, Any]:
         return {
             "min_margin": float(self.min_margin),
-            "obstacles": self.obstacles or (),
+            "obstacles": (self.obstacles or ()) + (() if self.anatomy is None else self.anatomy.bodies),
             "options": self._options(),
         }
 
