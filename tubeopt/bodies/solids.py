@@ -22,7 +22,7 @@ from .triangles import bisected
 KEEP = ("out", "in")
 """Ways to keep to a closed surface."""
 
-MOST_NODES = 1_500_000
+MOST_NODES = 400_000
 """Nodes of a field by default, which take some seconds."""
 
 FINEST = 5e-4
@@ -34,7 +34,7 @@ AROUND = {"out": 10, "in": 2}
 BAND = 2.0
 """Sizes of a cell from the surface up to which distances at nodes are exact."""
 
-COVERED = ((1.0, 24.0), (0.5, 10.0), (0.2, 0.0))
+COVERED = ((1.0, 8.0), (0.5, 0.0))
 """Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a cell.
 """
 
@@ -106,7 +106,7 @@ def _lattice(points: Array, cell: float | None, name: str, around: int) -> list[
     least = float((extent.prod() / MOST_NODES) ** (1 / 3))
     size = max(FINEST, least) if cell is None else positive(f"cell of {name}", cell)
     count = np.ceil(extent / size).astype(int) + 2 * around + 1
-    if count.max() > LARGEST or count.prod() > 10 * MOST_NODES:
+    if count.max() > LARGEST or count.prod() > 20 * MOST_NODES:
         raise InputError(
             f"{name} would have {' x '.join(map(str, count))} cells of {size * 1e3:g} mm; make them larger"
         )
