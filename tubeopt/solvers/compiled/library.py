@@ -26,17 +26,17 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.general_arm import COARSE, FINE
+from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
+from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
+from ...block.transcription.reduced import INWARDS
+from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.lengthwise import gauss_rule
-from ...transcription.collocated import ENDS, STEPS
-from ...transcription.general_arm import COARSE, FINE
-from ...transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
-from ...transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
-from ...transcription.reduced import INWARDS
-from ...transcription.tableau import tableau
 from ...typing import Array
 from ..settings import NEWTON
 from .packaged import Kind, packaged_kernel
