@@ -14,6 +14,7 @@ distance, which changes by no more than its point moves, is at least sum w_k d_k
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -78,12 +79,9 @@ class DistanceField:
 
     def in_frame(self, frame: Frame) -> DistanceField:
         """The same body seen from a frame that is given in its own."""
-        return DistanceField(self.values, self.spacing, frame.of(self.frame), self.node_error, self.bounded, self.name)
-
-    def nodes(self) -> Array:
-        """(a, b, c, 3) positions of all nodes, m."""
-        index = np.stack(np.meshgrid(*(np.arange(k) for k in self.values.shape), indexing="ij"), axis=-1)
-        return self.frame.placed(index * self.spacing)
+        seen = copy(self)  # with its tables
+        object.__setattr__(seen, "frame", frame.of(self.frame))
+        return seen
 
     @cached_property
     def _squares(self) -> Array:

@@ -213,7 +213,7 @@ def _nifti(path: Path) -> tuple[Any, Array, float]:
     if not (int(header["sform_code"]) or int(header["qform_code"])):
         _no_orientation(path)
     unit = header.get_xyzt_units()[0]
-    slope, inter = header.get_slope_inter()
+    slope, inter = image.dataobj.slope, image.dataobj.inter  # which the header of a loaded image has no more
     raw = np.asarray(image.dataobj.get_unscaled()).reshape(shape)
     slope, inter = 1.0 if slope is None else float(slope), 0.0 if inter is None else float(inter)
     if (slope, inter) != (1.0, 0.0):
