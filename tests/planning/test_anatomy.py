@@ -146,7 +146,7 @@ def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path) -> None:
     assert answer.solutions[0].clearance > 0  # type: ignore[union-attr]
     (tmp_path / "bodies.yaml").write_text("obstacles: [{kind: anatomy, file: anatomy.yaml}]")
     assert len(load_obstacles(tmp_path / "bodies.yaml")) == 1
-    with pytest.raises(InputError, match="'carna' is no landmark of the anatomy; .*; did you mean 'carina'?"):
+    with pytest.raises(InputError, match=r"'carna' is no landmark of the anatomy; .*; did you mean 'carina'?"):
         check(PlanStudy, plan | {"tip_at": "carna"}, tmp_path / "plan.yaml")
 
 

@@ -150,7 +150,7 @@ def _at_corners(voxels: Mask) -> Mask:
 def _transform(mask: Mask, spacing: Array) -> Array:
     """Distance of every node from the nearest of a mask; float32, slab by slab, to bound the memory."""
     index = scipy.ndimage.distance_transform_edt(~mask, sampling=spacing, return_distances=False, return_indices=True)
-    out = np.empty(mask.shape, dtype=np.float32)
+    out: Array = np.empty(mask.shape, dtype=np.float32)
     b, c = np.ogrid[: mask.shape[1], : mask.shape[2]]
     for a in range(len(out)):
         square = ((index[0, a] - a) * spacing[0]) ** 2

@@ -1,4 +1,4 @@
-"""The surface of a distance field as facets, for pictures: one corner in every cell that it passes, at the mean of where
+"""The surface of a distance field as facets, for pictures: a corner in every cell that it passes, at the mean of where
 it crosses the cell's edges (Gibson 1998), one facet across every edge that it crosses."""
 
 from __future__ import annotations

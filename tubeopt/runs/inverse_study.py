@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Whole, in_file
@@ -132,6 +133,11 @@ class InverseStudy(LoadedStudy):
             raise ValueError("all, follow and closest are for a robot without load")
         return self
 
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return (self.obstacles or ()) + (() if self.anatomy is None else self.anatomy.bodies)
+
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:
             return None
@@ -154,7 +160,7 @@ class InverseStudy(LoadedStudy):
     def _common(self) -> dict[str, Any]:
         return {
             "min_margin": float(self.min_margin),
-            "obstacles": (self.obstacles or ()) + (() if self.anatomy is None else self.anatomy.bodies),
+            "obstacles": self.bodies,
             "options": self._options(),
         }
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..bodies.obstacles import Obstacle
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.units import DEG, MM, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
@@ -95,6 +96,11 @@ class PlanStudy(Study):
             raise ValueError("leader needs a goal, not a curve for the tip")
         return self
 
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
+
     def _ends(self) -> tuple[tuple[Array, Array], Any]:
         alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
         shift = metres(self.start_mm, self.robot.home_translations)
@@ -118,7 +124,7 @@ class PlanStudy(Study):
             seed=self.seed,
         )
         common: dict[str, Any] = {
-            "obstacles": self.obstacles + (() if self.anatomy is None else self.anatomy.bodies),
+            "obstacles": self.bodies,
             "min_margin": float(self.min_margin),
             "rate_limits": self.rates.build(),
             "options": options,
