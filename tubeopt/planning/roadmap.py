@@ -1,15 +1,16 @@
 """A roadmap for many plans of one robot among the same bodies: where it can be, and the ways between, remembered.
 
-Its points are equilibria in the space of tip rotations and translations, in which a straight line is a motion without a
-snap as long as it is stable. Whether a motion between neighbours holds is looked at when a way leads over it (Bohlin and
-Kavraki 2000), and remembered for the next; where bodies, margin or clearance change, what was remembered is forgotten and
-looked at once more as ways need it, while the points stay.
+Its points are equilibria in the space of tip rotations and translations, in which a straight line is a motion without
+a snap as long as it is stable. Whether a motion between neighbours holds is looked at when a way leads over it (Bohlin
+and Kavraki 2000), and remembered for the next; where bodies, margin or clearance change, what was remembered is forgotten
+and looked at once more as ways need it, while the points stay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from os import PathLike
 from typing import Any
 
@@ -74,7 +75,7 @@ class Roadmap(Displayed):
             found = _shortest(len(places), edges[~shut], length[~shut], count)
             if found is None:
                 return Way(None, "roadmap", tried, why="the roadmap has no way")
-            pairs = list(zip(found[:-1], found[1:], strict=True))
+            pairs = list(pairwise(found))
             # Both ends first: what begins and ends a way is what the map does not know yet.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
                 if self._told(own, a, b) is None:
