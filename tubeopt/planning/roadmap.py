@@ -2,8 +2,8 @@
 
 Its points are equilibria in the space of tip rotations and translations, in which a straight line is a motion without
 a snap as long as it is stable. Whether a motion between neighbours holds is looked at when a way leads over it (Bohlin
-and Kavraki 2000), and remembered for the next; where bodies, margin or clearance change, what was remembered is forgotten
-and looked at once more as ways need it, while the points stay.
+and Kavraki 2000), and remembered for the next. Where bodies, margin or clearance change, what was remembered is
+forgotten, and looked at once more as ways need it, while the points stay.
 """
 
 from __future__ import annotations
@@ -138,8 +138,8 @@ def build_roadmap(
     """A roadmap of `count` points at which a robot may be, or of fewer where `options.time_limit` ends the search.
 
     Args:
-        obstacles, min_margin, limits, options: as of `plan_trajectory`; only clearance, gaps, time limit and seed of the
-            options count.
+        obstacles, min_margin, limits, options: as of `plan_trajectory`; of the options clearance, gaps, time limit and
+            seed count.
 
     Raises:
         InputError: numbers that make no sense.
