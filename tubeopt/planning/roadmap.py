@@ -81,7 +81,7 @@ class Roadmap(Displayed):
                 if self._told(own, a, b) is None:
                     tried += 1
                     holds = task.motion(points[a], points[b])
-                    if clock.over:
+                    if clock.left == 0:  # of which a motion that fails says nothing
                         break
                     (self.known if max(a, b) < count else own)[min(a, b), max(a, b)] = holds
                     if not holds:
