@@ -187,7 +187,7 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
             f"obstacle_{k + 1}",
             obstacle_surface(body, reach),
             OBSTACLE_COLOUR,
-            0.3 if isinstance(body, HalfSpace | Corridor) else 1.0,
+            0.3 if isinstance(body, HalfSpace | Corridor) or not getattr(body, "bounded", True) else 1.0,
         )
         for k, body in enumerate(obstacles)
     ]
