@@ -7,15 +7,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
+from ...robots.load import Load
 from ...stability import Snap
 from ...workspaces import workspace
 from . import export
@@ -24,6 +27,7 @@ from .insights import Insights
 from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
+from .pushing import head_of, newtons_per_metre, push_on
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
@@ -41,6 +45,9 @@ TICK = 0.04
 
 CLOUD = 4000
 """Samples of the workspace layer."""
+
+HANDLE = 0.2
+"""Size of arrows that are dragged, over the longest curved part of a tube."""
 
 UNDONE = 200
 """Changes that can be taken back."""
@@ -60,7 +67,8 @@ class Tab(Wishes):
         self._playing: float | None = None
         self._trail = True
         self._target: Any = None
-        self._pulling = False
+        self._head: Any = None
+        self._pulling = self._pushing = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
         self._mark: int | str | None = None
@@ -127,6 +135,13 @@ class Tab(Wishes):
             self._change(verb, lambda: words)
 
         self._by_hand(go, key=None if done else "lead")
+
+    def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
+        def go() -> None:
+            self._pushing = not done
+            self._change(lambda session: push_on(session, Load(tuple(force.tolist()), gravity=gravity)))
+
+        self._by_hand(go, key=None if done else "push")
 
     def turn(self, knob: Knob, value: float) -> None:
         self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
@@ -214,7 +229,8 @@ class Tab(Wishes):
         moved = self.session is not before
         if moved:
             # What one hand does without letting go is one change.
-            mark = dragged if dragged is not None else "lead" if self._pulling else None
+            held = "lead" if self._pulling else "push" if self._pushing else None
+            mark = dragged if dragged is not None else held
             if mark is None or mark != self._mark:
                 self._past.append(before)
             self._mark = mark
@@ -238,6 +254,7 @@ class Tab(Wishes):
             self.scene.show(equilibrium)
             if self._target is not None and not self._pulling:
                 self._target.position = tuple(equilibrium.tip_position * SCALE)
+            self._show_force(equilibrium)
             self.scene.show_trail(self.session, self._trail)
             self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
             self._insights.plot()
@@ -262,7 +279,7 @@ class Tab(Wishes):
             return
         try:
             others = other_equilibria(self.session)
-        except SolveError as error:
+        except (InputError, SolveError) as error:
             self._say(str(error), bad=True)
             return
         self.scene.layer("ghosts", ghost_parts(others))
@@ -279,6 +296,8 @@ class Tab(Wishes):
             self._insights.want_map(on)
         elif layer == "target":
             self._mark_target(on)
+        elif layer == "force":
+            self._mark_force(on)
         elif not on:
             self.scene.clear(layer)
         elif layer == "obstacles":
@@ -311,9 +330,43 @@ class Tab(Wishes):
             self._target = None
         if not on:
             return
+        here = self.session.equilibrium
         self._target = self.scene.handle(
-            self.session.equilibrium, lambda target, done: self.lead(target, self.panel.least_margin, done=done)
+            "target",
+            here.tip_position,
+            HANDLE * max(tube.curved_length for tube in here.robot.tubes),
+            lambda target, done: self.lead(target, self.panel.least_margin, done=done),
         )
+
+    def _mark_force(self, on: bool) -> None:
+        if self._head is not None:
+            self._head.remove()
+            self._head = None
+        controls = self.panel.push
+        if not on or controls is None:
+            return
+        here, scale = self.session.equilibrium, self._newtons_per_metre
+
+        def drawn(head: np.ndarray, done: bool) -> None:
+            self.push(scale * (head - self.session.equilibrium.tip_position), controls.gravity, done=done)
+
+        size = HANDLE * max(tube.curved_length for tube in here.robot.tubes)
+        self._head = self.scene.handle("head", head_of(here, scale), size, drawn)
+
+    @cached_property
+    def _newtons_per_metre(self) -> float:
+        """Of the arrow of a force, by how soft the robot is where the view begins."""
+        return newtons_per_metre(self._view.session().equilibrium)
+
+    def _show_force(self, equilibrium: Equilibrium) -> None:
+        """The arrow of the force that acts, and the mark at its head."""
+        if self.panel.push is None or (equilibrium.load is None and self._head is None):
+            self.scene.show_force(equilibrium.tip_position, equilibrium.tip_position)
+            return
+        head = head_of(equilibrium, self._newtons_per_metre)
+        self.scene.show_force(equilibrium.tip_position, head)
+        if self._head is not None and not self._pushing:
+            self._head.position = tuple(head * SCALE)
 
     def _load(self, name: str, content: bytes) -> None:
         with tempfile.TemporaryDirectory() as directory:
