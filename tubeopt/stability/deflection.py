@@ -57,6 +57,12 @@ def deflection_bound(
 
     Raises:
         InputError: as `snap_free_certificate` under a force; a point that is not on the arm.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/crl_ctr.yaml")
+        >>> bool(tubeopt.deflection_bound(robot, [-0.02, 0, 0], max_force=0.001)[0] < 0.3e-3)
+        True
     """
     shift = robot.home_translations if translations is None else np.asarray(translations, dtype=float)
     certificate = snap_free_certificate(robot, shift, max_force=max_force)

@@ -15,8 +15,8 @@ from ...stability.load_limit import LoadLimit, find_load_limit
 from ...stability.pushing import push
 from .session import Session, moved_to
 
-LONG_ARROW = 0.3
-"""Length of the arrow, over that of the arm, of a force that moves the unloaded tip linearly by as much."""
+ARROW = 5.0
+"""Length of the arrow of a force, over how far it moves the tip where that is softest, to first order."""
 
 UP_TO = 10.0
 """Largest factor on a load that is looked at for its limit."""
@@ -71,7 +71,7 @@ def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
 def newtons_per_metre(equilibrium: Equilibrium) -> float:
     """Force on the tip that an arrow of one metre stands for."""
     softest = float(np.linalg.norm(equilibrium.compliance[:3, :3], 2))
-    return 1 / (LONG_ARROW * softest)
+    return 1 / (ARROW * softest)
 
 
 def head_of(equilibrium: Equilibrium, scale: float) -> np.ndarray:

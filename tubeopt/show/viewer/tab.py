@@ -7,27 +7,29 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
+from ...robots.file import load_robot
 from ...robots.load import Load
+from ...runs.obstacle_file import load_obstacles
 from ...stability import Snap
 from ...workspaces import workspace
 from . import export
+from .arrow import ForceArrow, handle_size
+from .beside import Beside, session_beside
 from .designs import Knob, with_knob
 from .insights import Insights
 from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
-from .pushing import head_of, newtons_per_metre, push_on
+from .pushing import push_on
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
@@ -45,9 +47,6 @@ TICK = 0.04
 
 CLOUD = 4000
 """Samples of the workspace layer."""
-
-HANDLE = 0.2
-"""Size of arrows that are dragged, over the longest curved part of a tube."""
 
 UNDONE = 200
 """Changes that can be taken back."""
@@ -67,12 +66,14 @@ class Tab(Wishes):
         self._playing: float | None = None
         self._trail = True
         self._target: Any = None
-        self._head: Any = None
+        self._obstacles = view.obstacles
+        self._beside: Beside | None = None
         self._pulling = self._pushing = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
         self._mark: int | str | None = None
         self.panel = Panel(client.gui, self, view)
+        self._arrow = ForceArrow(self.scene, self.panel.push, view, self.push)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._worker = Worker(
             self._insights.chores, lambda error: self._say(f"something went wrong: {error}", bad=True)
@@ -126,7 +127,7 @@ class Tab(Wishes):
 
             def verb(session: Session) -> Session:
                 nonlocal words
-                led = pull(session, target, min_margin=margin, obstacles=self._view.obstacles)
+                led = pull(session, target, min_margin=margin, obstacles=self._obstacles)
                 if not led.reached:
                     words = f"the tip stops {led.error * TO_MM:.2f} mm short of the target: {', '.join(led.held)}"
                 return led.session
@@ -161,8 +162,8 @@ class Tab(Wishes):
     def record(self, on: bool) -> None:
         self._do(lambda: self._change(lambda session: record(session, on)))
 
-    def load(self, name: str, content: bytes) -> None:
-        self._do(lambda: self._load(name, content))
+    def load(self, what: str, name: str, content: bytes) -> None:
+        self._do(lambda: self._load(what, name, content))
 
     def play(self) -> None:
         self._do(self._toggle_play)
@@ -201,7 +202,7 @@ class Tab(Wishes):
 
     def _begin(self) -> None:
         self.scene.set_stage(self.session.equilibrium)
-        if self._view.obstacles:
+        if self._obstacles:
             self._show("obstacles", True)
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
@@ -252,9 +253,11 @@ class Tab(Wishes):
         equilibrium = self.session.equilibrium
         with self._client.atomic():
             self.scene.show(equilibrium)
+            if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
+                self._say(words, bad=True)
             if self._target is not None and not self._pulling:
                 self._target.position = tuple(equilibrium.tip_position * SCALE)
-            self._show_force(equilibrium)
+            self._arrow.show(equilibrium, held=self._pushing)
             self.scene.show_trail(self.session, self._trail)
             self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
             self._insights.plot()
@@ -297,12 +300,20 @@ class Tab(Wishes):
         elif layer == "target":
             self._mark_target(on)
         elif layer == "force":
-            self._mark_force(on)
+            self._arrow.mark(self.session.equilibrium, on)
+        elif layer == "beside":
+            if self._beside is None:
+                self._say("no other robot was loaded", bad=on)
+                return
+            self._beside.visible = on
+            self._refresh()
         elif not on:
             self.scene.clear(layer)
         elif layer == "obstacles":
+            if not self._obstacles:
+                self._say("no obstacles were loaded", bad=True)
             reach = max(tube.length for tube in self.session.robot.tubes)
-            self.scene.layer("obstacles", obstacle_parts(self._view.obstacles, reach))
+            self.scene.layer("obstacles", obstacle_parts(self._obstacles, reach))
         elif layer == "workspace":
             self._say(f"solving {CLOUD} configurations …")
             found = workspace(self.session.robot, CLOUD)
@@ -334,54 +345,41 @@ class Tab(Wishes):
         self._target = self.scene.handle(
             "target",
             here.tip_position,
-            HANDLE * max(tube.curved_length for tube in here.robot.tubes),
+            handle_size(here.robot),
             lambda target, done: self.lead(target, self.panel.least_margin, done=done),
         )
 
-    def _mark_force(self, on: bool) -> None:
-        if self._head is not None:
-            self._head.remove()
-            self._head = None
-        controls = self.panel.push
-        if not on or controls is None:
-            return
-        here, scale = self.session.equilibrium, self._newtons_per_metre
-
-        def drawn(head: np.ndarray, done: bool) -> None:
-            self.push(scale * (head - self.session.equilibrium.tip_position), controls.gravity, done=done)
-
-        size = HANDLE * max(tube.curved_length for tube in here.robot.tubes)
-        self._head = self.scene.handle("head", head_of(here, scale), size, drawn)
-
-    @cached_property
-    def _newtons_per_metre(self) -> float:
-        """Of the arrow of a force, by how soft the robot is where the view begins."""
-        return newtons_per_metre(self._view.session().equilibrium)
-
-    def _show_force(self, equilibrium: Equilibrium) -> None:
-        """The arrow of the force that acts, and the mark at its head."""
-        if self.panel.push is None or (equilibrium.load is None and self._head is None):
-            self.scene.show_force(equilibrium.tip_position, equilibrium.tip_position)
-            return
-        head = head_of(equilibrium, self._newtons_per_metre)
-        self.scene.show_force(equilibrium.tip_position, head)
-        if self._head is not None and not self._pushing:
-            self._head.position = tuple(head * SCALE)
-
-    def _load(self, name: str, content: bytes) -> None:
+    def _load(self, what: str, name: str, content: bytes) -> None:
+        takers = {"trajectory": self._take_trajectory, "obstacles": self._take_obstacles, "beside": self._take_beside}
         with tempfile.TemporaryDirectory() as directory:
-            path = Path(directory) / "trajectory.csv"
+            path = Path(directory) / f"{what}{Path(name).suffix}"
             path.write_bytes(content)
             try:
-                self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
+                self._say(f"{name}: {takers[what](path)}")
             except (InputError, SolveError) as error:
                 self._say(str(error).replace(str(path), name), bad=True)
-                return
+
+    def _take_trajectory(self, path: Path) -> str:
+        self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
         self.scene.clear("swept")
         self.panel.offer_playback(self._playback.duration)
         self._to_time(0.0, log=False)
         followed = self._playback.path
-        self._say(f"{name}: {len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way")
+        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
+
+    def _take_obstacles(self, path: Path) -> str:
+        self._obstacles = load_obstacles(path)
+        self._show("obstacles", True)
+        self.panel.tick("obstacles")
+        return f"obstacles, {len(self._obstacles)}, of which the tip keeps clear when it is led"
+
+    def _take_beside(self, path: Path) -> str:
+        session = session_beside(load_robot(path), self.session)
+        if self._beside is not None:
+            self._beside.remove()
+        self._beside = Beside(self._client.scene, session, self.session)
+        self.panel.tick("beside")
+        return "stands beside, at the same joint values"
 
     def _toggle_play(self) -> None:
         if self._playback is None:
