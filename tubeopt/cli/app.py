@@ -45,6 +45,7 @@ COMMANDS = {
     "view": "view.view",
     "plan": "plan.plan",
     "verify": "plan.verify",
+    "export": "export.export",
     "doctor": "doctor.doctor",
     "mold plan": "mold.plan",
     "mold mandrel": "mold.mandrel",

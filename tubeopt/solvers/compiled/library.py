@@ -33,6 +33,7 @@ from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.lengthwise import gauss_rule
 from ...transcription.collocated import ENDS, STEPS
 from ...transcription.general_arm import COARSE, FINE
+from ...transcription.linear import hermite
 from ...transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
 from ...transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
 from ...transcription.reduced import INWARDS
@@ -103,6 +104,11 @@ def cache_directory() -> Path:
 
 def source(n: int, eccentric: bool, general: bool = False) -> str:
     """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
+    return kernel_text(n, eccentric, general) + (HERE / "entries.c").read_text()
+
+
+def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
+    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
     generator.add(coupling_rate_function(n))
@@ -116,6 +122,9 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
             generator.add(ca.Function(name, symbols, function.call(symbols), {"cse": True}))
     else:
         generator.add(piece_function(n, eccentric, "gauss", DEGREE))
+    if not general and not eccentric:
+        for name in ("curvature", "curvature_slope", "variation"):
+            generator.add(section_functions(n, False)[name])
     if eccentric:
         balance = section_functions(n, True)["balance"]
         inputs = balance.sx_in()
@@ -123,6 +132,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
     constants = {
         "ECCENTRIC": int(eccentric),
         "GENERAL": int(general),
+        "SLOPES": int(not general and not eccentric),
         "MOST_SECTIONS": most_sections(n, general),
         "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
@@ -149,7 +159,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
-    tables = _general_constants() if general else ""
+    tables = _general_constants() if general else "" if eccentric else _slope_constants()
     return tables + c_text(constants, generator, "kernel.c")
 
 
@@ -262,11 +272,21 @@ def _general_constants() -> str:
         "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
         "TWIST_PER_PIECE": TWIST_PER_PIECE,
     }
-    lines = [f"#define {name} {value!r}" for name, value in numbers.items()]
-    for name, table in tables.items():
-        values = ", ".join(repr(float(v)) for v in np.ravel(table))
-        lines.append(f"static const double {name}[] = {{{values}}};")
-    return "\n".join(lines) + "\n"
+    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + _c_tables(tables)
+
+
+def _slope_constants() -> str:
+    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes."""
+    fine = tableau("gauss", DEGREE)
+    return _c_tables(
+        {"TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2), "POSE_INSIDE": hermite(fine.family, fine.degree)}
+    )
+
+
+def _c_tables(tables: Mapping[str, Array]) -> str:
+    """Tables as constants of C."""
+    rows = ((name, ", ".join(repr(float(v)) for v in np.ravel(table))) for name, table in tables.items())
+    return "".join(f"static const double {name}[] = {{{values}}};\n" for name, values in rows)
 
 
 def _answer(n: int, general: bool) -> np.dtype[np.void]:

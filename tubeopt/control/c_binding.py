@@ -1,0 +1,145 @@
+"""A C library of a robot, compiled here and called from Python: the functions of its header on NumPy arrays."""
+
+from __future__ import annotations
+
+import ctypes
+import enum
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, SolveError, vector
+from ..solvers.compiled.library import cache_directory, compile_to
+from ..typing import Array
+from .c_library import CLibrary
+
+
+class Why(enum.IntFlag):
+    """Why a servo step is not all that was asked for."""
+
+    RATE = 1
+    RANGE = 2
+    ORDER = 4
+    MARGIN = 8
+    SHORTENED = 16
+    HELD = 32
+
+
+REFUSED = {
+    1: "no stable equilibrium was found from tubes without torsion",
+    3: "there is no equilibrium to go on from",
+    4: "the branch does not lead there: the robot would snap",
+    5: "the motion is longer than one call may be",
+}
+"""What the functions return when they do not answer; 2 is bad input."""
+
+
+@dataclass(frozen=True, eq=False)
+class CPose:
+    """An equilibrium of the library: joints (n,) each, tip (3,) m, its frame (3, 3), tip rotations (n,), margin, energy
+    (J), estimated error of the tip (m), residual (rad)."""
+
+    rotations: Array
+    translations: Array
+    tip_position: Array
+    tip_rotation: Array
+    tip_rotations: Array
+    margin: float
+    energy: float
+    tip_error: float
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class CSlopes:
+    """Derivatives by rotations and translations: of tip (3, 2n), turn vector (3, 2n), tip rotations (n, 2n) and margin
+    (2n,); and the compliance (6, 6) of the tip."""
+
+    position: Array
+    turn: Array
+    tip_rotations: Array
+    margin: Array
+    compliance: Array
+
+
+class CRobot:
+    """A robot of a C library: what it does, call by call, with memory of its own.
+
+    Raises:
+        OSError, subprocess.SubprocessError: there is no C compiler, or it fails.
+    """
+
+    def __init__(self, library: CLibrary) -> None:
+        self._n, self._prefix = library.robot.n_tubes, library.prefix
+        self._library = ctypes.CDLL(str(_compiled(library)))
+        size = self._function("memory_size")
+        size.restype = ctypes.c_size_t
+        self._room = np.zeros(size() // 8 + 1)
+        start = self._function("start")
+        start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
+        self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
+        self._pose = np.zeros(3 * self._n + 16)
+        self._slopes = np.zeros(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36)
+
+    def _function(self, name: str) -> Any:
+        return getattr(self._library, f"{self._prefix}_{name}")
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        status = self._function(name)(self._memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in arguments))
+        if status == 2:
+            raise InputError(
+                f"{name} was called with a number that is not finite, or a translation that is not possible"
+            )
+        if status:
+            raise SolveError(REFUSED[status])
+
+    def _joints(self, rotations: ArrayLike, translations: ArrayLike) -> Array:
+        parts = (vector(name, v, self._n) for name, v in (("rotations", rotations), ("translations", translations)))
+        return np.concatenate(list(parts))
+
+    def _posed(self) -> CPose:
+        n, p = self._n, self._pose.copy()
+        frame = p[2 * n + 3 : 2 * n + 12].reshape(3, 3)
+        return CPose(
+            p[:n], p[n : 2 * n], p[2 * n : 2 * n + 3], frame, p[2 * n + 12 : 3 * n + 12], *p[3 * n + 12 :].tolist()
+        )
+
+    def solve(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
+        """The stable equilibrium from tubes without torsion; raises SolveError where there is none."""
+        self._call("solve", self._joints(rotations, translations), self._pose)
+        return self._posed()
+
+    def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
+        """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
+        self._call("follow", self._joints(rotations, translations), self._pose)
+        return self._posed()
+
+    def slopes(self) -> CSlopes:
+        """Derivatives at the last equilibrium."""
+        self._call("slopes_at", self._slopes)
+        n = self._n
+        parts = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+        shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
+        return CSlopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+    def servo(self, command: Array) -> tuple[CPose, float, float, Why]:
+        """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
+        translations, least margin, push; returns the pose, what is left to the target (m, rad), and why."""
+        report = np.zeros(3)
+        self._call("servo", np.ascontiguousarray(command, dtype=float), self._pose, report)
+        why, _ = report[2:].view(np.int32)
+        return self._posed(), float(report[0]), float(report[1]), Why(int(why))
+
+
+def _compiled(library: CLibrary) -> Path:
+    """The shared library of the sources, in the cache."""
+    header, source = (library.files[f"{library.prefix}_robot.{end}"] for end in "hc")
+    text = source.replace(f'#include "{library.prefix}_robot.h"\n', header)
+    path = cache_directory() / "libraries" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.so"
+    if not path.exists():
+        compile_to(text, path, ["-std=c99", "-march=native"])
+    return path
