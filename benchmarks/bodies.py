@@ -24,7 +24,7 @@ from tests.inverse_targets import reachable
 from tubeopt import IkSession, SolveError, forward_kinematics, inverse_kinematics, plan_trajectory
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.obstacles import Obstacle, Sphere
-from tubeopt.control.joints import joint_space
+from tubeopt.inverse.joints import joint_space
 
 COUNTS = (0, 1, 10, 100, 1000, 10000)
 """Spheres."""

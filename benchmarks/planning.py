@@ -14,7 +14,7 @@ import numpy as np
 import tubeopt
 from tubeopt import ConcentricRobot, Equilibrium, SolveError
 from tubeopt.bodies.corridors import Corridor
-from tubeopt.control.joints import JointSpace, joint_space
+from tubeopt.inverse.joints import JointSpace, joint_space
 from tubeopt.planning import PlanOptions, Trajectory, plan_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]

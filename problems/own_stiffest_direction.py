@@ -24,7 +24,7 @@ PUSH = ca.DM([1.0, 0.0, 0.0])
 HEIGHT = 0.175
 
 
-def softness(block: tubeopt.EquilibriumBlock) -> ca.MX:
+def softness(block: tubeopt.EquilibriumBlock[tubeopt.Equilibrium]) -> ca.MX:
     """Way of the tip along the push by bending, m/N: three Gauss points on every stretch between ends of tubes."""
     robot, ends = block.robot, sorted(tube.curved_length for tube in block.robot.tubes)
     total = ca.MX(0.0)

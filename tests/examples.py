@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tubeopt import ConcentricRobot, Material, Tube, load_robot
+from tubeopt.block.transcription.reduced import margin
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.solvers.newton import newton
-from tubeopt.transcription.reduced import margin
 from tubeopt.typing import Array
 
 CONFIGS = Path(__file__).parents[1] / "configs" / "robots"

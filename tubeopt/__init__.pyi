@@ -3,13 +3,11 @@
 from . import (
     block,
     bodies,
-    control,
     design,
     equilibrium,
     errors,
     files,
     inverse,
-    parallel,
     physics,
     planning,
     robots,
@@ -18,7 +16,6 @@ from . import (
     show,
     solvers,
     stability,
-    transcription,
     typing,
     validation,
     workspaces,
@@ -66,6 +63,7 @@ from .shaping.heating.uncertainty import Uncertainty
 from .show.interactive import show_in_3d
 from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
+from .solvers import parallel
 from .solvers.problem import Problem
 from .solvers.problem_solution import ProblemSolution, load_problem_solution
 from .solvers.problem_status import ProblemStatus

@@ -13,7 +13,7 @@ from tests.examples import CRL, THESIS
 from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, forward_kinematics, load_robot
 from tubeopt.control.c_binding import CRobot, Why
 from tubeopt.control.c_library import c_library, save_c_library
-from tubeopt.control.joints import joint_space
+from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")

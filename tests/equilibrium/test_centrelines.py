@@ -20,9 +20,9 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
+from tubeopt.block.transcription.buffered import section_function
 from tubeopt.equilibrium.centrelines import chained_approximation, tube_centrelines, tube_lengths
 from tubeopt.inverse.mirror import mirror_rotations
-from tubeopt.transcription.buffered import section_function
 from tubeopt.typing import Array
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")

@@ -26,12 +26,12 @@ from tubeopt import (
     load_equilibrium,
     load_robot,
 )
+from tubeopt.block.transcription.loaded import evaluate, unknowns
 from tubeopt.equilibrium.load_problem import loaded_problem, mass_per_length
 from tubeopt.equilibrium.loaded import loaded_point
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
 from tubeopt.solvers.loaded import loaded_margin
-from tubeopt.transcription.loaded import evaluate, unknowns
 from tubeopt.typing import Array
 
 MM = 1e-3

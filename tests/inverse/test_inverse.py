@@ -25,12 +25,12 @@ from tubeopt import (
 )
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.control.clock import Clock
-from tubeopt.control.joints import joint_space
-from tubeopt.control.outline import Outline
-from tubeopt.control.posture import posture_of
+from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.descent import reach
 from tubeopt.inverse.eccentric import mirror_closed_form, mirror_pose
+from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.question import pose_question, unit_vector
 from tubeopt.inverse.table import cache_directory, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits
@@ -550,7 +550,7 @@ class TestWays:
                 assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("tubeopt.control.reachable.snap_free_way", lambda *_, **__: None)
+        monkeypatch.setattr("tubeopt.inverse.reachable.snap_free_way", lambda *_, **__: None)
         for wanted in reachable(THESIS, 5, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
             assert answer.reachable is (answer.way is not None)

@@ -14,9 +14,9 @@ from tubeopt import IkSession, forward_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.control.joints import joint_space
-from tubeopt.control.outline import Outline
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
 from tubeopt.typing import Array
 
 

@@ -9,15 +9,15 @@ import pytest
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, eccentric_robot
 from tubeopt import InverseOptions, Problem, forward_kinematics
+from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.control.joints import joint_space
-from tubeopt.control.posture import Posture, posture_of
 from tubeopt.inverse.goal import Goal
+from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.order import breakpoint_order
+from tubeopt.inverse.posture import Posture, posture_of
 from tubeopt.inverse.program import posed, solve_program
 from tubeopt.inverse.question import pose_question
 from tubeopt.robots.robot import Robot
-from tubeopt.transcription.program import torsion_guess
 
 ETR = eccentric_robot(0.03)
 SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")

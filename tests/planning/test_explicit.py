@@ -10,8 +10,8 @@ import pytest
 from tests.command_line import ROOT
 from tests.examples import CRL, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics, load_robot
-from tubeopt.control.chart import Chart
-from tubeopt.control.joints import joint_space
+from tubeopt.inverse.chart import Chart
+from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
 
 

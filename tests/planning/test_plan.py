@@ -32,9 +32,9 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere, nearest_distance
-from tubeopt.control import search
-from tubeopt.control.chart import Chart
-from tubeopt.control.joints import joint_space
+from tubeopt.inverse import search
+from tubeopt.inverse.chart import Chart
+from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import plan
 from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.reach import least_miss

@@ -12,9 +12,9 @@ from tests.examples import DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import find_snap, forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
-from tubeopt.control.clock import Clock
-from tubeopt.control.outline import Outline
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.outline import Outline
 from tubeopt.planning.branch import branch
 from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot

@@ -32,13 +32,13 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.control.chart import Chart
-from tubeopt.control.clock import Clock
-from tubeopt.control.closed import pocket
-from tubeopt.control.joints import joint_space
-from tubeopt.control.outline import Outline
-from tubeopt.control.posture import posture_of
-from tubeopt.control.task import Task
+from tubeopt.inverse.chart import Chart
+from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.closed import pocket
+from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.task import Task
 from tubeopt.planning import plan
 from tubeopt.planning.goals import _way_around
 from tubeopt.robots.robot import Robot

@@ -10,13 +10,13 @@ import pytest
 
 from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
 from tubeopt import Ipopt, SolveError
+from tubeopt.block.transcription import arm as arms
+from tubeopt.block.transcription.mesh import make_mesh
+from tubeopt.block.transcription.program import structure_of
+from tubeopt.block.transcription.reduced import ReducedProblem, margin, reduce, residual
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.ipopt import _program, solve_ipopt
 from tubeopt.solvers.newton import newton
-from tubeopt.transcription import arm as arms
-from tubeopt.transcription.mesh import make_mesh
-from tubeopt.transcription.program import structure_of
-from tubeopt.transcription.reduced import ReducedProblem, margin, reduce, residual
 from tubeopt.typing import Array
 
 FORMULATIONS = ("equations", "energy")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tubeopt.control.least_squares import constrained_least_squares
+from tubeopt.inverse.least_squares import constrained_least_squares
 
 
 @pytest.mark.parametrize("seed", range(20))

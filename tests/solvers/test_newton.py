@@ -10,10 +10,10 @@ import pytest
 
 from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, nested, unstable_home
 from tubeopt import ConcentricRobot, Discretisation
+from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, residual
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers import newton as module
 from tubeopt.solvers.newton import descend, leave_saddle, newton
-from tubeopt.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, residual
 
 
 def problem_of(robot: ConcentricRobot, translations: Any = None) -> ReducedProblem:

@@ -25,13 +25,13 @@ from tubeopt import (
     worst_certificate,
     worst_margin,
 )
+from tubeopt.block.transcription.offset_margin import softenings
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.robots.assembly import Assembly
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import EccentricVerdict, eccentric_bound
 from tubeopt.stability.eccentric_certificate import segments_of, softest_untwisted
 from tubeopt.stability.eccentric_worst import shoot, untwisted_tips
-from tubeopt.transcription.offset_margin import softenings
 from tubeopt.typing import Array
 
 PLACES = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])

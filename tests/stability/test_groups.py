@@ -22,12 +22,12 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
+from tubeopt.block.transcription.mesh import make_mesh
+from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.robots.assembly import assemble
 from tubeopt.robots.robot import Robot
 from tubeopt.stability.groups import groups_of
 from tubeopt.stability.shooting import shoot, whole
-from tubeopt.transcription.mesh import make_mesh
-from tubeopt.transcription.reduced import ReducedProblem, reduce
 from tubeopt.typing import Array
 
 THREE = load_robot("configs/robots/example_three_segment_etr.yaml")

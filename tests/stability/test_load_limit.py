@@ -25,13 +25,13 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
+from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.stability.loaded_certificate import cells_of, largest_eigenvalue
 from tubeopt.stability.loaded_events import slide
-from tubeopt.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.typing import Array
 
 UNIT = 1e-3 / 0.2**2

@@ -30,7 +30,7 @@ from tubeopt import (
     snapping_loss,
     workspace,
 )
-from tubeopt.control.joints import joint_space
+from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
 from tubeopt.show.plots.workspace import plot_workspace
 from tubeopt.typing import Array

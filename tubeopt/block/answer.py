@@ -8,21 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
-from ..equilibrium.verification import verify_equilibrium
 from ..errors import SolveError
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import Tube
-from ..solvers.newton import newton
-from ..transcription.chain import chain_of
-from ..transcription.reduced import margin, to_unknowns
 from .guess import sample
+from .near import N
 from .pieces import tubes_at
+from .transcription.chain import chain_of
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -34,20 +29,14 @@ MISSED = 5e-5
 """By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
 
 
-def confirmed(block: EquilibriumBlock, value: Callable[[Any], Any]) -> Equilibrium:
+def confirmed(block: EquilibriumBlock[N], value: Callable[[Any], Any]) -> N:
     """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
     numbers = {name: np.array(value(part)).ravel() for name, part in block.dimensions.items()}
     robot = rebuilt(block.robot, numbers)
     rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
     translations = np.minimum(translations, numbers["straight_length"])
-    problem = reduced_problem(robot, tuple(translations.tolist()), DEFAULT_DISCRETISATION)
-    theta = sample(block.model.at(value), problem.arc_length)[0].T
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta.reshape(-1, robot.n_tubes)))
-    if not result.converged:
-        raise SolveError("Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)")
-    solution = Solution(problem, rotations, result, margin(problem, result.state))
-    near = to_equilibrium(robot, solution, tuple(translations.tolist()), ("newton", "a program", 0.0))
-    found = verify_equilibrium(forward_kinematics(robot, rotations, translations, guess=near))
+    model = block.model.at(value)
+    found = block.near.at(robot, rotations, translations, lambda s: sample(model, s)[0]).verified()
     tip = np.array(value(block.tip_position)).ravel()
     apart = float(np.linalg.norm(tip - found.tip_position))
     if apart > AGREEMENT * float(found.arc_length[-1]):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic
 
 import casadi as ca
 import numpy as np
@@ -19,21 +19,18 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..robots.breakpoints import order_of, where_of
-from ..solvers.problem_solution import ProblemSolution
-from ..solvers.violation import Violation, violations_of, worst
-from ..transcription.collocated import Grid
-from ..transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
-from ..transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
 from ..typing import Array
 from .given import LENGTHS, assembly_at, given_of, numbers_at, symbolic
 from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
+from .near import N, Near
 from .outputs import Outputs
 from .program import as_program
 from .sensitivity import JOINTS, add_jacobian, answers_of
 from .stability import add_certificate, add_margin
-
-if TYPE_CHECKING:
-    from ..equilibrium.result import Equilibrium
+from .transcription.collocated import Grid
+from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
+from .transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
+from .violation import Violation, violations_of, worst
 
 CLOSED = 1e-6
 """Breakpoints closer than this part of the arm's length meet."""
@@ -43,7 +40,7 @@ class OrderWarning(UserWarning):
     """A solution at which breakpoints meet: behind the meeting another order of them may be better."""
 
 
-class EquilibriumBlock(Outputs):
+class EquilibriumBlock(Outputs, Generic[N]):
     """One equilibrium of a robot in a nonlinear program.
 
     Args:
@@ -53,9 +50,9 @@ class EquilibriumBlock(Outputs):
             Tubes of one segment, which move together, share one entry of an expression for their translation.
         tubes: dimensions of the tubes that are expressions or other numbers, (n,) each, by name: any of `curvature`,
             `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`; what is not named stays.
-            With tubes made of pieces these are in proportion for all of a tube, and PIECES (`transcription.chain`) may
-            be named, one entry per piece: `piece_length`, `piece_curvature`, `piece_plane`, `piece_twist`,
-            `piece_bending_factor`, `piece_torsion_factor`.
+            With tubes made of pieces these are in proportion for all of a tube, and PIECES
+            (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
+            `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
@@ -91,7 +88,7 @@ class EquilibriumBlock(Outputs):
     def __init__(
         self,
         opti: Any,
-        near: Equilibrium,
+        near: N,
         *,
         rotations: Any = None,
         translations: Any = None,
@@ -253,7 +250,7 @@ class EquilibriumBlock(Outputs):
 
     # --- solutions ----------------------------------------------------------------------------------------------------
 
-    def equilibrium(self, solution: Any) -> Equilibrium:
+    def equilibrium(self, solution: Any) -> N:
         """The equilibrium of a solution, solved again on a mesh of its own and verified by adaptive re-integration.
 
         Args:
@@ -271,7 +268,7 @@ class EquilibriumBlock(Outputs):
         """
         from .answer import confirmed
 
-        tried = isinstance(solution, ProblemSolution) and self.pressing(solution) is None
+        tried = hasattr(solution, "multipliers") and self.pressing(solution) is None
         for text in () if tried else self.meetings(solution):
             better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"
             warnings.warn(f"{text}; {better}", OrderWarning, stacklevel=2)
@@ -301,8 +298,8 @@ class EquilibriumBlock(Outputs):
         free = [shifted or (stretched and any(p.end or p.joint for p in sides(self.layout.order, row))) for row in rows]
         return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
 
-    def pressing(self, solution: ProblemSolution) -> int | None:
-        """The row of the gaps that is closed and presses most, None where none does."""
+    def pressing(self, solution: Any) -> int | None:
+        """The row of the gaps that is closed and presses most at a solution with multipliers, None where none does."""
         rows = self.closed(solution)
         if not rows:
             return None
@@ -337,7 +334,7 @@ class EquilibriumBlock(Outputs):
         floors = [float(np.array(solution.value(margin)).item()) for _, margin in self._margins]
         self._begin_with(begin, (theta, twist, sample(solved, inside)[0]), floors)
 
-    def start(self, equilibrium: Equilibrium) -> None:
+    def start(self, equilibrium: Near) -> None:
         """Start the next solve at another equilibrium of the robot, whose dimensions may differ; your own variables are
         yours to start.
 
@@ -362,12 +359,11 @@ class EquilibriumBlock(Outputs):
             InputError: no tube has these dimensions, or breakpoints an order that the block cannot take.
             SolveError: there is no stable equilibrium.
         """
-        from ..equilibrium.kinematics import forward_kinematics
         from .answer import rebuilt
 
         numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
         robot = rebuilt(self.robot, numbers)
-        self.start(forward_kinematics(robot, numbers["rotations"], numbers["translations"]))
+        self.start(self.near.at(robot, numbers["rotations"], numbers["translations"]))
 
     def owns(self, name: str) -> bool:
         """Whether a variable of the program, by its name, is the block's own."""

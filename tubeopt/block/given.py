@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,12 +13,10 @@ from ..errors import InputError, nearest
 from ..robots.assembly import Assembly, assemble
 from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
 from ..robots.robot import Robot, is_general
-from ..transcription.chain import OF_TUBE, PIECES, Chain, chain_of
 from ..typing import Array
+from .near import Near
 from .pieces import piece_numbers, tubes_at
-
-if TYPE_CHECKING:
-    from ..equilibrium.result import Equilibrium
+from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of
 
 LENGTHS = ("translations", "straight_length", "curved_length", "piece_length")
 """What moves breakpoints."""
@@ -43,7 +41,7 @@ def symbolic(value: Any) -> bool:
     return isinstance(value, (ca.SX, ca.MX))
 
 
-def given_of(near: Equilibrium, rotations: Any, translations: Any, tubes: Mapping[str, Any]) -> Given:
+def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, Any]) -> Given:
     """What a block is given; None stands for that of `near`.
 
     Raises:
@@ -69,7 +67,7 @@ def given_of(near: Equilibrium, rotations: Any, translations: Any, tubes: Mappin
     return Given(values, start, chain)
 
 
-def numbers_at(near: Equilibrium, like: Chain | None) -> dict[str, Array]:
+def numbers_at(near: Near, like: Chain | None) -> dict[str, Array]:
     """Joint values and dimensions of an equilibrium."""
     tubes = near.robot.tubes
     given = {"rotations": near.rotations, "translations": near.translations, **dimensions_of(tubes)}

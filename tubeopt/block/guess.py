@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import discretisation_of, polish
 from ..robots.robot import is_general
-from ..transcription import arm as arms
-from ..transcription import functions
-from ..transcription.model import Model
 from ..typing import Array
+from .near import Near
+from .transcription import arm as arms
+from .transcription import functions
+from .transcription.model import Model
 
 Shape = tuple[Array, Array, Array]
 """theta, w (n, P) and theta inside (n, P K)."""
@@ -25,17 +24,17 @@ def points_of(model: Model) -> tuple[Array, Array]:
     return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
 
 
-def torsion_of_equilibrium(near: Equilibrium, start: Array, inside: Array) -> Shape:
+def torsion_of_equilibrium(near: Near, start: Array, inside: Array) -> Shape:
     """Torsion of an equilibrium at the places of a block's pieces; beyond its tip, that of the tip."""
-    solution = polish(near, discretisation_of(near))
-    last = float(solution.problem.assembly.total_length)
+    problem, arm = near.collocated()
+    last = float(problem.assembly.total_length)
     start, inside = np.minimum(start, last), np.minimum(inside, last)
-    theta = arms.interpolate(solution.problem, solution.arm, start).T
-    twist = np.array([arms.twist_at(solution.problem, solution.arm, s) for s in start]).T
+    theta = arms.interpolate(problem, arm, start).T
+    twist = np.array([arms.twist_at(problem, arm, s) for s in start]).T
     if is_general(near.robot):
         # What is known there is the torque.
         twist = twist / np.array([[tube.torsional_stiffness] for tube in near.robot.tubes])
-    return theta, twist, arms.interpolate(solution.problem, solution.arm, inside).T
+    return theta, twist, arms.interpolate(problem, arm, inside).T
 
 
 def sample(model: Model, arc_length: Array) -> tuple[Array, Array]:

@@ -10,13 +10,13 @@ import numpy as np
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..physics.strain import surface_strain
-from ..transcription import functions
+from .transcription import functions
 
 if TYPE_CHECKING:
     from ..robots.assembly import Assembly
     from ..robots.robot import Robot
-    from ..transcription.layout import Layout
-    from ..transcription.model import Model
+    from .transcription.layout import Layout
+    from .transcription.model import Model
 
 POINT = 1e-12
 """A piece shorter than this (m) is a point."""

@@ -14,9 +14,9 @@ from ..errors import InputError
 from ..robots.pieces import Piece
 from ..robots.series import Quantity, Series
 from ..robots.tubes import Tube
-from ..transcription.chain import Chain, chain_of, own_stiffness, panels
-from ..transcription.panel import CHANNELS
 from ..typing import Array
+from .transcription.chain import Chain, chain_of, own_stiffness, panels
+from .transcription.panel import CHANNELS
 
 
 def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, ...]:

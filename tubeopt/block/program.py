@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..transcription.program import Program
+from .transcription.program import Program
 
 
 class OptiProgram:

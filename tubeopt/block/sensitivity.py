@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice
-from ..transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 from .guess import poses_of
+from .transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 JOINTS = ("rotations", "translations")
 
 
-def add_jacobian(block: EquilibriumBlock, wrt: Sequence[str]) -> Any:
+def add_jacobian(block: EquilibriumBlock[Any], wrt: Sequence[str]) -> Any:
     """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every joint a, with dx as unknowns."""
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
     for name in names:
@@ -52,11 +52,11 @@ def add_jacobian(block: EquilibriumBlock, wrt: Sequence[str]) -> Any:
     return tip
 
 
-def _width(block: EquilibriumBlock, name: str) -> int:
+def _width(block: EquilibriumBlock[Any], name: str) -> int:
     return block.robot.n_tubes if name == "rotations" else len(block.robot.moving_together)
 
 
-def _seed(block: EquilibriumBlock, name: str, column: str) -> Any:
+def _seed(block: EquilibriumBlock[Any], name: str, column: str) -> Any:
     """(n, ...) how the joints `name` of the tubes change with each of `column`."""
     out = np.zeros((block.robot.n_tubes, _width(block, column)))
     if name == column:
@@ -66,13 +66,13 @@ def _seed(block: EquilibriumBlock, name: str, column: str) -> Any:
     return out
 
 
-def _parameters(block: EquilibriumBlock) -> list[Any]:
+def _parameters(block: EquilibriumBlock[Any]) -> list[Any]:
     """What the equations of a block depend on beside its unknowns: joints first."""
     numbers = block._numbers if block._numbers is not None else ca.DM(block.layout.numbers())
     return [block.rotations, block.translations, *block.dimensions.values(), numbers]
 
 
-def _equations(block: EquilibriumBlock) -> tuple[ca.Function, Any, list[str]]:
+def _equations(block: EquilibriumBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
     shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
     rows = [size[0] * size[1] for size in shapes]
@@ -91,7 +91,7 @@ def _equations(block: EquilibriumBlock) -> tuple[ca.Function, Any, list[str]]:
     return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, words
 
 
-def answers_of(block: EquilibriumBlock, equations: ca.Function, seeds: dict[str, Any]) -> Any:
+def answers_of(block: EquilibriumBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
     """The lifted derivatives where the solve begins, by columns."""
     begin, count = block._begin, seeds["rotations"].shape[1]
     start = [np.asarray(part).ravel(order="F") for part in (begin.theta, begin.twist, begin.inner)]

@@ -10,10 +10,10 @@ import numpy as np
 from ..errors import InputError, finite
 from ..physics.certificate import base_determinant
 from ..physics.strain import SMOOTH
-from ..transcription import functions
-from ..transcription.panel import CHANNELS
 from .given import symbolic
 from .guess import fields_of
+from .transcription import functions
+from .transcription.panel import CHANNELS
 
 if TYPE_CHECKING:
     from .equilibrium_block import EquilibriumBlock
@@ -27,7 +27,7 @@ def _checked(name: str, margin: Any) -> Any:
     return ca.DM(float(margin))
 
 
-def add_margin(block: EquilibriumBlock, margin: Any) -> None:
+def add_margin(block: EquilibriumBlock[Any], margin: Any) -> None:
     """Jacobi's condition on tubes softened by `margin`, for their fields y, v from y = 1, v = 0 at the tip: det y >= 0
     where pieces begin and det(y - |beta| v) >= 0 at the plate.
 
@@ -76,7 +76,7 @@ def add_margin(block: EquilibriumBlock, margin: Any) -> None:
     block._margins.append((tuple(columns), floor))
 
 
-def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
+def add_certificate(block: EquilibriumBlock[Any], margin: Any) -> None:
     """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
     `physics.certificate`, with the pieces of the block in place of sections."""
     floor, model = _checked("margin", margin), block.model
@@ -101,7 +101,7 @@ def add_certificate(block: EquilibriumBlock, margin: Any) -> None:
     block._certificates.append(floor)
 
 
-def _in_steps(block: EquilibriumBlock) -> tuple[Any, Any, Any, Any]:
+def _in_steps(block: EquilibriumBlock[Any]) -> tuple[Any, Any, Any, Any]:
     """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
 
     Raises:

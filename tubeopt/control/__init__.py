@@ -1,1 +1,1 @@
-"""The robot in motion: what the actuators allow, postures, and ways between equilibria without a snap."""
+"""In the loop at 1 kHz: a servo, its snap guard, an observer, and the ways in which a controller reaches them."""

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import __version__
+from ..block.transcription.tableau import tableau
 from ..display import Displayed
 from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError
 from ..files.files import write_text
+from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, kernel_text
 from ..solvers.settings import CONTINUATION
-from ..transcription.tableau import tableau
 from ..typing import Array
-from .joints import JointSpace, joint_space
 
 HERE = Path(__file__).parent / "c"
 
@@ -118,7 +118,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     n, m = robot.n_tubes, len(space.lower)
     home = robot.assembly(robot.home_translations)
     straight = [tube.straight_length for tube in robot.tubes]
-    tubes = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight]
+    tubes: list[ArrayLike] = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight]
     tubes += [[tube.length for tube in robot.tubes], home.offset, home.offset_angle]
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]

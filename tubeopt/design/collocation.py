@@ -18,6 +18,7 @@ from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
 from ..block.own import OwnRequirement
 from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..physics.certificate import determinant_function
 from ..robots.assembly import assemble
@@ -109,7 +110,7 @@ class _Collocated:
         aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
         self.opti.minimize(sum(aims) / size)
 
-    def _block(self, k: int) -> EquilibriumBlock:
+    def _block(self, k: int) -> EquilibriumBlock[Equilibrium]:
         joints = self.state.joint_values(k)
         slopes = self.state.joint_slopes(k)
         near = forward_kinematics(self.robot, *joints)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from ..errors import InputError
-from ..parallel import executors as parallel
+from ..solvers.parallel import executors as parallel
 
 A = TypeVar("A")
 B = TypeVar("B")

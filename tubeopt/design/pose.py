@@ -10,14 +10,14 @@ from functools import cached_property
 
 import numpy as np
 
+from ..block.transcription import arm as arms
+from ..block.transcription.collocated import ENDS
 from ..equilibrium.derivatives import PARAMETERS, Derivatives
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.solving import Solution
 from ..equilibrium.state import arm_of
 from ..solvers.newton import NewtonResult
 from ..stability.certificate import worst_case
-from ..transcription import arm as arms
-from ..transcription.collocated import ENDS
 from ..typing import Array
 from .solved import Solved, mesh_slopes
 

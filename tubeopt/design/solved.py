@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.transcription.mesh import Mesh, make_mesh
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, to_unknowns
 from ..equilibrium.derivatives import PARAMETERS
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF, Assembly, assemble
 from ..robots.tubes import Tube
 from ..solvers.newton import descend, newton
-from ..transcription.mesh import Mesh, make_mesh
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, to_unknowns
 from ..typing import Array
 
 

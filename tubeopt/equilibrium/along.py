@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.linear import rotation_change, rotation_rates_at, rotations_at, slopes_at
 from ..errors import InputError
-from ..transcription.collocated import ENDS
-from ..transcription.linear import rotation_change, rotation_rates_at, rotations_at, slopes_at
 from ..typing import Array
 from .derivatives import Derivatives
 from .general_motion import GeneralMotion

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.buffered import section_function
 from ..errors import SolveError, vector
 from ..robots.assembly import ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
-from ..transcription.buffered import section_function
 from ..typing import Array
 from .kinematics import forward_kinematics
 from .result import Equilibrium

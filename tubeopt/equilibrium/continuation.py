@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.transcription import arm as arms
+from ..block.transcription.reduced import ReducedProblem, margin, to_unknowns
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton
 from ..solvers.settings import CONTINUATION
-from ..transcription import arm as arms
-from ..transcription.reduced import ReducedProblem, margin, to_unknowns
 from ..typing import Array
 from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
 

@@ -13,12 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
-from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.breakpoints import DIMENSIONS
-from ..transcription.buffered import section_function
-from ..transcription.collocated import ENDS
-from ..transcription.linear import (
+from ..block.transcription.buffered import section_function
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.linear import (
     Arm,
     Chain,
     Response,
@@ -34,7 +31,10 @@ from ..transcription.linear import (
     rotations_at,
     slopes_at,
 )
-from ..transcription.reduced import ReducedProblem
+from ..block.transcription.reduced import ReducedProblem
+from ..errors import InputError
+from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.breakpoints import DIMENSIONS
 from ..typing import Array
 from .jumps import Jumps, moving_breakpoints
 from .margin import AtSolution, Variation, quotient_change

@@ -12,18 +12,18 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from ..block.transcription import arm as arms
+from ..block.transcription.buffered import section_function
+from ..block.transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
+from ..block.transcription.piece import EXTRA_POINTS
+from ..block.transcription.reduced import sections_at, to_unknowns
+from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
 from ..solvers.rubbing import Increment, held_margin, imbalance, increment, least
-from ..transcription import arm as arms
-from ..transcription.buffered import section_function
-from ..transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
-from ..transcription.piece import EXTRA_POINTS
-from ..transcription.reduced import sections_at, to_unknowns
-from ..transcription.tableau import tableau
 from ..typing import Array
 from .result import Equilibrium, FrictionState, Status
 from .solving import Solution, sample_rotation, to_equilibrium

@@ -19,13 +19,13 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from ..block.transcription.arm import Profile, integrate_torque
+from ..block.transcription.buffered import section_function
+from ..block.transcription.linear import poses_at_points
+from ..block.transcription.reduced import INWARDS, ReducedProblem
+from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import InputError, SolveError
 from ..robots.breakpoints import DIMENSIONS
-from ..transcription.arm import Profile, integrate_torque
-from ..transcription.buffered import section_function
-from ..transcription.linear import poses_at_points
-from ..transcription.reduced import INWARDS, ReducedProblem
-from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..transcription.collocated import ENDS
+from ..block.transcription.collocated import ENDS
 from ..typing import Array
 from .general_derivatives import Change, Linearised, changes_of, columns_of
 from .result import Equilibrium

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..parallel.blas import small
 from ..robots.robot import is_general
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .derivatives import Derivatives
 from .general_derivatives import general_columns

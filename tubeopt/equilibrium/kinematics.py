@@ -9,16 +9,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription import arm as arms
+from ..block.transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
 from ..errors import InputError, SolveError, choice, positive, vector
-from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
+from ..solvers.parallel.blas import small
 from ..solvers.settings import NEWTON, Ipopt, Newton
-from ..transcription import arm as arms
-from ..transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
 from ..typing import Array
 from .continuation import (
     LARGEST_RATIO,

@@ -6,12 +6,12 @@ import time
 
 import numpy as np
 
+from ..block.transcription.loaded import base_wrench, compliance, evaluate, tip_position, tip_slopes
+from ..block.transcription.loaded_arm import loaded_arm
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import LoadedAnswer, loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
-from ..transcription.loaded import base_wrench, compliance, evaluate, tip_position, tip_slopes
-from ..transcription.loaded_arm import loaded_arm
 from .load_continuation import LoadedPoint, Member, carry
 from .load_problem import EXTRA_POINTS, loaded_problem
 from .result import Equilibrium, Statistics, Status

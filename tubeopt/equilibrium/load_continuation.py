@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 import scipy
 
+from ..block.transcription.loaded import LoadedProblem, LoadedState, unknowns
 from ..robots.load import Load, between
 from ..solvers.loaded import loaded_margin, loaded_newton
-from ..transcription.loaded import LoadedProblem, LoadedState, unknowns
 from ..typing import Array
 from .continuation import LARGEST_RATIO, JointPath, largest_twist
 from .load_problem import loaded_problem

@@ -7,14 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..block.transcription.loaded import LoadedProblem, load_problem
+from ..block.transcription.mesh import loaded_counts, loaded_mesh
+from ..block.transcription.reduced import ReducedProblem, reduce
 from ..errors import InputError
 from ..robots.assembly import Assembly, cut
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
-from ..transcription.loaded import LoadedProblem, load_problem
-from ..transcription.mesh import loaded_counts, loaded_mesh
-from ..transcription.reduced import ReducedProblem, reduce
 from ..typing import Array
 from .solving import Discretisation
 

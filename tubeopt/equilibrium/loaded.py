@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
+from ..block.transcription.loaded_along import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
-from ..transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
-from ..transcription.loaded_along import compliance_along
 from ..typing import Array
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.loaded import LoadedProblem, evaluate, tip_frame, tip_position
+from ..block.transcription.loaded_arm import loaded_arm
 from ..errors import InputError, SolveError
-from ..transcription.loaded import LoadedProblem, evaluate, tip_frame, tip_position
-from ..transcription.loaded_arm import loaded_arm
 from ..typing import Array
 from .load_problem import loaded_problem
 from .loaded import loaded_kinematics, loaded_point

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import mapped, section_function
+from ..block.transcription.linear import Arm
 from ..physics.certificate import worst_function
-from ..transcription.buffered import mapped, section_function
-from ..transcription.linear import Arm
 from ..typing import Array
 
 if TYPE_CHECKING:

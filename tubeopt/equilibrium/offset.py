@@ -1,6 +1,7 @@
 """How the margin of tubes off the centreline changes with the parameters that an equilibrium is differentiated by.
 
-With the eigenvalue kappa = 1 - mu, its y, v of `transcription.offset_margin`, and the left vector zeta, the equation
+With the eigenvalue kappa = 1 - mu, its y, v of `block.transcription.offset_margin`, and the left vector zeta, the
+equation
 
     zeta' { kappa (y - P [w g' y]) + [Gamma + P (g - 1) W / kt] M' y } = 0
 
@@ -18,9 +19,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..transcription.buffered import section_function
-from ..transcription.offset_margin import Mode, worst_mode
-from ..transcription.reduced import ReducedProblem
+from ..block.transcription.buffered import section_function
+from ..block.transcription.offset_margin import Mode, worst_mode
+from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -19,6 +19,8 @@ from ..robots.robot import Robot
 from ..typing import Array, Mask, Sentence, late
 
 if TYPE_CHECKING:
+    from ..block.transcription.arm import Profile
+    from ..block.transcription.reduced import ReducedProblem
     from .jacobian import Jacobian
 
 
@@ -196,6 +198,38 @@ class Equilibrium(Displayed):
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
         found: Jacobian = late("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
+        return found
+
+    def collocated(self) -> tuple[ReducedProblem, Profile]:
+        """The collocated problem that it solves, and the torsion along its arm; with a load or friction there is none.
+
+        Raises:
+            SolveError: Newton's method does not stay at the equilibrium: it is a fold.
+        """
+        found: tuple[ReducedProblem, Profile] = late("tubeopt.equilibrium.solving.collocated")(self)
+        return found
+
+    def at(
+        self,
+        robot: Robot,
+        rotations: Array,
+        translations: Array,
+        rotation_at: Callable[[Array], Array] | None = None,
+    ) -> Equilibrium:
+        """An equilibrium of a robot at joint values: `forward_kinematics` cold, or, stable or not, from where rotations
+        (n, P) of its tubes at arc lengths (P,) begin; of tubes made of pieces these are the elastic rotations.
+
+        Raises:
+            SolveError: there is none.
+        """
+        found: Equilibrium = late("tubeopt.equilibrium.anew.equilibrium_at")(
+            robot, rotations, translations, rotation_at
+        )
+        return found
+
+    def verified(self) -> Equilibrium:
+        """The same, with its `verification` by adaptive re-integration."""
+        found: Equilibrium = late("tubeopt.equilibrium.verification.verify_equilibrium")(self)
         return found
 
     def save(self, directory: str | PathLike[str]) -> None:

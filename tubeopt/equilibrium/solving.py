@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..display import Displayed
-from ..errors import SolveError
-from ..robots.robot import Robot, is_general
-from ..solvers.newton import NewtonResult, newton
-from ..transcription import arm as arms
-from ..transcription.collocated import ENDS, STEPS
-from ..transcription.mesh import make_mesh, piece_counts
-from ..transcription.reduced import (
+from ..block.transcription import arm as arms
+from ..block.transcription.collocated import ENDS, STEPS
+from ..block.transcription.mesh import make_mesh, piece_counts
+from ..block.transcription.reduced import (
     ReducedProblem,
     margin,
     pull_rate,
@@ -25,7 +21,11 @@ from ..transcription.reduced import (
     to_unknowns,
     unstable_directions,
 )
-from ..transcription.whole_arm import evaluate_arm
+from ..block.transcription.whole_arm import evaluate_arm
+from ..display import Displayed
+from ..errors import SolveError
+from ..robots.robot import Robot, is_general
+from ..solvers.newton import NewtonResult, newton
 from ..typing import Array
 from .result import Equilibrium, Statistics, Status, refuse_load
 
@@ -89,6 +89,12 @@ def polish(equilibrium: Equilibrium, discretisation: Discretisation = DEFAULT_DI
     if not result.converged:
         raise SolveError("the equilibrium is a fold (margin 0): it has no solution close by that Newton can find")
     return Solution(problem, equilibrium.rotations, result, margin(problem, result.state))
+
+
+def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
+    """The problem that an equilibrium solves, on its own mesh, and the torsion along its arm."""
+    solution = polish(equilibrium, discretisation_of(equilibrium))
+    return solution.problem, solution.arm
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:

@@ -6,14 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..block.transcription import arm as arms
+from ..block.transcription.buffered import section_function
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.linear import Arm, interpolation, shape_points
+from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.tableau import tableau
+from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import Assembly
-from ..transcription import arm as arms
-from ..transcription.buffered import section_function
-from ..transcription.collocated import ENDS
-from ..transcription.linear import Arm, interpolation, shape_points
-from ..transcription.reduced import ReducedProblem
-from ..transcription.tableau import tableau
-from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .result import Equilibrium, refuse_load
 from .solving import Solution, discretisation_of, polish, reduced_problem

@@ -8,13 +8,13 @@ from functools import cached_property
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..bodies.scene import Scene
-from ..control.outline import Outline
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, positive
 from ..robots.robot import Robot
 from ..typing import Array, Sentence
 from .goal import OBJECTIVES
+from .outline import Outline
 
 METHODS = ("auto", "gauss_newton", "nlp")
 """How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..control.least_squares import constrained_least_squares
-from ..control.outline import MOST_CONTACTS, Index
-from ..control.posture import Posture
 from ..typing import Array, Mask
 from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
+from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
+from .outline import MOST_CONTACTS, Index
+from .posture import Posture
 
 CONVERGED = 1e-8
 """What a step must promise to bring the tip closer, as a share of the robot's length."""

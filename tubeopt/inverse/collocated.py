@@ -22,17 +22,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.transcription.collocated import Grid, symbols, torsion_of
+from ..block.transcription.fields import marched_fields
+from ..block.transcription.functions import determinant_function
+from ..block.transcription.model import TorsionModel
+from ..block.transcription.panel import slid
+from ..block.transcription.program import Structure, add_torsion
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
 from ..physics.shape import GAUSS_POINTS, magnus_step
 from ..solvers.problem import Problem
 from ..solvers.settings import Ipopt
-from ..transcription.collocated import Grid, symbols, torsion_of
-from ..transcription.fields import marched_fields
-from ..transcription.functions import determinant_function
-from ..transcription.model import TorsionModel
-from ..transcription.panel import slid
-from ..transcription.program import Structure, add_torsion
 
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.least_squares import LeastSquares, constrained_least_squares
-from ..control.posture import Posture
 from ..typing import Array
 from .goal import Goal
+from .least_squares import LeastSquares, constrained_least_squares
 from .order import Order, beyond, breakpoint_order
+from .posture import Posture
 
 FIRST_STEP = 0.6
 """Largest step at first, in units of the joints' scales."""

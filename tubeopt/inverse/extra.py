@@ -11,11 +11,11 @@ import numpy as np
 
 from ..block.own import OwnObjective, OwnRequirement
 from ..block.quantities import Expression, Quantity, recorded
-from ..control.posture import Posture
 from ..equilibrium.along import curvature_at, position_at
 from ..errors import InputError
 from ..stability import snap_free_certificate
 from ..typing import Array
+from .posture import Posture
 
 ROOM = 1e-6
 """Steps by which constraints are kept inside, so that solving again on a finer mesh still finds them kept."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..control.joints import JointSpace
-from ..control.outline import Contacts
-from ..control.posture import Posture
 from ..typing import Array
 from .extra import NOTHING, Extras
+from .joints import JointSpace
+from .outline import Contacts
+from .posture import Posture
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""

@@ -10,11 +10,9 @@ from itertools import islice
 
 import numpy as np
 
-from ..control.clock import Clock
-from ..control.joints import JointSpace
-from ..control.posture import Posture, posture_of, same_place, start_at
 from ..errors import SolveError
 from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus
+from .clock import Clock
 from .closest import SAME_MISS, closest_of
 from .descent import (
     DIRECTION_TOLERANCE,
@@ -28,6 +26,8 @@ from .descent import (
     reach,
 )
 from .goal import Goal
+from .joints import JointSpace
+from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
 from .way import straight_way

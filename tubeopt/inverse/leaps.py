@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.posture import Posture, same_place
 from ..typing import Array
 from .descent import SLACK
 from .goal import MARGIN_ROOM, Goal, angle
+from .posture import Posture, same_place
 
 MOST_TURN, MOST_SHIFT = 20.0, 8.0
 """Largest motion of a rotation and of a translation in units of its scale (1 rad, half the longest tube), over that of

@@ -12,8 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..control.joints import Configuration
-from ..control.outline import Outline
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -21,6 +19,8 @@ from ..robots.load import Load
 from ..typing import Array
 from .answer import InverseOptions, InverseSolution
 from .goal import angle
+from .joints import Configuration
+from .outline import Outline
 
 ON_TARGET, CLOSE = 2e-9, 1e-7
 """Distance (m) and angle (rad) at which the aim is good; and share of the arm, or angle, where round-off of the search

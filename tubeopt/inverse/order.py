@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.posture import Posture
 from ..robots.assembly import Assembly
 from ..typing import Array
 from .goal import Goal
+from .posture import Posture
 
 CLOSED = 1e-7
 """Length (m) of a section that counts as closed."""

@@ -10,7 +10,8 @@ import threading
 
 import numpy as np
 
-from ..control.posture import Posture
+from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
+from ..block.transcription.reduced import margin, to_unknowns
 from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
@@ -19,13 +20,12 @@ from ..solvers.newton import newton
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution
 from ..solvers.problem_status import ProblemStatus
-from ..transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
-from ..transcription.reduced import margin, to_unknowns
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .descent import Search
 from .goal import Goal
 from .order import CLOSED, Order, apart, beyond, breakpoint_order
+from .posture import Posture
 
 MOST_SWITCHES = 6
 """Changes of the order of breakpoints on the way."""

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
-from ..control.joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
-from ..control.posture import Posture, posture_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite, instance, vector
@@ -22,6 +20,8 @@ from ..typing import Array
 from .answer import InverseOptions
 from .extra import extras
 from .goal import Goal
+from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
+from .posture import Posture, posture_of
 
 
 @lru_cache(maxsize=32)

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
-from ..control.joints import Configuration
-from ..control.least_squares import constrained_least_squares
-from ..control.posture import Posture, same_place
 from ..errors import InputError, SolveError, vector
-from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointWay
 from .descent import FIRST_STEP, TARGET_WEIGHT, boxed, broyden, correct, held_by, missed_by, reach
 from .goal import Goal, angle
+from .joints import Configuration
 from .leaps import leap
+from .least_squares import constrained_least_squares
 from .order import Order, beyond, breakpoint_order
+from .posture import Posture, same_place
 from .program import programmable, solve_program
 from .question import pose_question, seed_posture, unit_vector
 from .solving import inverse_kinematics

@@ -10,15 +10,15 @@ from typing import Literal, overload
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
-from ..control.joints import Configuration
 from ..errors import InputError, choice, vector
-from ..parallel.blas import small
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
 from .hunt import Hunt, known_home
+from .joints import Configuration
 from .loaded import under_load, without_load
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way

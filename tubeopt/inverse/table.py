@@ -17,13 +17,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..control.clock import Clock
-from ..control.joints import JointSpace
 from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.files import atomic_write
 from ..typing import Array
+from .clock import Clock
+from .joints import JointSpace
 
 VERSION = 2
 """Of what the table holds: a change of it makes old files unread."""

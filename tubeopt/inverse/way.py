@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..control.joints import JointSpace
-from ..control.posture import Posture, same_place
-from ..control.reachable import snap_free_way
 from ..typing import Array
 from .answer import InverseSolution, JointWay
+from .joints import JointSpace
+from .posture import Posture, same_place
+from .reachable import snap_free_way
 
 SEARCH_SECONDS = 10.0
 """Seconds for which a way to one answer is looked for at most."""

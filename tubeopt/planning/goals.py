@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from ..bodies.obstacles import Box
-from ..control.clock import Clock
-from ..control.joints import JointSpace, configuration
-from ..control.posture import posture_of
-from ..control.task import Task
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
+from ..inverse.clock import Clock
+from ..inverse.joints import JointSpace, configuration
+from ..inverse.posture import posture_of
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from ..typing import Array

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..control.least_squares import constrained_least_squares
-from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite
-from ..parallel.blas import small
+from ..inverse.least_squares import constrained_least_squares
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits

@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..control.joints import JointSpace
 from ..display import Displayed
 from ..errors import InputError, positive
+from ..inverse.joints import JointSpace
 from ..typing import Array
 
 MOST_SAMPLES = 4000

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.own import OwnObjective
-from ..control.search import SEARCHES
 from ..display import Displayed
 from ..errors import InputError, choice, positive
+from ..inverse.search import SEARCHES
 from .smooth import OBJECTIVES
 
 

@@ -25,9 +25,9 @@ import casadi as ca
 import numpy as np
 
 from ..block.quantities import Expression, Quantity
+from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.corridors import MeshObstacle
 from ..bodies.obstacles import Obstacle
-from ..transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..typing import Array
 
 SHARPNESS = 400.0

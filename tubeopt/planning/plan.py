@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..bodies.obstacles import Obstacle
-from ..control.clock import Clock, LateError
-from ..control.search import Way, find_way, shorten
-from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..parallel.blas import small
+from ..inverse.clock import Clock, LateError
+from ..inverse.search import Way, find_way, shorten
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits

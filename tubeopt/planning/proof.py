@@ -19,16 +19,16 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
-from ..control.clock import Clock
-from ..control.joints import JointSpace
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
-from ..parallel.blas import small
+from ..inverse.clock import Clock
+from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..stability.following import checked_waypoints
 from ..typing import Array
 from .arguments import check_robot, checked_obstacles, kind_of

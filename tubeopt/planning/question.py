@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from ..bodies.obstacles import Obstacle
-from ..control.chart import Chart
-from ..control.clock import Clock, LateError
-from ..control.task import Task
 from ..errors import InputError, SolveError, finite
+from ..inverse.chart import Chart
+from ..inverse.clock import Clock, LateError
 from ..inverse.question import prepared
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from .arguments import check_robot, checked_obstacles, kind_of

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.chart import Chart
-from ..control.clock import Clock
-from ..control.least_squares import constrained_least_squares
+from ..inverse.chart import Chart
+from ..inverse.clock import Clock
 from ..inverse.hunt import known_starts
+from ..inverse.least_squares import constrained_least_squares
 from ..inverse.table import nearest_starts, spread_starts
 from ..typing import Array
 

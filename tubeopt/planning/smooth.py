@@ -10,10 +10,10 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..bodies.corridors import MeshObstacle
-from ..control.clock import Clock
-from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
+from ..inverse.clock import Clock
+from ..inverse.task import Task
 from ..typing import Array, Mask
 from .motion import Motion
 from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities

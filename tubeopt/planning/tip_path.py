@@ -11,14 +11,14 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
-from ..control.clock import Clock
-from ..control.task import Task
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..inverse import IkSession, InverseOptions, inverse_kinematics
-from ..parallel.blas import small
+from ..inverse.clock import Clock
+from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
-from ..control.outline import Outline
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
+from ..inverse.outline import Outline
 from ..robots.robot import Robot
 from ..typing import Array, late
 from .motion import RateLimits

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.clock import Clock
-from ..control.outline import Outline
-from ..control.task import Task
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..inverse.clock import Clock
+from ..inverse.outline import Outline
+from ..inverse.task import Task
 from ..typing import Array
 from .motion import SAMPLE_STEP
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from ..display import Displayed
 from ..errors import InputError
 from ..files.journal import Journal
-from ..parallel.executors import Failure, Outcome, each
+from ..solvers.parallel.executors import Failure, Outcome, each
 from .sweep_points import Points
 from .sweep_table import flatten, write_table
 
@@ -87,7 +87,7 @@ def sweep(
     Args:
         function: a function of a module, or a `functools.partial` of one, sent to every worker once.
         fingerprint: tells one sweep from another; by default it is made of the function and all points.
-        workers, scheduler: as for `tubeopt.parallel.executors.each`.
+        workers, scheduler: as for `tubeopt.solvers.parallel.executors.each`.
         retry_failed: compute the points again that have failed before.
 
     Raises:

@@ -9,10 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..errors import SolveError
-from ..transcription.arm import Profile, torsion_at
-from ..transcription.model import equation, mapped, places_in_words
-from ..transcription.program import (
+from ..block.transcription.arm import Profile, torsion_at
+from ..block.transcription.model import equation, mapped, places_in_words
+from ..block.transcription.program import (
     Structure,
     add_torsion,
     held_stiffness,
@@ -21,7 +20,8 @@ from ..transcription.program import (
     torsion_guess,
     torsion_numbers,
 )
-from ..transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..errors import SolveError
 from ..typing import Array
 from .newton import NewtonResult
 from .problem import Problem

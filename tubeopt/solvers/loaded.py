@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..transcription.loaded import LoadedProblem, LoadedState, evaluate
-from ..transcription.loaded_arm import LoadedArm
+from ..block.transcription.loaded import LoadedProblem, LoadedState, evaluate
+from ..block.transcription.loaded_arm import LoadedArm
 from ..typing import Array
 from .settings import NEWTON
 

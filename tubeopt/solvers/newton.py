@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from ..typing import Array
 from .settings import NEWTON, Newton
 

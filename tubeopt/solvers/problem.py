@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.violation import violations_of, worst
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
 from .closing import Closed, Stacked, function_of, ipopt_function
 from .problem_solution import ProblemSolution, ProblemStatistics
 from .problem_status import ProblemStatus
 from .settings import Ipopt
-from .violation import violations_of, worst
 
 MENTIONED = 3
 """Constraints that the message of a failed solve names."""

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
 from ..typing import Array
 from .problem_status import ProblemStatus
-from .violation import Violation
 
 if TYPE_CHECKING:
     from .problem import Problem

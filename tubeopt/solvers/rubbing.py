@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..transcription.contact import Contact, Rubbing, evaluate_contact
+from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
 from ..typing import Array
 from .settings import NEWTON
 from .sticking import Signs, stick_or_slip

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.reduced import ReducedProblem, evaluate, margin
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
@@ -15,7 +16,6 @@ from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
-from ..transcription.reduced import ReducedProblem, evaluate, margin
 from ..typing import Array
 from .folds import Fold, polish_fold
 

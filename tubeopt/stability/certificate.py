@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.buffered import mapped
+from ..block.transcription.reduced import ReducedProblem
 from ..display import Displayed
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, positive, vector
-from ..parallel.blas import small
 from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
-from ..transcription.buffered import mapped
-from ..transcription.reduced import ReducedProblem
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case

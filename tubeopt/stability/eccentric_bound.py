@@ -34,9 +34,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..block.transcription.buffered import section_function
 from ..errors import InputError
 from ..robots.eccentric import PLACES
-from ..transcription.buffered import section_function
 from ..typing import Array
 
 FILE = Path(__file__).with_name("eccentric_bound.csv")

@@ -24,10 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import section_function
 from ..physics.certificate import PARAMETERS
 from ..robots.assembly import ROUND_OFF, Assembly, merge, where
 from ..robots.eccentric import PLACES
-from ..transcription.buffered import section_function
 from ..typing import Array
 from .eccentric_bound import DELTAS, longest
 

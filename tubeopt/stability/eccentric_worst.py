@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import section_function
+from ..block.transcription.offset_margin import softenings
+from ..block.transcription.reduced import Index, ReducedProblem, margin, to_unknowns
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..transcription.buffered import section_function
-from ..transcription.offset_margin import softenings
-from ..transcription.reduced import Index, ReducedProblem, margin, to_unknowns
 from ..typing import Array
 from .eccentric_certificate import Untwisted, segments_of, softest_untwisted
 

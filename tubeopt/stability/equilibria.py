@@ -7,14 +7,14 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.reduced import ReducedProblem, margin, to_unknowns
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError, vector
-from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import descend, newton
-from ..transcription.reduced import ReducedProblem, margin, to_unknowns
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of

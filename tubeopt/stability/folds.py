@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.transcription.buffered import section_function
+from ..block.transcription.mesh import make_mesh
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, softest
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult
-from ..transcription.buffered import section_function
-from ..transcription.mesh import make_mesh
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, softest
 from ..typing import Array
 
 FOLD_ITERATIONS = 25

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.reduced import softest
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import to_held_equilibrium
@@ -15,11 +16,10 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
-from ..parallel.blas import small
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..transcription.reduced import softest
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .folds import Fold, polish_fold
 from .landing import distance, land

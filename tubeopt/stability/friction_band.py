@@ -16,15 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import section_function
+from ..block.transcription.contact import make_contact
+from ..block.transcription.linear import poses_at_points
+from ..block.transcription.reduced import ReducedProblem, directions
+from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.friction import Held, check_rubbing, shaken
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..robots.friction import Friction
-from ..transcription.buffered import section_function
-from ..transcription.contact import make_contact
-from ..transcription.linear import poses_at_points
-from ..transcription.reduced import ReducedProblem, directions
-from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .certificate import snap_free_certificate
 

@@ -18,8 +18,8 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
+from ..block.transcription.reduced import Index, ReducedProblem, reach
 from ..robots.assembly import Assembly
-from ..transcription.reduced import Index, ReducedProblem, reach
 from .shooting import Bundle, along_of
 
 

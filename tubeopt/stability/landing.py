@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, to_unknowns
 from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult, newton
-from ..transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, to_unknowns
 from ..typing import Array
 
 NUDGE = 1e-2

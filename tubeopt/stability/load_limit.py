@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.loaded import tip_position
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
@@ -18,7 +19,6 @@ from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
-from ..transcription.loaded import tip_position
 from .loaded_events import fall, lose
 
 PAST = 1e-4

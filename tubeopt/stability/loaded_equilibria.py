@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ..block.transcription.loaded import unknowns
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, Member
@@ -21,7 +22,6 @@ from ..errors import InputError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.loaded import loaded_newton, turn_of
-from ..transcription.loaded import unknowns
 from ..typing import Array
 from .certificate import worst_case
 from .loaded_certificate import loaded_worst_case

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.loaded import LoadedState, evaluate
 from ..equilibrium.load_continuation import Family, LoadedPoint, Member, carry
 from ..equilibrium.loaded import bifurcates, solved
 from ..solvers.loaded import LoadedResult, loaded_margin, loaded_newton, turn_of
-from ..transcription.loaded import LoadedState, evaluate
 from ..typing import Array
 
 FOLD_ITERATIONS = 20

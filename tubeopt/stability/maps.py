@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.reduced import ReducedProblem, ahead, evaluate, on_centreline, reach
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics
@@ -16,7 +17,6 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..errors import InputError, vector
 from ..robots.robot import Robot
-from ..transcription.reduced import ReducedProblem, ahead, evaluate, on_centreline, reach
 from ..typing import Array
 from .equilibria import find_equilibria
 from .following import Event, walk

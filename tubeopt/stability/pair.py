@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.reduced import Index, ReducedProblem, evaluate, to_unknowns
 from ..errors import SolveError
-from ..transcription.reduced import Index, ReducedProblem, evaluate, to_unknowns
 from ..typing import Array
 
 STRIDE = 0.3

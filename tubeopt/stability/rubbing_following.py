@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..block.transcription.contact import evaluate_contact
 from ..equilibrium.continuation import LARGEST_RATIO, SHORTEST_STEP, JointPath, largest_twist
 from ..equilibrium.friction import Held, carried, check_rubbing, rest, step
 from ..equilibrium.kinematics import forward_kinematics
@@ -19,7 +20,6 @@ from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..solvers.rubbing import HONEST, slide, softest
-from ..transcription.contact import evaluate_contact
 from ..typing import Array
 
 SMOOTH_TURN = 0.05

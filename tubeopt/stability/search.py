@@ -10,12 +10,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..block.transcription.reduced import Index, ReducedProblem, evaluate, margin
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult
-from ..transcription.reduced import Index, ReducedProblem, evaluate, margin
 from ..typing import Array, Mask
 from .folds import Fold
 from .following import Event, Snap, to_snap

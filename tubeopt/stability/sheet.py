@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..transcription.reduced import Index, ReducedProblem
+from ..block.transcription.reduced import Index, ReducedProblem
 from ..typing import Array, Mask
 from .shooting import relative, relative_joints, relative_slope
 

@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..transcription.buffered import section_function
-from ..transcription.reduced import Index, ReducedProblem, reach, sections_at
+from ..block.transcription.buffered import section_function
+from ..block.transcription.reduced import Index, ReducedProblem, reach, sections_at
 from ..typing import Array, Mask
 
 CHUNKS = (512, 64, 8)

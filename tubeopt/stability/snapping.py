@@ -8,20 +8,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
+from ..block.transcription.reduced import evaluate, margin, to_unknowns
 from ..equilibrium.continuation import JointPath, Point, follow_to
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, polish
 from ..errors import InputError, vector
-from ..parallel.blas import small
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.ipopt import EQUILIBRIUM, inside_points
 from ..solvers.newton import NewtonResult
+from ..solvers.parallel.blas import small
 from ..solvers.problem import Problem
 from ..solvers.problem_status import ProblemStatus
-from ..transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
-from ..transcription.reduced import evaluate, margin, to_unknowns
 from ..typing import Array
 from .following import Event, Snap, lose, snap_of, to_snap
 from .loaded_following import loaded_legs

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..block.transcription.reduced import Index
 from ..robots.robot import Robot
-from ..transcription.reduced import Index
 from ..typing import Array, Mask
 
 

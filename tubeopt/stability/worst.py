@@ -8,13 +8,13 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..block.transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
 from ..typing import Array
 from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_worst import least_margin

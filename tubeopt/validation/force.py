@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.loaded import tip_slopes
+from ..block.transcription.loaded_along import position_slopes
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import loaded_point
@@ -15,8 +17,6 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..transcription.loaded import tip_slopes
-from ..transcription.loaded_along import position_slopes
 from ..typing import Array
 from .measurements import SAME_PLACE, Measurements
 

@@ -9,13 +9,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..block.transcription.arm import Arm
+from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.friction import Held
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..stability.rubbing_following import rubbing_legs
-from ..transcription.arm import Arm
-from ..transcription.whole_arm import evaluate_arm
 from ..typing import Array
 from .poses import Poses
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..control.joints import JointSpace, joint_space
 from ..errors import InputError, choice
+from ..inverse.joints import JointSpace, joint_space
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..typing import Array

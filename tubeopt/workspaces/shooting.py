@@ -13,9 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..block.transcription.buffered import Buffered
+from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters
 from ..robots.robot import Robot
-from ..transcription.buffered import Buffered
-from ..transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters
 from ..typing import Array, Mask
 
 STEPS = 6

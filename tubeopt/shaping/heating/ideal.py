@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...block.transcription.tableau import tableau
 from ...errors import SolveError
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE as USED
@@ -15,7 +16,6 @@ from ...physics.heat_functions import CLAMP
 from ...physics.heat_functions import SAG as SAGGED
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ...transcription.tableau import tableau
 from ...typing import Array
 from .counts import count_rate, full_current
 from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics

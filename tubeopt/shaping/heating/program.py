@@ -16,8 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
-from ...transcription.tableau import tableau
 from ...typing import Array
 from .instant import AMPERE, DRIVE, DURATION, RISE, VENTS, Numbers, instant, number_count
 

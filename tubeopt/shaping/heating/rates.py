@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...block.transcription.buffered import mapped
 from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions
-from ...transcription.buffered import mapped
 from ...typing import Array
 from .thermal import ThermalModel
 

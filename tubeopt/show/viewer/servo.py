@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...bodies.obstacles import Obstacle
-from ...control.posture import Posture
 from ...inverse.answer import DEFAULT_OPTIONS
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal
+from ...inverse.posture import Posture
 from ...inverse.question import pose_question, seed_posture
 from ...typing import Array
 from .session import Session, moved_to

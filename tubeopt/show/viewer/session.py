@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...control.joints import JointSpace, carriage_name, joint_space
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError, vector
 from ...files.units import TO_MILLI, TO_MM
+from ...inverse.joints import JointSpace, carriage_name, joint_space
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array

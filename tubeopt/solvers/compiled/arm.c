@@ -1,4 +1,4 @@
-/* From the solved rotations to the whole arm: what transcription/arm.py and solution.py do. */
+/* From the solved rotations to the whole arm: what block/transcription/arm.py and solution.py do. */
 
 typedef struct {
     double rotation[MOST_PIECES + 1][N], twist[MOST_PIECES][N]; /* where pieces begin; rotation at the tip, too */

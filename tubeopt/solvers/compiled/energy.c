@@ -1,4 +1,4 @@
-/* The condensed torsion problem of concentric tubes: what transcription/reduced.py does.
+/* The condensed torsion problem of concentric tubes: what block/transcription/reduced.py does.
 
    Unknowns z by tube, then by point: theta = alpha + L z at the collocation points where a tube is curved and coupled.
    The energy is z'z / 2 + sum of weights times V(theta). */

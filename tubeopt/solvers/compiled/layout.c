@@ -1,4 +1,4 @@
-/* Joint values -> sections -> pieces of the mesh: what robots/assembly.py and transcription/mesh.py do. */
+/* Joint values -> sections -> pieces of the mesh: what robots/assembly.py and block/transcription/mesh.py do. */
 
 typedef struct {
     int pieces, sections, tubes_shown;

@@ -26,18 +26,18 @@ import casadi as ca
 import numpy as np
 import platformdirs
 
+from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.general_arm import COARSE, FINE
+from ...block.transcription.linear import hermite
+from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
+from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
+from ...block.transcription.reduced import INWARDS
+from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.lengthwise import gauss_rule
-from ...transcription.collocated import ENDS, STEPS
-from ...transcription.general_arm import COARSE, FINE
-from ...transcription.linear import hermite
-from ...transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
-from ...transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
-from ...transcription.reduced import INWARDS
-from ...transcription.tableau import tableau
 from ...typing import Array
 from ..settings import NEWTON
 from .packaged import Kind, packaged_kernel
@@ -94,6 +94,8 @@ class Library:
     method: Any
     answer: np.dtype[np.void]
     workspace_size: int
+    differentiate: Any = None
+    """None where the kernel has no derivatives."""
 
 
 def cache_directory() -> Path:
@@ -382,4 +384,9 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    return Library(n, path, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())
+    differentiate = None
+    if not (eccentric or general):
+        differentiate = loaded.differentiate
+        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 3]
+    parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
+    return Library(n, path, *parts, differentiate)

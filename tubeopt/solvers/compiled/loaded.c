@@ -1,4 +1,4 @@
-/* Forward kinematics under load: what transcription/loaded.py states, solved by Newton's method as the load grows.
+/* Forward kinematics under load: what block/transcription/loaded.py states, solved by Newton's method as the load grows.
 
    Before it stand the functions that CasADi generates: `bending` of a cross-section, `quaternion_product` and
    `rotation_matrix`, and the tables TANGENT and TURN of the tangent and of turns about world axes by a quaternion. What

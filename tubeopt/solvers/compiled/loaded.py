@@ -16,13 +16,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.loaded import LoadedProblem, compliances
+from ...block.transcription.loaded_arm import LoadedArm, shape_sections
+from ...block.transcription.reduced import ReducedProblem
+from ...block.transcription.tableau import tableau
 from ...physics.shape import quaternion_product_function, rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
-from ...transcription.collocated import ENDS, STEPS
-from ...transcription.loaded import LoadedProblem, compliances
-from ...transcription.loaded_arm import LoadedArm, shape_sections
-from ...transcription.reduced import ReducedProblem
-from ...transcription.tableau import tableau
 from ...typing import Array
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON

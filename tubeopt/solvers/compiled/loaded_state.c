@@ -1,4 +1,4 @@
-/* Cross-sections, orientation and work of a loaded arm: what transcription/orientation.py and loaded.py do.
+/* Cross-sections, orientation and work of a loaded arm: what block/transcription/orientation.py and loaded.py do.
 
    Quaternions multiply from the right along the arm: Q' = Q o u / 2. At the points of a piece that begins with Q_e,
    Q_c = Q_e o s_c, and a right side g_a of the collocated equations makes sum_a g_a o X_ac, X the inverse of a matrix of

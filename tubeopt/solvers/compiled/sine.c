@@ -7,7 +7,7 @@
 #include <math.h>
 
 #if defined(FP_FAST_FMA) || defined(__FMA__) || defined(__ARM_FEATURE_FMA)
-static __attribute__((noinline, const)) _Complex double turned(double angle) {
+static __attribute__((noinline, const)) _Complex double sine_cosine(double angle) {
     _Complex double out;
     double k = rint(angle * 0.6366197723675814);
     double r = fma(-k, 6.123233995736766e-17, fma(-k, 1.5707963267948966, angle)), y = r * r;
@@ -22,6 +22,6 @@ static __attribute__((noinline, const)) _Complex double turned(double angle) {
     return out;
 }
 
-#define sin(angle) (__imag__ turned(angle))
-#define cos(angle) (__real__ turned(angle))
+#define sin(angle) (__imag__ sine_cosine(angle))
+#define cos(angle) (__real__ sine_cosine(angle))
 #endif

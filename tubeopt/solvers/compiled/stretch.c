@@ -140,7 +140,7 @@ static double most_softening(const Method *method, const Unknowns *all, const Un
 }
 
 /* z <- (1 - soft K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual of moments `soft`
-   times as steep: K is what transcription/offset_margin.py tells the margin by. */
+   times as steep: K is what block/transcription/offset_margin.py tells the margin by. */
 static void stiffness_left(const Unknowns *q, const Stretch *e, const double *jacobian, double *z) {
     double gain[MOST_POINTS][N] = {{0}};
     for (int y = 0; y < q->points; y++)

@@ -1,0 +1,72 @@
+"""CasADi functions on NumPy arrays without the cost of converting them at each call."""
+
+from __future__ import annotations
+
+import threading
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...physics.torsion import section_functions
+from ...typing import Array
+from .piece import piece_function
+
+
+class Buffered:
+    """A function of dense arguments bound to arrays of its own: write `inputs`, call, read `outputs`.
+
+    Every array is the transpose of the CasADi matrix (whose storage is by columns), so a function mapped over N points
+    has (N, rows) arrays. The arrays are overwritten by the next call.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        buffer: Any
+        buffer, self._trigger = function.buffer()
+        # The buffer holds the function's memory and pointers into the arrays: it must live as long as they do.
+        self._buffer = buffer
+        self.inputs = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
+        self.outputs = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            buffer.set_arg(i, memoryview(array.data))
+        for i, array in enumerate(self.outputs):
+            buffer.set_res(i, memoryview(array.data))
+
+    def __call__(self, *arguments: Any) -> list[Array]:
+        """Outputs at `arguments`, one per input; None leaves an input as it is."""
+        for array, value in zip(self.inputs, arguments, strict=True):
+            if value is not None:
+                array[...] = value
+        self._trigger()
+        return self.outputs
+
+
+@lru_cache(maxsize=256)
+def _mapped(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) -> Buffered:
+    return Buffered(section_functions(n_tubes, eccentric)[kind].map(count))
+
+
+def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered:
+    """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
+    return _mapped(kind, count, n_tubes, eccentric, threading.get_ident())
+
+
+@lru_cache(maxsize=64)
+def _mapped_function(function: ca.Function, count: int, thread: int) -> Buffered:
+    return Buffered(function.map(count))
+
+
+def mapped(function: ca.Function, count: int) -> Buffered:
+    """A function mapped over `count` points, bound to arrays of this thread."""
+    return _mapped_function(function, count, threading.get_ident())
+
+
+@lru_cache(maxsize=256)
+def _accumulated(count: int, n_tubes: int, eccentric: bool, family: str, degree: int, thread: int) -> Buffered:
+    return Buffered(piece_function(n_tubes, eccentric, family, degree).mapaccum(count))
+
+
+def piece_chain(count: int, n_tubes: int, eccentric: bool, family: str, degree: int) -> Buffered:
+    """`piece_function` chained over `count` pieces from base to tip, bound to arrays of this thread."""
+    return _accumulated(count, n_tubes, eccentric, family, degree, threading.get_ident())

@@ -1,0 +1,241 @@
+"""Tubes made of pieces in a program: their dimensions as expressions, and what these make of the panels of the tubes.
+
+Every tube is a chain of panels, on each of which EI, GJ and precurvature are polynomials: its straight part, then the
+panels of its pieces. The dimensions of a piece stretch, bend, turn, twist and soften what the robot has there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from ...robots.series import Quantity, Series, breaks_of, extremes, on_panels
+from ...robots.tubes import Tube, stretches
+from ...typing import Array
+from .panel import compliance_function
+
+PIECES = (
+    "piece_length",
+    "piece_curvature",
+    "piece_plane",
+    "piece_twist",
+    "piece_bending_factor",
+    "piece_torsion_factor",
+)
+"""Dimensions of the pieces, one each, tube by tube, inner to outer, from the straight part to the tip: length (m),
+largest bend (1/m, signed), angle (rad) by which its direction is turned from that of the robot, natural twist (1/m)
+where the piece begins, and factors of its stiffnesses, as slots leave them. What varies along a piece is stretched, and
+bent in proportion; a piece that is straight becomes an arc about x. A tube of one curvature is one piece."""
+
+OF_TUBE = {"piece_length": "curved_length", "piece_curvature": "curvature"}
+"""Dimensions of tubes that are in proportion for all their pieces, where those are not given."""
+
+POINT = 1e-9
+"""Length (m) of a straight part that is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The panels of n tubes, B in all, as the robot has them, and their M pieces.
+
+    tube, piece: (B,) which tube's a panel is, and which piece's; -1 is the straight part.  share: (B,) of the length
+    of its piece.  kb, kt, x, y, z: (B, D) coefficients; x and y per piece_curvature, from its own direction.
+    owner: (M,) the tube of every piece.  start: PIECES as the robot has them.
+    """
+
+    tube: NDArray[np.intp]
+    piece: NDArray[np.intp]
+    share: Array
+    kb: Array
+    kt: Array
+    x: Array
+    y: Array
+    z: Array
+    owner: NDArray[np.intp]
+    start: dict[str, Array]
+
+    @property
+    def detail(self) -> int:
+        """Coefficients of what varies along a panel; the natural turn has one more than the twist."""
+        return int(self.z.shape[1]) + 1
+
+    @property
+    def before(self) -> Array:
+        """(B, B) 1 where the panel of a column lies in the same tube nearer to its held end than that of the row."""
+        return np.asarray(np.tril(self.tube[:, None] == self.tube, -1), dtype=float)
+
+
+@lru_cache(maxsize=64)
+def chain_of(tubes: tuple[Tube, ...]) -> Chain:
+    """The panels and pieces of tubes."""
+    rows: list[tuple[int, int, float, list[Array]]] = []
+    owner: list[int] = []
+    pieces: list[tuple[float, float, float]] = []
+    for i, tube in enumerate(tubes):
+        parts = stretches(tube)
+        if tube.straight_length == 0:
+            own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
+            parts = [(0.0, (0.0, 0.0, 0.0), *own), *parts]
+        for number, (length, (x, y, z), bending, torsional) in enumerate(parts):
+            size, (a, b) = _bend((x, y), length)
+            quantities: tuple[Quantity, ...] = (bending, torsional, a, b, z)
+            breaks = breaks_of(quantities, length) if length else np.zeros(2)
+            columns = [on_panels(q, breaks) for q in quantities]
+            piece = len(owner) if number else -1
+            shares = np.diff(breaks) / length if length else np.ones(1)
+            for share, *channels in zip(shares, *columns, strict=True):
+                rows.append((i, piece, float(share), channels))
+            if number:
+                owner.append(i)
+                pieces.append((length, size, float(z(0.0)) if isinstance(z, Series) else float(z)))
+    width = max(1, *(len(c) for *_, channels in rows for c in channels))
+    table = np.array([[np.pad(c, (0, width - len(c))) for c in channels] for *_, channels in rows])
+    lengths, bends, twists = np.array(pieces).reshape(-1, 3).T
+    zero, one = np.zeros(len(pieces)), np.ones(len(pieces))
+    kb, kt, x, y, z = table.transpose(1, 0, 2)
+    return Chain(
+        tube=np.array([row[0] for row in rows]),
+        piece=np.array([row[1] for row in rows]),
+        share=np.array([row[2] for row in rows]),
+        kb=kb,
+        kt=kt,
+        x=x,
+        y=y,
+        z=z,
+        owner=np.array(owner, dtype=np.intp),
+        start=dict(zip(PIECES, (lengths, bends, zero, twists, one, one), strict=True)),
+    )
+
+
+def _bend(own: tuple[Quantity, Quantity], length: float) -> tuple[float, tuple[Quantity, Quantity]]:
+    """Largest bend of a piece, signed where it is about x, and the bend over it; that of a straight one is about x."""
+    x, y = own
+    if not isinstance(x, Series) and not isinstance(y, Series):
+        size = x if y == 0 else float(np.hypot(x, y))
+        return size, (x / size, y / size) if size else (1.0, 0.0)
+    size = extremes([x, y], length)[1]
+    return size, tuple(q.times(1 / size) if isinstance(q, Series) else q / size for q in own)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, eq=False)
+class Panels:
+    """The panels of all tubes at some dimensions, expressions or numbers.
+
+    width, low: (B,) lengths, and where they begin from the held end, m.  table: (B, CHANNELS D) coefficients of kb, kt,
+    u*_x, u*_y and the natural turn.
+    """
+
+    width: Any
+    low: Any
+    table: Any
+
+
+def panels(chain: Chain, given: Mapping[str, Any]) -> Panels:
+    """The panels at given dimensions of tubes and PIECES."""
+    tube, piece = chain.tube.tolist(), chain.piece.tolist()
+    straight = [k < 0 for k in piece]
+
+    def of_piece(name: str, otherwise: Any) -> Any:
+        """(B,) a dimension of the piece of every panel, `otherwise` (n,) of the tube for straight parts."""
+        own = [otherwise[i] if s else given[name][k] for i, k, s in zip(tube, piece, straight, strict=True)]
+        return ca.vertcat(*own)
+
+    n = given["straight_length"].shape[0]
+    one, zero = ca.DM.ones(n), ca.DM.zeros(n)
+    width = ca.DM(chain.share) * of_piece("piece_length", given["straight_length"])
+    stiff = [
+        _rows(coefficients, of_piece(factor, one) * given[name][tube, :] / ca.DM(own))
+        for coefficients, factor, name, own in (
+            (chain.kb, "piece_bending_factor", "bending_stiffness", own_stiffness(chain, chain.kb)),
+            (chain.kt, "piece_torsion_factor", "torsional_stiffness", own_stiffness(chain, chain.kt)),
+        )
+    ]
+    size, plane = of_piece("piece_curvature", zero), of_piece("piece_plane", zero)
+    cos, sin = size * ca.cos(plane), size * ca.sin(plane)
+    x = _rows(chain.x, cos) - _rows(chain.y, sin)
+    y = _rows(chain.x, sin) + _rows(chain.y, cos)
+    own = np.array([0.0 if k < 0 else chain.start["piece_twist"][k] for k in piece])
+    z = ca.horzcat(of_piece("piece_twist", zero) - ca.DM(own), ca.DM.zeros(len(tube), chain.z.shape[1] - 1)) + chain.z
+    degree = chain.z.shape[1]
+    turn = np.array([chebyshev.chebint(row, lbnd=-1) for row in np.eye(degree)])
+    turned = _rows_of(z @ ca.DM(turn), width / 2)
+    before = ca.DM(chain.before)
+    begin = before @ ca.sum2(turned)
+    wound = turned + ca.horzcat(begin, ca.DM.zeros(len(tube), degree))
+    padded = [ca.horzcat(part, ca.DM.zeros(len(tube), 1)) for part in (*stiff, x, y)]
+    return Panels(width, before @ width, ca.horzcat(*padded, wound))
+
+
+def own_stiffness(chain: Chain, coefficients: Array) -> Array:
+    """(B,) the stiffness of the straight part of the tube of every panel, which is that of the tube."""
+    return np.array([coefficients[(chain.tube == i) & (chain.piece < 0)][0, 0] for i in chain.tube])
+
+
+def _rows(coefficients: Array, factor: Any) -> Any:
+    """Coefficients (B, D) times a factor of each row."""
+    return _rows_of(ca.DM(coefficients), factor)
+
+
+def _rows_of(table: Any, factor: Any) -> Any:
+    return table * ca.repmat(factor, 1, table.shape[1])
+
+
+def joints(chain: Chain, laid: Panels, held: Any) -> list[Any]:
+    """Arc lengths, m, where panels meet behind the transitions of tubes `held` (n,) m behind the plate."""
+    behind = [k for k in range(1, len(chain.tube)) if chain.piece[k] >= 0 and chain.piece[k - 1] >= 0]
+    return [laid.low[k] - held[int(chain.tube[k])] for k in behind]
+
+
+def transmissions(chain: Chain, laid: Panels, plate: tuple[Any, Any], torsional_stiffness: Any) -> Any:
+    """(n,) kt int ds / GJ from where tubes are held to the plate: `plate` is how far (n,) it is, m, and the panels
+    (B,) in which it lies, 0 or 1."""
+    held, pick = plate
+    count, detail = len(chain.tube), chain.detail
+    kt = laid.table[:, detail : 2 * detail].T
+    mean = compliance_function(detail)
+    whole = (laid.width * mean.map(count)(kt, -ca.DM.ones(1, count), ca.DM.ones(1, count)).T).T
+    behind = ca.mtimes(ca.DM(chain.before).T, pick)
+    out = []
+    for i in range(torsional_stiffness.shape[0]):
+        mine = np.flatnonzero(chain.tube == i).tolist()
+        here, chosen = pick[mine], kt[:, mine]
+        last = held[i] - ca.dot(here, laid.low[mine])
+        high = 2 * last / _solid(ca.dot(here, laid.width[mine])) - 1
+        part = last * mean(chosen @ here, -1, high)
+        out.append(torsional_stiffness[i] * (whole[:, mine] @ behind[mine] + part))
+    return ca.vertcat(*out)
+
+
+def _solid(width: Any) -> Any:
+    return ca.fmax(width, POINT)
+
+
+def columns(chain: Chain, laid: Panels, which: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
+    """What varies along every piece of a mesh, a column each, as `panel.local` reads it.
+
+    Args:
+        which: (B, P) the panel of each tube, 0 or 1, and (n, P) whether it is present.
+        place: how far (n,) tubes are held behind the plate, and arc lengths (P + 1,) of the ends of the pieces, m.
+    """
+    (picked, present), (held, cuts) = which, place
+    out = []
+    pieces = picked.shape[1]
+    for i in range(present.shape[0]):
+        mine = np.flatnonzero(chain.tube == i).tolist()
+        chosen = picked[mine, :]
+        there = present[i, :]
+        table = laid.table[mine, :].T @ chosen
+        stiffness = table[: chain.detail, :] * ca.repmat(there, chain.detail, 1)
+        low, width = (laid.low[mine].T @ chosen, _solid(laid.width[mine].T @ chosen))
+        ends = [2 * (held[i] + s - low) / width - 1 for s in (cuts[:pieces].T, cuts[1:].T)]
+        # A tube that has ended is held as it is at its end.
+        ends = [1 + there * (x - 1) for x in ends]
+        out.append(ca.vertcat(stiffness, table[chain.detail :, :], *ends))
+    return ca.vertcat(*out)

@@ -1,0 +1,336 @@
+"""Equilibria without equations to solve: from the tubes' rotations at their tips to the joint rotations that they need.
+
+Torsion vanishes at every tube's own end. Given the rotations there and the translations, the equations of torsion are
+therefore an initial-value problem from the tip to the plate, whose solution always exists and is unique: every
+equilibrium, stable or not, is one point (tip rotations, translations), and every such point is one equilibrium. Where
+several equilibria have the same joint values, these points tell them apart; a continuous path of points is a branch.
+
+The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0, and more
+of tubes that are chains of arcs and helices: breakpoints are sorted by comparisons, so that one function serves every
+translation. One step is a function of its
+own, called for all of them: it is written out once, however many tubes and steps there are. The margin enters as in
+`inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
+their own equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...physics.matrix import determinant
+from ...physics.shape import exponential
+from ...physics.torsion import section_functions
+from ...robots.robot import Robot, is_general
+from ...robots.steps import steps_of
+from ...typing import Array
+
+STEPS = 4
+"""Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
+
+TURNED = 1.5
+"""Natural turn (rad) of a helix for which STEPS are as good as for an arc."""
+
+WHOM = "what starts from the tips of the tubes"
+
+EXPANDED = 200_000
+"""Operations up to which all steps are written out, which is a tenth faster than calls; beyond, that takes seconds."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What makes the arms of two robots one function: tubes, whether they lie beside the centreline, of tubes made of
+    pieces how many `stretches` they have at most (0: all have one curvature), and steps per section."""
+
+    n: int
+    eccentric: bool = False
+    stretches: int = 0
+    steps: int = STEPS
+
+    @property
+    def size(self) -> int:
+        """Length of `explicit_parameters`."""
+        return self.n * (6 * self.stretches + 1 if self.stretches else 7)
+
+    @property
+    def sections(self) -> int:
+        """Sections of an arm, some without length."""
+        return self.n * max(self.stretches, 2)
+
+    def reach(self, robot: Any) -> Any:
+        """(n,) lengths of the tubes behind their straight parts, m, of an expression of `explicit_parameters`."""
+        if not self.stretches:
+            _, _, _, straight, whole, *_ = ca.vertsplit(robot, self.n)
+            return whole - straight
+        cuts = ca.reshape(robot[: self.n * self.stretches], self.n, self.stretches)
+        return cuts[:, -1] - cuts[:, 0]
+
+
+def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
+    """Which function a robot's arm is.
+
+    Raises:
+        InputError: a tube varies along one of its pieces.
+    """
+    if is_general(robot):
+        known = steps_of(robot.tubes, WHOM)
+        lengths = np.diff(known.cuts, axis=1, prepend=0.0)
+        most = float(np.abs(known.twist * lengths * (known.curvature > 0)).max())
+        return Kind(robot.n_tubes, False, known.cuts.shape[1], steps * max(1, int(np.ceil(most / TURNED))))
+    return Kind(robot.n_tubes, robot.assembly(robot.home_translations).eccentric, steps=steps)
+
+
+def explicit_parameters(robot: Robot) -> Array:
+    """What `explicit_arm` needs to know of a robot: kb, kt, m = kb kappa, straight and whole lengths, place; (7n,).
+
+    Of tubes made of pieces, by stretches (n, C) each: where they end, kb, kt, m, the direction of the bend that they
+    would have at the held end, natural twist; then the natural turn (n,) up to the ends.
+    """
+    home = robot.assembly(robot.home_translations)
+    tubes = robot.tubes
+    if home.general:
+        known = steps_of(tubes, WHOM)
+        begin = np.pad(known.cuts, ((0, 0), (1, 0)))[:, :-1]
+        lead = known.phase + known.wound - known.twist * begin
+        end = known.wound[:, -1] + known.twist[:, -1] * (known.cuts - begin)[:, -1]
+        tables = known.cuts, known.bending, known.torsional, known.bending * known.curvature, lead, known.twist
+        return np.concatenate([*(table.ravel(order="F") for table in tables), end])
+    return np.concatenate(
+        [
+            home.bending_stiffness,
+            home.torsional_stiffness,
+            home.bending_stiffness * home.curvature,
+            home.transmission + robot.home_translations,
+            [tube.length for tube in tubes],
+            home.offset,
+            home.offset_angle,
+        ]
+    )
+
+
+@lru_cache(maxsize=16)
+def explicit_arm(kind: Kind) -> ca.Function:
+    """(tip rotations (n,), translations (n,), margin, robot) -> the equilibrium.
+
+    Outputs: `rotations` (n,) of the joints; `fields` (sections,) determinants of the Jacobi fields of tubes softened by
+    the margin, all positive if and only if the equilibrium's own margin is larger; `points` (3, p) and `tangents`
+    (3, p) of the centreline, plate to tip, and their `arc_length` (p,).
+    """
+    n = kind.n
+    tip, shift, margin, robot = (ca.MX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", kind.size)))
+    place: tuple[Any, ...] = ()
+    if kind.stretches:
+        length, *given, transmission, end = _stretches(n, kind.stretches)(shift, robot)
+        theta = tip - end
+    else:
+        kb, kt, moment, straight, whole, *beside = ca.vertsplit(robot, n)
+        place = tuple(beside)
+        length, *given, transmission = _sections(n)(shift, kb, moment, straight, whole)
+        given, theta = [*given, ca.repmat(kt, 1, kind.sections)], tip
+    columns = [ca.horzsplit(each) for each in (length, *given)]
+    step, fields = _step(n, kind.eccentric, kind.stretches > 0), []
+    w, y, v = ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
+    bends: list[tuple[Any, Any]] = []
+    for whole_length, stiffness, pull, kt, *turned in reversed(list(zip(*columns, strict=True))):
+        h = whole_length / kind.steps
+        if turned:
+            lead, twist, softer = turned
+            w, v = softer * w, ca.repmat(softer, 1, n) * v
+        for k in range(kind.steps):
+            ahead = (lead - k * h * twist, twist) if turned else place
+            theta, w, y, v, bend = step(theta, w, y, v, h, stiffness, pull, kt, 1 - margin, *ahead)
+            bends.append((h, bend))
+        fields.append(_field(n)(y, v, ca.MX(ca.DM.zeros(n))))
+    fields[-1] = _field(n)(y, v, transmission)
+    shape = _shape(bends)
+    arm = ca.Function(
+        "explicit_arm",
+        [tip, shift, margin, robot],
+        [theta - transmission * w, ca.vertcat(*fields), *shape],
+        ["tip", "translations", "margin", "robot"],
+        ["rotations", "fields", "points", "tangents", "arc_length"],
+    )
+    return arm.expand() if explicit_size(kind) < EXPANDED else arm
+
+
+@lru_cache(maxsize=16)
+def explicit_joints(kind: Kind) -> ca.Function:
+    """The outputs `rotations` and `fields` of `explicit_arm` alone, which cost less without the shape."""
+    arm = explicit_arm(kind)
+    inputs = [ca.MX.sym(arm.name_in(i), arm.size1_in(i)) for i in range(4)]
+    outputs: Any = arm(*inputs)
+    joints = ca.Function("explicit_joints", inputs, list(outputs[:2]))
+    return joints.expand() if explicit_size(kind) < EXPANDED else joints
+
+
+def explicit_size(kind: Kind) -> int:
+    """Operations of `explicit_arm`, without building it."""
+    return kind.sections * kind.steps * int(_step(kind.n, kind.eccentric, kind.stretches > 0).n_instructions())
+
+
+@lru_cache(maxsize=16)
+def _sections(n: int) -> ca.Function:
+    """(translations, kb, moment, straight and whole lengths (n,) each) -> by columns of the 2n sections their length,
+    stiffness and moment (n,); and the transmissions (n,)."""
+    shift, kb, moment, straight, whole = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
+    transition, end = shift, shift - straight + whole
+    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in (*ca.vertsplit(transition), *ca.vertsplit(end))])]
+    columns = []
+    for a, b in pairwise(cuts):
+        middle = (a + b) / 2
+        present = middle < end
+        # The middle of a section without length, or with one of a rounding error, may lie at the end of all tubes:
+        # whichever it has, they must not divide by 0.
+        stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
+        columns.append((b - a, stiffness, moment * present * (middle > transition)))
+    tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
+    return ca.Function("sections", [shift, kb, moment, straight, whole], [*tables, ca.fmax(straight - shift, 0)])
+
+
+@lru_cache(maxsize=16)
+def _stretches(n: int, count: int) -> ca.Function:
+    """(translations, robot) of tubes with `count` stretches -> by columns of the sections their length, stiffness,
+    moment, kt, the direction of the bends without elastic torsion where they end, its rate, and kt of the next section
+    over their own; the transmissions (n,) times kt over its mean; the natural turn up to the ends (n,)."""
+    kind = Kind(n, stretches=count)
+    shift, robot = ca.SX.sym("d", n), ca.SX.sym("robot", kind.size)
+    *tables, end = ca.vertsplit(robot, [0, *(n * count * np.arange(1, 7)).tolist(), kind.size])
+    own, kb, kt, moment, lead, twist = (ca.reshape(table, n, count) for table in tables)
+    held = ca.fmax(own[:, 0] - shift, 0)
+    places = own - ca.repmat(held, 1, count)
+    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in ca.vertsplit(ca.vec(places))])]
+    columns = []
+    before = ca.horzcat(ca.SX.zeros(n), own[:, :-1])
+    for a, b in pairwise(cuts):
+        middle = ca.repmat((a + b) / 2, n, 1)
+        # One stretch of every tube: the last one also behind its end.
+        later = ca.horzcat(*(middle >= places[:, c] for c in range(count - 1)), ca.SX.zeros(n))
+        here = ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later
+        there = middle < places[:, -1]
+        stiffness, pull, torsional, ahead, rate = (ca.sum2(here * part) for part in (kb, moment, kt, lead, twist))
+        stiff = ca.if_else(ca.sum1(there) > 0, stiffness * there, stiffness)
+        columns.append([b - a, stiff, pull * there, torsional, ahead + rate * (b + held), rate])
+    after = [each[3] for each in columns[1:]] + [columns[-1][3]]
+    tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
+    tables.append(ca.horzcat(*(b / a[3] for a, b in zip(columns, after, strict=True))))
+    inside = ca.fmin(ca.fmax(ca.repmat(held, 1, count) - before, 0), own - before)
+    return ca.Function("stretches", [shift, robot], [*tables, ca.sum2(inside / kt) * columns[0][3], end])
+
+
+def _sorted(values: list[Any]) -> list[Any]:
+    """Values in increasing order, by a network of comparisons."""
+    out = list(values)
+    for last in range(len(out) - 1, 0, -1):
+        for k in range(last):
+            out[k], out[k + 1] = ca.fmin(out[k], out[k + 1]), ca.fmax(out[k], out[k + 1])
+    return out
+
+
+@lru_cache(maxsize=16)
+def _field(n: int) -> ca.Function:
+    """(Y, V (n, n), transmission (n,)) -> det(Y - transmission V)."""
+    y, v, transmission = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n), ca.SX.sym("t", n)
+    return ca.Function("field", [y, v, transmission], [determinant(y - ca.diag(transmission) @ v)])
+
+
+@lru_cache(maxsize=16)
+def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
+    """A step towards the plate: (theta, w, Jacobi fields y, v, its length, stiffness, moment, kt, softening, place) ->
+    (theta, w, y, v) after it, and the curvatures (2, 3) at its near end, in its middle and at its far end.
+
+    In the place of `place` are, of `twisted` tubes, the natural direction of their bends at the far end and its rate.
+    """
+    theta, w, h, kb, m, kt, softening, *place = (
+        ca.SX.sym(k, 1 if k in ("h", "softening") else n)
+        for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "phi")
+    )
+    y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
+    given = (kb, m, *(place if eccentric else ()))
+    lead = [place[0] - x * h * place[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
+    functions = section_functions(n, eccentric)
+    balance, bend = functions["balance"], functions["curvature"]
+
+    def turning(theta: Any, w: Any) -> Any:
+        return balance(theta, *given)[3] * w if eccentric else w
+
+    state, stiffness = (theta, w, y, v), (kt, softening * kt)
+    march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, lead)
+    near, near_w, *fields = march(state, given, stiffness, h)
+    middle = (theta + near) / 2 + h / 8 * (turning(near, near_w) - turning(theta, w))
+    bends = ca.horzcat(*(bend(at + lead[k], *given) for k, at in ((2, near), (1, middle), (0, theta))))
+    inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
+    return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(bends)], {"cse": True})
+
+
+def _nystrom(
+    balance: Any, lead: list[Any], state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+) -> list[Any]:
+    """A step of theta'' = M / kt and of its Jacobi fields, of softened tubes, of order 4; M is that of theta + `lead`
+    at its far end, in its middle and at its near end."""
+    theta, w, y, v = state
+
+    def gains(theta: Any, place: int = 0) -> tuple[Any, Any]:
+        moment, slope, *_ = balance(theta + lead[place], *given)
+        return moment / kt[0], ca.diag(1 / kt[1]) @ slope
+
+    k1, slope = gains(theta)
+    f1 = slope @ y
+    k2, slope = gains(theta - h / 2 * w + h**2 / 8 * k1, 1)
+    f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
+    k3, slope = gains(theta - h * w + h**2 / 2 * k2, 2)
+    f3 = slope @ (y - h * v + h**2 / 2 * f2)
+    return [
+        theta - h * w + h**2 / 6 * (k1 + 2 * k2),
+        w - h / 6 * (k1 + 4 * k2 + k3),
+        y - h * v + h**2 / 6 * (f1 + 2 * f2),
+        v - h / 6 * (f1 + 4 * f2 + f3),
+    ]
+
+
+def _runge_kutta(
+    balance: Any, state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+) -> list[Any]:
+    """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
+
+    def rates(theta: Any, w: Any, y: Any, v: Any) -> list[Any]:
+        moment, slope, _, stretch, stretching = balance(theta, *given)
+        turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
+        return [stretch * w, moment / kt[0], turned, ca.diag(1 / kt[1]) @ slope @ y]
+
+    k = [rates(*state)]
+    for part in (0.5, 0.5, 1.0):
+        k.append(rates(*(a - part * h * b for a, b in zip(state, k[-1], strict=True))))
+    mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*k, strict=True)]
+    return [a - h * b for a, b in zip(state, mean, strict=True)]
+
+
+def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:
+    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and bends of steps to the plate."""
+    frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+    out = [(position, frame[:, 2], s)]
+    for h, bend in reversed(bends):
+        frame, position = _carry()(frame, position, h, bend)
+        s = s + h
+        out.append((position, frame[:, 2], s))
+    positions, tangents, marks = zip(*out, strict=True)
+    return ca.horzcat(*positions), ca.horzcat(*tangents), ca.vertcat(*marks)
+
+
+@lru_cache(maxsize=1)
+def _carry() -> ca.Function:
+    """(frame, position, length, curvatures (2, 3)) -> frame and position after a Magnus step of order 4 on SE(3)."""
+    frame, position, h, bend = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("h"), ca.SX.sym("u", 2, 3)
+    near, middle, far = bend[:, 0], bend[:, 1], bend[:, 2]
+    mean = h / 6 * (near + 4 * middle + far)
+    bracket = h**2 / 12
+    turn = ca.vertcat(mean, bracket * (near[0] * far[1] - near[1] * far[0]))
+    # The commutator of the twists (u, e3) at both ends: (u0 - u1) x e3.
+    change = near - far
+    rotation, step = exponential(turn, ca.vertcat(bracket * change[1], -bracket * change[0], h))
+    out = [ca.densify(frame @ rotation), ca.densify(position + frame @ step)]
+    return ca.Function("carry", [frame, position, h, bend], out, {"cse": True})

@@ -1,0 +1,151 @@
+"""CasADi functions of one piece, built once and mapped over the pieces of every block."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from ...physics.matrix import determinant
+from ...physics.shape import quaternion_product, rotation_matrix
+from ...physics.strain import bend_from_own
+from .collocated import Grid, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
+
+OPTIONS = {"cse": True}
+
+
+@lru_cache(maxsize=64)
+def torsion_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> defect (n, K), theta and w (n,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def pose_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> q (4,), p (3,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    q, p, arguments = *_pose(), torsion.piece.arguments
+    turn, shift, _ = shape_of(torsion)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    return ca.Function("pose", [q, p, *arguments], end, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def places_function(grid: Grid) -> ca.Function:
+    """(q, p, arguments of a piece) -> positions (3, 4) of its shape points after its beginning."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    places = [p + rotation_matrix(q) @ shift for _, shift, _ in shape_of(torsion)]
+    return ca.Function("places", [q, p, *torsion.piece.arguments], [ca.horzcat(*places)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def inside_function(grid: Grid) -> ca.Function:
+    """(q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it; of tubes
+    made of pieces also their natural turn, natural twist, and ease (n,)."""
+    torsion = torsion_of(symbols(grid))
+    q, p = _pose()
+    x = ca.SX.sym("x")
+    turn, shift, _ = shape_of(torsion, x)[-1]
+    end = [quaternion_product(q, turn), p + rotation_matrix(q) @ shift]
+    theta, w = torsion.rotation(x), torsion.torsion(x)
+    outputs = [*end, theta, w, torsion.piece.section(theta, x).curvature]
+    if grid.detail:
+        here = torsion.piece.local(x)
+        outputs += [here.wound, ca.jacobian(here.wound, x) / torsion.piece.length, here.ease]
+    return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def energy_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> its elastic energy, J."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def motion_function(grid: Grid) -> ca.Function:
+    """(theta (n,) where a piece begins, theta and w (n, K) at its points, what is given of it) -> `motion_of`
+    concentric tubes."""
+    piece, twist = symbols(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
+    return ca.Function("motion", [piece.theta, piece.inner, twist, *piece.data], list(motion_of(piece, twist)), OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def bend_function(grid: Grid) -> ca.Function:
+    """(arguments of a piece, precurvatures (n,) there) -> (n, K) how far each tube is bent from its own curvature
+    at the points, |u / g - u*|, 1/m, and its own there; tubes made of pieces have theirs from the arguments."""
+    piece, natural = symbols(grid), ca.SX.sym("natural", grid.n_tubes)
+    columns = []
+    for k, x in enumerate(grid.tableau.nodes):
+        theta, at = piece.inner[:, k], piece.local(x)
+        here = piece.section(theta, x)
+        own: Any = natural
+        direction = ca.cos(theta), ca.sin(theta)
+        if grid.detail:
+            turned = theta + at.wound
+            cos, sin, (a, b) = ca.cos(turned), ca.sin(turned), ca.horzsplit(at.natural)
+            direction, own = (a * cos - b * sin, a * sin + b * cos), bend_from_own((a, b), ca.DM.zeros(2), 1.0)
+        bent = bend_from_own(direction, here.curvature, 1.0 if grid.detail else natural, here.stretch)
+        columns.append((bent, own))
+    bends, owns = (ca.horzcat(*parts) for parts in zip(*columns, strict=True))
+    return ca.Function("bend", [*piece.arguments, natural], [bends, owns], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def twist_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece -> w (n, K) at its points."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("twist", torsion.piece.arguments, [torsion.twist], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def softness_function(grid: Grid) -> ca.Function:
+    """(margin, theta, w (n,), its place x, what is given of the piece) of one point -> what `softened_fields` needs."""
+    piece = symbols(grid)
+    margin, w, x = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes), ca.SX.sym("x")
+    _, stiff, *stretching = piece.balance(piece.theta, x)
+    outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
+    outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
+    given = [margin, piece.theta, w, x, *piece.data]
+    return ca.Function("softness", given, [ca.densify(part) for part in outputs], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def fields_function(grid: Grid) -> ca.Function:
+    """(n Jacobi fields (2n, n) at the end, (n, K n) at the points, field by field, length, softness) of a piece ->
+    fields (2n, n) at its beginning, defect (n, K n). Every field is the same function, of few operations: of nine tubes
+    the second derivatives of all at once would take minutes to write out."""
+    n, count = grid.n_tubes, grid.degree
+    end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", n, count), ca.SX.sym("h")
+    softness = _softness(grid)
+    one = ca.Function("field", [end, inner, h, *softness], list(softened_fields(grid, h, softness, end, inner)))
+    return one.map("fields", "serial", n, list(range(2, one.n_in())), [])
+
+
+@lru_cache(maxsize=64)
+def field_matrix_function(grid: Grid) -> ca.Function:
+    """(length, softness) of a piece -> (K n, K n) matrix of the defect of one field by its values at the points."""
+    inner, h, softness = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("h"), _softness(grid)
+    defect = softened_fields(grid, h, softness, ca.SX.zeros(2 * grid.n_tubes), inner)[1]
+    matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
+    return ca.Function("field_matrix", [h, *softness], [matrix], OPTIONS)
+
+
+def _softness(grid: Grid) -> tuple[Any, ...]:
+    n, count = grid.n_tubes, grid.degree
+    gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
+    return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
+
+
+@lru_cache(maxsize=16)
+def determinant_function(n: int) -> ca.Function:
+    """(n, n) -> its determinant, with derivatives, which `casadi.det` of an MX has not."""
+    matrix = ca.SX.sym("matrix", n, n)
+    return ca.Function("determinant", [matrix], [determinant(matrix)], OPTIONS)
+
+
+def _pose() -> tuple[Any, Any]:
+    return ca.SX.sym("q", 4), ca.SX.sym("p", 3)

@@ -1,0 +1,347 @@
+"""The collocated equilibrium of concentric tubes under load: torsion and bending, with the orientation eliminated.
+
+Unknowns are whitened: z of the torsion, as in `reduced`, and q of the bending, two per collocation point,
+
+    theta = alpha + L z,      u = u0(theta) + q / sqrt(B K),      K = sum kb,
+
+u0 being the curvature of the unloaded cross-section. With the force n on the cross-sections, which dead loads fix in
+advance, the elastic energy and the work of the load are
+
+    E = z'z / 2 + q'q / 2 + sum B V(theta) - W,      W = sum B n.t(u),
+
+t the tangent from the orientation that u gives. grad E = 0 are the collocated equations of equilibrium, with the
+bending moment m = dW/du / B, and the least eigenvalue of the Hessian is the margin. Without load the Hessian is that of
+`reduced` beside the identity.
+
+Moments at the tip and forces that turn with it have no such W: their equations are the same, with what the load does in
+a small motion in place of the derivatives of W, and a Jacobian that is not symmetric.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import scipy
+
+from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
+from ...robots.load import Load
+from ...typing import Array
+from .buffered import section_function
+from .mesh import Mesh
+from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
+from .reduced import ReducedProblem, directions, reach, to_unknowns, torsional_hessian
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedProblem:
+    """Numbers of one robot under one load on one mesh, ready for any rotations; N points, U rotations unknown.
+
+    Attributes:
+        torsion: the problem of the rotations, on a mesh all of whose pieces have collocation points.
+        load: what pushes.
+        force: (N, 3) n at the points by the loads in world axes, N.   base_force: (3,) all of them.
+        spread: (N, n, U) rows of L, 0 for tubes that are not unknown at a point.
+        softness: (N,) 1 / sqrt(B K).
+        tip_tube: the tube that ends last.
+        tip_row: (U,) its rotation at its end by z.   tip_rest: rotation there by a unit torque that z does not see.
+        tip_lever: its whole compliance, rotation at its end by a unit torque there, rad/(N m).
+    """
+
+    torsion: ReducedProblem
+    load: Load
+    force: Array
+    base_force: Array
+    spread: Array
+    softness: Array
+    tip_tube: int
+    tip_row: Array
+    tip_lever: float
+
+    @property
+    def tip_rest(self) -> float:
+        """Compliance of the tip tube that z does not see, rad/(N m)."""
+        return self.tip_lever - float(self.tip_row @ self.tip_row)
+
+    @property
+    def mesh(self) -> Mesh:
+        """Pieces of the arm."""
+        return self.torsion.mesh
+
+    @cached_property
+    def wound(self) -> Array:
+        """(N, n) natural turn of the tubes up to the points, rad."""
+        return self.torsion.assembly.wound(self.torsion.arc_length)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns U + 2 N."""
+        return self.torsion.size + 2 * len(self.softness)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedState:
+    """State of a loaded problem.
+
+    x: (U + 2 N,) unknowns z and q.   factor: of the load.   theta (N, n) and curvature (N, 2) at the points.
+    energy: elastic energy, J.   work: int n.t ds, what the load does on the arm as it comes from the plate's point, J.
+    gradient, hessian: of energy less work, or the equations and their Jacobian for loads without an energy.
+    pull: (U + 2 N,) derivative of the gradient by the factor.
+    torque: (N, n) torque per length on each tube, N.   tip_torque: on the tube that ends last, N m.
+    base_moment: (2,) bending moment at the plate, N m.   turned: (2 N, U + 2 N) du/dx.
+    """
+
+    x: Array
+    factor: float
+    theta: Array
+    curvature: Array
+    energy: float
+    work: float
+    gradient: Array
+    hessian: Array
+    pull: Array
+    torque: Array
+    tip_torque: float
+    base_moment: Array
+    orientation: Orientation
+    turned: Array
+
+    @property
+    def potential(self) -> float:
+        """Energy less work, J: what dead loads make least."""
+        return self.energy - self.work
+
+
+def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
+    """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
+    spread, softness, tip, row, lever = _unloaded(torsion)
+    force, base = _forces(torsion.mesh, load, torsion.assembly.present @ density)
+    return LoadedProblem(torsion, load, force, base, spread, softness, tip, row, lever)
+
+
+@lru_cache(maxsize=64)
+def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]:
+    """What no load changes: spread, softness, and tube, row and lever of the tip."""
+    count, n = torsion.stiffness.shape
+    spread = np.zeros((count * n, torsion.size))
+    spread[torsion.flat] = torsion.factor
+    tip = int(np.argmax(torsion.assembly.end))
+    lever, whole = twist_compliance(torsion, tip)
+    seen = np.where(torsion.tube == tip, lever[torsion.point], 0.0)
+    row = scipy.linalg.lapack.dtrtrs(torsion.factor, seen, lower=1)[0] if torsion.size else np.zeros(0)
+    softness = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
+    return spread.reshape(count, n, -1), softness, tip, row, whole
+
+
+def compliances(torsion: ReducedProblem) -> tuple[Array, Array]:
+    """1 / kt at the points (N, n), and int ds / kt from where the tubes are held to the plate (n,)."""
+    assembly, here = torsion.assembly, torsion.here
+    if here is not None:
+        return here.rate.reshape(-1, assembly.n_tubes), here.transmission
+    even = 1 / assembly.torsional_stiffness
+    return np.tile(even, (len(torsion.weight), 1)), assembly.transmission * even
+
+
+def twist_compliance(torsion: ReducedProblem, tube: int) -> tuple[Array, float]:
+    """int ds / kt of a tube from where it is held to each point (N,), and to the tip, 1/(N m)."""
+    assembly, mesh, here = torsion.assembly, torsion.mesh, torsion.here
+    if here is None:
+        s = np.append(torsion.arc_length, assembly.total_length)
+        lever = (assembly.transmission[tube] + s) / assembly.torsional_stiffness[tube]
+        return lever[:-1], float(lever[-1])
+    begin = reach(mesh, here)[:, tube]
+    inside = mesh.length[:, None] * (here.rate[:, :, tube] @ mesh.tableau.matrix.T)
+    return (begin[:-1, None] + inside).ravel(), float(begin[-1])
+
+
+def _forces(mesh: Mesh, load: Load, mass: Array) -> tuple[Array, Array]:
+    """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `mass` (m,) per
+    length of each section, kg/m."""
+    s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
+    out, base = np.zeros((*s.shape, 3)), np.zeros(3)
+    if load.distributed is not None or load.gravity is not None:
+        along = load.per_length(s)
+        if load.gravity is not None:
+            along += mass[mesh.section][:, None, None] * np.array(load.gravity)
+        h, t = mesh.length[:, None, None], mesh.tableau
+        whole = (h * along * t.weights[:, None]).sum(1)
+        ahead = np.cumsum(whole[::-1], axis=0)[::-1]
+        # From each point to the end of its piece, then the pieces ahead.
+        out, base = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None], ahead[0].copy()
+    for part in load.points:
+        # At the end of the arm, within round-off, a force acts on all of it.
+        out[s < part.at] += part.force
+        base += part.force
+    if load.frame == "world":
+        out += load.force
+        base += load.force
+    return out.reshape(-1, 3), base
+
+
+def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0) -> LoadedState:
+    """Energy, equations and their derivatives at x (U + 2 N,) for base rotations (n,) and `factor` times the load."""
+    torsion, mesh = problem.torsion, problem.mesh
+    split, (count, n) = torsion.size, torsion.stiffness.shape
+    weight, z, q = torsion.weight, x[: torsion.size], x[torsion.size :]
+    theta = np.empty((count, n))
+    theta[:] = rotations
+    theta.ravel()[torsion.flat] += torsion.factor @ z
+    bend, moment, stiff, natural, slope, second = section_function("bending", count, n, False)(
+        directions(torsion, theta), torsion.stiffness, torsion.moment
+    )
+    # CasADi stores by columns: (N, n, 2).
+    slope, second = (part.reshape(count, n, 2).swapaxes(1, 2) for part in (slope, second))
+    curvature = natural + problem.softness[:, None] * q.reshape(count, 2)
+    turned = np.zeros((2 * count, problem.size))
+    turned[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
+    turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
+    along = orient(mesh, curvature)
+    push = _push(problem, along)
+    forms = 2 * weight[:, None, None] * np.tensordot(push.force, tangent_forms(), 1)
+    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0], push.end)
+    felt = swept.gradient
+    # Torque on the tubes per length: of the cross-section at its own curvature.
+    torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
+    work = second_derivative(along, swept, forms)
+    softened = stiff.copy()
+    softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
+    pull = -(felt.ravel() @ turned)
+    pull[:split] -= push.torque * problem.tip_row
+    gradient = x + factor * pull
+    gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
+    hessian = -factor * (turned.T @ work @ turned)
+    hessian[:split, :split] += torsional_hessian(torsion, softened) - np.eye(split)
+    hessian.ravel()[:: problem.size + 1] += 1.0
+    if not problem.load.has_energy:
+        hessian -= factor * _unsymmetric(problem, along, push, turned)
+    unseen = problem.tip_rest * (factor * push.torque) ** 2 / 2
+    return LoadedState(
+        x=x,
+        factor=factor,
+        theta=theta,
+        curvature=curvature,
+        energy=float(x @ x) / 2 + float(weight @ bend[:, 0]) + unseen,
+        work=factor * float(weight @ (push.force * tangents(along.stage)).sum(1)),
+        gradient=gradient,
+        hessian=hessian,
+        pull=pull,
+        torque=torque,
+        tip_torque=factor * push.torque,
+        base_moment=factor * (world_turns() @ along.begin[0] @ swept.base)[:2] / 2,
+        orientation=along,
+        turned=turned,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Push:
+    """The whole load at an orientation of the tip: force (N, 3) on the cross-sections; force and moment at the tip that
+    depend on it, world axes; torque on the tip tube; derivative (4,) of the moment's work by the tip's quaternion."""
+
+    force: Array
+    tip_force: Array
+    tip_moment: Array
+    torque: float
+    end: Array
+
+
+def _push(problem: LoadedProblem, along: Orientation) -> _Push:
+    load, zero = problem.load, np.zeros(3)
+    if load.has_energy:
+        return _Push(problem.force, zero, zero, 0.0, np.zeros(4))
+    frame = tip_frame(along)
+    force, moment, all_force = zero, np.array(load.moment), problem.force
+    if load.frame == "tip":
+        force, moment = frame @ load.force, frame @ moment
+        all_force = problem.force + force
+    end = 2 * np.tensordot(moment, world_turns(), 1) @ along.begin[-1]
+    return _Push(all_force, force, moment, float(moment @ frame[:, 2]), end)
+
+
+def _unsymmetric(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
+    """(U + 2 N, U + 2 N) what moments and following forces add to the derivative of what the load does."""
+    reach, turn = _tip(problem, along, turned)
+    tangent = tip_frame(along)[:, 2]
+    # A moment works on the turn of the tip, whose derivative is not symmetric.
+    at_end = along.end_slope @ turned
+    out = 2 * at_end.T @ np.tensordot(push.tip_moment, world_turns(), 1) @ at_end
+    twisting = np.zeros(3)
+    if problem.load.frame == "tip":
+        out -= reach.T @ _cross(push.tip_force) @ turn + turn.T @ _cross(push.tip_moment) @ turn
+    else:
+        twisting = np.cross(tangent, push.tip_moment)
+    out[: len(problem.tip_row)] += np.outer(problem.tip_row, twisting @ turn)
+    return np.asarray(out)
+
+
+def _cross(a: Array) -> Array:
+    """(3, 3) matrix of b -> a x b."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def tip_frame(along: Orientation) -> Array:
+    """(3, 3) Bishop frame of the tip."""
+    return np.array(rotation_matrix_function()(along.begin[-1]))
+
+
+def _tip(problem: LoadedProblem, along: Orientation, turned: Array) -> tuple[Array, Array]:
+    """(3, U + 2 N) change of the tip's position, and turn of its Bishop frame about world axes."""
+    count = len(along.stage)
+    moved = tangent_slopes(along.stage) @ along.stage_slope
+    reach = (problem.torsion.weight @ moved.reshape(count, -1)).reshape(3, -1) @ turned
+    turn = 2 * (world_turns() @ along.begin[-1]) @ along.end_slope @ turned
+    return reach, turn
+
+
+def tip_slopes(problem: LoadedProblem, state: LoadedState) -> Array:
+    """(6, U + 2 N) change of the tip's position, and turn of the tube that ends last, about world axes."""
+    reach, turn = _tip(problem, state.orientation, state.turned)
+    turn[:, : len(problem.tip_row)] += np.outer(tip_frame(state.orientation)[:, 2], problem.tip_row)
+    return np.concatenate([reach, turn])
+
+
+def tip_position(problem: LoadedProblem, state: LoadedState) -> Array:
+    """(3,) position of the tip, m."""
+    return np.asarray(problem.torsion.weight @ tangents(state.orientation.stage))
+
+
+def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
+    """(6, 6) translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there, world axes."""
+    slopes = tip_slopes(problem, state)
+    answer = np.linalg.solve(state.hessian, slopes.T)
+    out = slopes @ answer
+    # What z does not see of the twist by a torque at the tip: by the new moment, and by the old one as the tip turns.
+    tangent = tip_frame(state.orientation)[:, 2]
+    torque = np.concatenate([np.zeros(3), tangent])
+    if problem.load.frame == "world":
+        turned = _tip(problem, state.orientation, state.turned)[1] @ answer
+        torque += state.factor * np.cross(tangent, problem.load.moment) @ turned
+    out[3:] += problem.tip_rest * np.outer(tangent, torque)
+    return np.asarray(out)
+
+
+def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
+    """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate.
+
+    The moment in bending is that which bends the arm at the plate, the moment in torsion that of all tubes there.
+    """
+    force = state.factor * (problem.base_force + _push(problem, state.orientation).tip_force)
+    torque = state.tip_torque - float(problem.torsion.weight @ state.torque.sum(1))
+    return np.concatenate([force, state.base_moment, [torque]])
+
+
+def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: Array | None = None) -> Array:
+    """x (U + 2 N,) of rotations theta (N, n) and curvature (N, 2) at the points; by default that without load."""
+    z = to_unknowns(problem.torsion, rotations, theta)
+    count = len(problem.softness)
+    if curvature is None:
+        return np.concatenate([z, np.zeros(2 * count)])
+    torsion = problem.torsion
+    full = np.empty_like(torsion.moment)
+    full[:] = rotations
+    full.ravel()[torsion.flat] += torsion.factor @ z
+    natural = section_function("curvature", count, full.shape[1], False)(
+        directions(torsion, full), torsion.stiffness, torsion.moment
+    )[0]
+    return np.concatenate([z, ((curvature - natural) / problem.softness[:, None]).ravel()])

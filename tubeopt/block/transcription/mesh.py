@@ -1,0 +1,158 @@
+"""A mesh over the sections of an arm: pieces on which theta is one polynomial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...physics.certificate import coupling_rate_function
+from ...robots.assembly import Assembly
+from ...typing import Array, Mask
+from .buffered import mapped
+from .tableau import Tableau, tableau
+
+WAVES_PER_ELEMENT = 0.75
+"""Largest sqrt(c) h of an element, c being the greatest stiffness of the torsional coupling: with Gauss points of
+degree 6 the error of theta then stays near 1e-10 rad, so that refinement is the exception."""
+
+BEND_PER_PIECE = 1.0
+"""Largest bend (rad) of a piece, for the integration of the shape."""
+
+
+TWIST_PER_PIECE = 0.75
+"""Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
+
+DETAIL_PER_PIECE = 4.0
+"""Largest polynomial degree of precurvature and stiffness along a piece."""
+
+SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
+"""Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Pieces of an arm, base to tip: elements of coupled sections, and the other sections as a whole.
+
+    Attributes:
+        tableau: collocation points of every element.
+        start, length: (p,) arc length of each piece, m.
+        section: (p,) the section of which it is a part.
+        collocated: (p,) whether it carries collocation points; torsion is linear in arc length where it does not.
+    """
+
+    tableau: Tableau
+    start: Array
+    length: Array
+    section: NDArray[np.intp]
+    collocated: Mask
+
+
+def coupling_rate(assembly: Assembly) -> Array:
+    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion in each section, 1/m."""
+    if assembly.general:
+        return _needs(assembly)[0]
+    stiffness = assembly.bending_stiffness * assembly.present
+    moment = assembly.bending_stiffness * assembly.curvature * assembly.curved
+    return _rate(stiffness, moment, assembly.torsional_stiffness)
+
+
+def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
+    """sqrt(c) of cross-sections with kb_i, m_i (m, n) and kt (n,) or (m, n)."""
+    count, n = stiffness.shape
+    if not count:
+        return np.zeros(0)
+    return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
+
+
+def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
+    """Of sections (m,) of tubes made of pieces: coupling rate, largest curvature, and pieces for twist and detail."""
+    table, count = assembly.lengthwise, len(SAMPLES)
+    assert table is not None
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    rate = _rate(here.stiffness, here.moment, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    own = here.moment / np.maximum(here.stiffness, 1e-300)
+    steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
+    # A straight tube may be twisted as it likes: nobody sees it.
+    there, bent = here.stiffness > 0, here.moment > 0
+    each = np.maximum(
+        there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
+    )
+    finest = each.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    return rate, steepest, finest * assembly.length
+
+
+def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
+    """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
+    if assembly.general:
+        rate, steepest, finest = _needs(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+    waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
+    need = np.maximum(np.maximum(waves, bend), finest)
+    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
+    pieces[need <= 0] = 1
+    return pieces
+
+
+LOADED_WAVES = 0.5
+"""The same of what bends under load: the margin, close to 1 where loads are small, then is right to 1e-8."""
+
+
+def loaded_counts(assembly: Assembly, force: float, moment: float, refinement: int = 0) -> NDArray[np.intp]:
+    """(m,) pieces per section of an arm on whose cross-sections at most `force`, N, and at its tip `moment`, N m, act.
+
+    Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
+    rate, or of a lever as long as the arm.
+    """
+    if assembly.general:
+        rate, natural, finest = _needs(assembly)
+        stiffness, pull = _softest(assembly)
+    else:
+        rate, finest = coupling_rate(assembly), np.zeros(1)
+        natural = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
+        stiffness = np.maximum((assembly.bending_stiffness * assembly.present).sum(1), 1e-300)
+        moments = np.abs(assembly.bending_stiffness * assembly.curvature) * assembly.curved
+        pull = (moments / assembly.torsional_stiffness).max(1, initial=0.0)
+    fast = np.sqrt(force / stiffness)
+    bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
+    waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
+    need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
+    pieces = np.ceil(need - 1e-9)
+    return np.asarray(np.maximum(1, pieces).astype(np.intp) * 2**refinement)
+
+
+def _softest(assembly: Assembly) -> tuple[Array, Array]:
+    """(m,) least sum of kb, and (m,) largest |m_i| / kt_i of sections of tubes made of pieces."""
+    s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
+    here = assembly.cross_sections(s, s)
+    stiffness = here.stiffness.sum(1).reshape(-1, len(SAMPLES)).min(1)
+    pull = (here.moment / here.torsional_stiffness).max(1).reshape(-1, len(SAMPLES)).max(1)
+    return stiffness, pull
+
+
+def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
+    """Mesh whose pieces all have collocation points: what is loaded bends, be it curved or straight."""
+    mesh = make_mesh(assembly, pieces, family=family, degree=degree)
+    return replace(mesh, collocated=np.ones(len(mesh.length), dtype=bool))
+
+
+def make_mesh(
+    assembly: Assembly, pieces: NDArray[np.intp] | None = None, *, family: str = "gauss", degree: int = 6
+) -> Mesh:
+    """Mesh with the given number of pieces per section (by default `piece_counts`)."""
+    counts = piece_counts(assembly) if pieces is None else pieces
+    section = np.repeat(np.arange(assembly.n_sections), counts)
+    rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
+    length = (assembly.length / counts)[section]
+    return Mesh(
+        tableau=tableau(family, degree),
+        start=assembly.start[section] + rank * length,
+        length=length,
+        section=section,
+        collocated=assembly.coupled[section],
+    )

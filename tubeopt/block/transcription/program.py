@@ -1,0 +1,154 @@
+"""The torsion of an arm in a nonlinear program: its unknowns and equations, on the mesh of a reduced problem.
+
+What is given of the arm are parameters of the program or expressions of its other variables, so that one program serves
+all arms of one structure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...typing import Array
+from .arm import Profile, rotations_at
+from .collocated import Grid
+from .model import UNKNOWNS, TorsionModel, sizes
+from .panel import at_points, width
+from .reduced import ReducedProblem
+
+
+class Program(Protocol):
+    """A nonlinear program under construction."""
+
+    def variable(self, name: str, size: int = 1, *, guess: ArrayLike = 0.0, scale: ArrayLike = 1.0) -> Any:
+        """A column of `size` unknowns."""
+
+    def subject_to(
+        self,
+        name: str,
+        expression: Any,
+        *,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+        entries: Sequence[str] | None = None,
+    ) -> None:
+        """Demand lower <= expression <= upper; `entries` are words for each row."""
+
+    def parameter(self, name: str, value: ArrayLike) -> Any:
+        """A column of numbers that may be changed between solves."""
+
+    def set_value(self, parameter: Any, value: ArrayLike) -> None:
+        """Give a parameter other numbers."""
+
+    def set_guess(self, variable: Any, value: ArrayLike) -> None:
+        """Start the next solve there."""
+
+    def rename(self, name: str, entries: Sequence[str]) -> None:
+        """Give the rows of a constraint other words."""
+
+    def enter(self, block: Any) -> str:
+        """Take note of a block, which can be asked about its solution; returns what to call it."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What makes the arms of two problems the same program but for numbers: the section (from 0) of each piece, and
+    whether its torsion is more than linear."""
+
+    grid: Grid
+    section: tuple[int, ...]
+    coupled: tuple[bool, ...]
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """Of what is given of an arm, by its name in `TorsionModel`."""
+        n, pieces = self.grid.n_tubes, len(self.section)
+        shapes = {"transmission": (n, 1), "lengths": (pieces, 1), "torsional_stiffness": (n, pieces)}
+        if self.grid.detail:
+            return {**shapes, "along": (width(n, self.grid.detail), pieces)}
+        shapes |= {"stiffness": (n, pieces), "moment": (n, pieces)}
+        return {**shapes, **({"offset": (n, 1), "angle": (n, 1)} if self.grid.eccentric else {})}
+
+
+def structure_of(problem: ReducedProblem) -> Structure:
+    """Structure of a reduced problem's mesh."""
+    mesh, assembly = problem.mesh, problem.assembly
+    detail = mesh.tableau.degree if assembly.general else 0
+    grid = Grid(assembly.n_tubes, mesh.tableau.family, mesh.tableau.degree, assembly.eccentric, detail)
+    return Structure(grid, tuple(mesh.section.tolist()), tuple(mesh.collocated.tolist()))
+
+
+def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
+    """What is given of the arm of a problem, each by columns."""
+    assembly, mesh = problem.assembly, problem.mesh
+    if problem.here is not None:
+        kt = held_stiffness(problem)
+        return {
+            "transmission": problem.here.transmission * kt,
+            "lengths": mesh.length,
+            "torsional_stiffness": np.tile(kt, len(mesh.length)),
+            "along": at_points(problem.here.sections, mesh.tableau.nodes),
+        }
+    place = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
+    return {
+        "transmission": assembly.transmission,
+        "lengths": mesh.length,
+        "stiffness": problem.piece_stiffness.ravel(),
+        "moment": problem.piece_moment.ravel(),
+        "torsional_stiffness": np.tile(assembly.torsional_stiffness, len(mesh.length)),
+        **place,
+    }
+
+
+def torsion_given(program: Program, structure: Structure, own: Mapping[str, Any]) -> dict[str, Any]:
+    """What is given of an arm, by name: `own` are expressions of the program, the rest parameters, all 0."""
+    given = dict(own)
+    for name, (rows, columns) in structure.shapes.items():
+        if name not in own:
+            given[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
+    return given
+
+
+def add_torsion(program: Program, structure: Structure, rotations: Any, own: Mapping[str, Any]) -> TorsionModel:
+    """Add the torsion of an arm whose tubes are held at `rotations` (n,): a square system if all is given.
+
+    Of what is given of it `own` are expressions of the program; the rest become parameters, of the same names.
+    """
+    given = torsion_given(program, structure, own)
+    place = tuple(given.pop(name) for name in ("offset", "angle") if name in given)
+    given = {"stiffness": None, "moment": None, "along": None, **given}
+    shapes = sizes(structure.grid.n_tubes, len(structure.section), structure.grid.degree)[:3]
+    theta, twist, inner = (
+        ca.reshape(program.variable(name, rows * columns), rows, columns)
+        for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=False)
+    )
+    arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, place=place, **given)
+    for each in arm.torsion_equations(rotations, 1.0, structure.section):
+        program.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
+    return arm
+
+
+def torsion_guess(problem: ReducedProblem, profile: Profile) -> dict[str, Array]:
+    """The unknowns of an arm, by name and by columns, at a torsion profile on the same mesh."""
+    theta = rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes.tolist()))
+    twist = profile.twist if problem.here is None else profile.twist / held_stiffness(problem)
+    return dict(zip(UNKNOWNS, (profile.rotation.ravel(), twist.ravel(), theta.ravel()), strict=False))
+
+
+def held_stiffness(problem: ReducedProblem) -> Array:
+    """(n,) GJ of tubes made of pieces where they are held: that of the tube, to which their ease refers."""
+    assert problem.assembly.lengthwise is not None
+    return np.asarray(problem.assembly.lengthwise.values(np.zeros((1, problem.assembly.n_tubes)))[1][0])
+
+
+def ease_at_plate(problem: ReducedProblem) -> Array:
+    """(n,) how much softer in torsion tubes made of pieces are at the plate than where they are held."""
+    assert problem.assembly.lengthwise is not None
+    here = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
+    return np.asarray(held_stiffness(problem) / here)

@@ -1,0 +1,415 @@
+"""The collocated torsion problem with everything eliminated but theta at the collocation points.
+
+Along an arm theta_i(s) = alpha_i - int (|beta_i| + min(s, r)) M_i(r) / kt_i dr: what the boundary conditions and the
+linear parts of the equations say. Collocated, theta = alpha - Gamma M(theta), with Gamma = S B of quadrature weights B
+and, for Gauss points, a symmetric positive definite S / kt = L L'. In the coordinates z of theta = alpha + L z the
+elastic energy of concentric tubes is  z'z / 2 + sum of weights times V(theta):  its gradient is the collocation
+residual, its Hessian I + L' B V'' L has the stability margin as its smallest eigenvalue (capped at 1, which the
+torsion that nothing couples always has).
+
+Tubes off the centreline add the stretch of each tube, theta' = g w, which no energy of this form has:
+
+    theta = alpha - Gamma M - P [(g - 1) . W M],   P, W: integration from the base and from the tip.
+
+Tubes made of pieces are wound by their natural twist, theta = phi + int u*_z, and what the elastic torsion turns is
+phi: it obeys the same equations, with the cross-section at phi + phase in place of theta, and int ds / kt in place of
+s / kt. Where a tube is made of pieces, `theta` here and in `arm` is phi.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...robots.assembly import Assembly, without_offsets
+from ...robots.lengthwise import CrossSections
+from ...typing import Array, Mask
+from .buffered import section_function
+from .mesh import Mesh
+from .offset_margin import Block, make_blocks, softenings
+
+Index = NDArray[np.intp]
+
+LARGE = 60
+"""Unknowns from which it pays to leave out what is 0 of L."""
+
+INWARDS = 1e-6
+"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compliant:
+    """Tubes made of pieces on a mesh.
+
+    Attributes:
+        sections: (P K, n) the cross-sections at the points that all pieces would have.
+        rate: (P, K, n) 1 / kt there.
+        transmission: (n,) int ds / kt from where each tube is held to the plate.
+    """
+
+    sections: CrossSections
+    rate: Array
+    transmission: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedProblem:
+    """Numbers of one assembly on one mesh, ready for any rotations; N collocation points, U unknowns.
+
+    Attributes:
+        assembly, mesh: what is solved.
+        piece_stiffness, piece_moment: (P, n) kb_i of the tubes present and m_i of the tubes curved on each piece.
+            Where a tube is made of pieces both refuse every use: `here` tells them.
+        stiffness, moment: (N, n) the same at the points.
+        phase: (N, n) angle to be added to the elastic rotation for the direction of a tube's pull; None is 0.
+        here: tubes made of pieces, (P K, n) at the points that all pieces would have; None where there are none.
+        arc_length, weight: (N,) place and quadrature weight of the points, m.
+        point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
+        factor: (U, U) L, rad per sqrt(J).
+        flat, flat_weight: (U,) entry of each unknown in a flat (N, n) array, and its quadrature weight.
+        entries, places: of the second variation (N, n, n) and of the (U, U) matrix where it goes, both flat.
+        entry_weight: weight of each entry.
+        stretch: (P, W, inverse of L) for tubes off the centreline.
+        blocks: tubes off the centreline that are curved together, for their margin.
+    """
+
+    assembly: Assembly
+    mesh: Mesh
+    piece_stiffness: Array
+    piece_moment: Array
+    stiffness: Array
+    moment: Array
+    arc_length: Array
+    weight: Array
+    point: Index
+    tube: Index
+    factor: Array
+    flat: Index
+    flat_weight: Array
+    entries: Index
+    places: Index
+    entry_weight: Array
+    stretch: tuple[Array, Array, Array] | None
+    blocks: tuple[Block, ...] = ()
+    phase: Array | None = None
+    here: Compliant | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns U."""
+        return len(self.point)
+
+    @cached_property
+    def by_tube(self) -> tuple[slice, ...]:
+        """The unknowns of each tube, between which L is 0."""
+        cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
+        return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """State of a reduced problem: `theta` (N, n), the energy (J), residual and its Jacobian in z, moments M (N, n),
+    twist w = theta' / g at the points times (g - 1), as (N, n), zero for concentric tubes."""
+
+    z: Array
+    theta: Array
+    energy: float
+    gradient: Array
+    hessian: Array
+    moment: Array
+    extra_twist: Array | None
+
+
+def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
+    """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
+    `unknown` (m, n), section by section."""
+    elements = np.flatnonzero(mesh.collocated)
+    degree, n = mesh.tableau.degree, assembly.n_tubes
+    section = np.repeat(mesh.section[elements], degree)
+    # Concentric straight tubes are carried along; tubes off the centreline are stretched wherever the arm is curved.
+    usual = assembly.present if assembly.eccentric else assembly.curved
+    unknown = (usual if unknown is None else unknown)[section]
+    tube, point = np.nonzero(unknown.T)
+    weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
+    index = np.full(unknown.shape, -1)
+    index[point, tube] = np.arange(len(point))
+    pair = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
+    at, row, column = np.unravel_index(pair, (len(section), n, n))
+    here = compliant(assembly, mesh) if assembly.general else None
+    piece_stiffness, piece_moment = _piece_numbers(assembly, mesh)
+    factor = np.zeros((len(point), len(point)))
+    green = _green(mesh, elements)
+    for i in range(n):
+        mine = tube == i
+        if mine.any():
+            chosen = np.ix_(point[mine], point[mine])
+            if here is None:
+                compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+            else:
+                compliance = _general_green(mesh, elements, here, i)[chosen]
+            factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+    stretch: tuple[Array, Array, Array] | None = None
+    blocks: tuple[Block, ...] = ()
+    if assembly.eccentric:
+        up_to, beyond = _integrals(mesh, elements)
+        stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
+        blocks = tuple(make_blocks(assembly, green, section, (up_to, beyond, weight)))
+    at_points: tuple[Array, ...] = ()
+    if here is not None:
+        chosen_points = (elements[:, None] * degree + np.arange(degree)).ravel()
+        at_points = tuple(
+            table[chosen_points] for table in (here.sections.stiffness, here.sections.moment, here.sections.phase)
+        )
+    return ReducedProblem(
+        assembly=assembly,
+        mesh=mesh,
+        piece_stiffness=piece_stiffness,
+        piece_moment=piece_moment,
+        stiffness=np.repeat(piece_stiffness[elements], degree, axis=0) if here is None else at_points[0],
+        moment=np.repeat(piece_moment[elements], degree, axis=0) if here is None else at_points[1],
+        arc_length=_points(mesh, elements),
+        weight=weight,
+        point=point,
+        tube=tube,
+        factor=factor,
+        flat=point * n + tube,
+        flat_weight=weight[point],
+        # CasADi stores dM_i/dtheta_j by columns, (point, j, i); `row` is i.
+        entries=(at * n + column) * n + row,
+        places=index[at, row] * len(point) + index[at, column],
+        entry_weight=weight[at],
+        stretch=stretch,
+        blocks=blocks,
+        phase=None if here is None else at_points[2],
+        here=here,
+    )
+
+
+def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
+    """The tubes of an assembly with pieces on a mesh."""
+    assert assembly.lengthwise is not None
+    sections = sections_at(assembly, mesh, mesh.tableau.nodes)
+    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
+    return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
+
+
+def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
+    """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
+    s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
+    return assembly.cross_sections(s.ravel(), inside.ravel())
+
+
+def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
+    """kb of the tubes present and m of those curved, (P, n); what refuses to be used where tubes are made of pieces."""
+    if assembly.general:
+        return assembly.bending_stiffness, assembly.bending_stiffness
+    stiffness = (assembly.bending_stiffness * assembly.present)[mesh.section]
+    moment = (assembly.bending_stiffness * assembly.curvature * assembly.curved)[mesh.section]
+    return stiffness, moment
+
+
+def reach(mesh: Mesh, here: Compliant) -> Array:
+    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
+    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
+    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
+
+
+def ahead(mesh: Mesh, here: Compliant) -> Array:
+    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    chosen = mesh.collocated
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
+    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    return np.asarray(out.reshape(-1, out.shape[-1]))
+
+
+def _general_green(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
+    """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
+    t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
+    rate, length = here.rate[elements, :, tube], mesh.length[elements]
+    near = ahead(mesh, here)[:, tube]
+    first = np.arange(len(near)) // t.degree
+    green: Array = np.where(first[:, None] < first, near[:, None], near)
+    for e in range(len(elements)):
+        block = slice(e * t.degree, (e + 1) * t.degree)
+        green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
+    return green
+
+
+def on_centreline(problem: ReducedProblem) -> ReducedProblem:
+    """The same tubes without offsets on the same mesh: the problem that has an energy, and defines the margin."""
+    if not problem.assembly.eccentric:
+        return problem
+    return reduce(without_offsets(problem.assembly), problem.mesh)
+
+
+def _points(mesh: Mesh, elements: Index) -> Array:
+    """(N,) arc length of the collocation points, m."""
+    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
+    return s.ravel()
+
+
+def _green(mesh: Mesh, elements: Index) -> Array:
+    """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
+    tableau = mesh.tableau
+    start, length = mesh.start[elements], mesh.length[elements]
+    s = _points(mesh, elements)
+    green = np.minimum(s[:, None], s)
+    k = tableau.degree
+    for e in range(len(elements)):
+        block = slice(e * k, (e + 1) * k)
+        green[block, block] = start[e] + length[e] * tableau.compliance
+    return green
+
+
+def _integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
+    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
+    k, count = mesh.tableau.degree, len(elements)
+    length = np.repeat(mesh.length[elements], k)
+    whole = np.tile(mesh.tableau.weights, count) * length
+    element = np.repeat(np.arange(count), k)
+    before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
+    within = np.tile(mesh.tableau.matrix, (count, count)) * length
+    up_to = np.where(same, within, before * whole)
+    return up_to, whole - up_to
+
+
+def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
+    """Energy, residual, Jacobian and moments at z (U,) for base rotations (n,)."""
+    assembly, count = problem.assembly, len(problem.weight)
+    theta = np.empty((count, assembly.n_tubes))
+    theta[:] = rotations
+    if count == 0:
+        nothing = theta.copy()
+        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), nothing, nothing if assembly.eccentric else None)
+    theta.ravel()[problem.flat] += problem.factor @ z
+    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
+    balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
+    moment, stiffness, bending, *stretch = balance(
+        directions(problem, theta), problem.stiffness, problem.moment, *place
+    )
+    moment = moment.copy()
+    gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
+    hessian = torsional_hessian(problem, stiffness)
+    energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
+    extra = None
+    if problem.stretch is not None:
+        extra, residual, slope = _stretch_terms(problem, moment, stiffness, stretch)
+        gradient -= residual
+        hessian -= slope
+    return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
+
+
+def directions(problem: ReducedProblem, theta: Array) -> Array:
+    """(N, n) direction in which each tube pulls: theta, or phi and the phase of tubes made of pieces."""
+    return theta if problem.phase is None else theta + problem.phase
+
+
+def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
+    """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
+    second = np.zeros(problem.size**2)
+    second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
+    table = second.reshape(problem.size, problem.size)
+    if problem.size < LARGE:
+        hessian = problem.factor.T @ table @ problem.factor
+    else:
+        hessian = np.empty_like(table)
+        for j in problem.by_tube:
+            turned = table[:, j] @ problem.factor[j, j]
+            for i in problem.by_tube:
+                hessian[i, j] = problem.factor[i, i].T @ turned[i]
+    hessian.ravel()[:: problem.size + 1] += 1.0
+    return np.asarray(hessian)
+
+
+def _stretch_terms(
+    problem: ReducedProblem, moment: Array, stiffness: Array, stretch: list[Array]
+) -> tuple[Array, Array, Array]:
+    """(g - 1) w at the points, and what it adds to theta, with its Jacobian, both in z coordinates."""
+    assert problem.stretch is not None
+    up_to, beyond, inverse = problem.stretch
+    kt = problem.assembly.torsional_stiffness
+    count, n = moment.shape
+    twist = -(beyond @ moment) / kt
+    extra = (stretch[0] - 1) * twist
+    change = up_to @ extra
+    slope_g = stretch[1].reshape(count, n, n).swapaxes(1, 2)
+    slope_moment = stiffness.reshape(count, n, n).swapaxes(1, 2)
+    # d(change)[a, i] / d(theta)[b, j] = P_ab dg_i/dtheta_j[b] w_bi - sum_c P_ac (g - 1)_ci W_cb dM_i/dtheta_j[b] / kt_i
+    direct = (slope_g * twist[:, :, None]).swapaxes(0, 1)[:, None] * up_to[:, :, None]
+    crossed = (up_to * ((stretch[0] - 1) / kt).T[:, None, :]) @ beyond
+    through = crossed[:, :, :, None] * slope_moment.swapaxes(0, 1)[:, None]
+    p, t = problem.point, problem.tube
+    chosen = (direct - through)[t[:, None], p[:, None], p, t]
+    return extra, inverse @ change[p, t], inverse @ chosen @ problem.factor
+
+
+def pull_rate(problem: ReducedProblem) -> Array:
+    """(P,) sum of |m_i| over sum of kb_i on each piece: how much curvature a turn of the tubes can change, 1/m."""
+    if problem.here is None:
+        stiffness = np.maximum(problem.piece_stiffness.sum(1), 1e-300)
+        return np.asarray(np.abs(problem.piece_moment).sum(1) / stiffness)
+    here = problem.here.sections
+    each = here.moment.sum(1) / np.maximum(here.stiffness.sum(1), 1e-300)
+    return np.asarray(each.reshape(len(problem.mesh.length), problem.mesh.tableau.degree).max(1, initial=0.0))
+
+
+def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
+    """z (U,) of given rotations theta (N, n) at the collocation points."""
+    p, t = problem.point, problem.tube
+    if not problem.size:
+        return np.zeros(0)
+    return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, theta[p, t] - rotations[t], lower=1)[0])
+
+
+def residual(problem: ReducedProblem, state: Evaluation) -> float:
+    """Largest violation of the collocation equations, as an error of theta at the points, rad."""
+    return float(abs(problem.factor @ state.gradient).max()) if problem.size else 0.0
+
+
+def margin(problem: ReducedProblem, state: Evaluation) -> float:
+    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; for tubes off the
+    centreline, what takes its place (see `offset_margin`)."""
+    if not problem.size:
+        return 1.0
+    if problem.assembly.eccentric:
+        return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
+    values = scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
+    return min(1.0, float(values[0]))
+
+
+def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
+    """Number of negative eigenvalues of the second variation, or of what takes its place."""
+    if not problem.size:
+        return 0
+    if problem.assembly.eccentric:
+        return int((softenings(problem, state.theta) > 1).sum())
+    return int((np.linalg.eigvalsh(state.hessian) < 0).sum())
+
+
+def softest(problem: ReducedProblem, state: Evaluation) -> Array:
+    """Direction (U,) in z in which an equilibrium is softest, without stiffness at a fold."""
+    if not problem.assembly.eccentric:
+        vectors: Array = np.linalg.eigh(state.hessian)[1]
+        return vectors[:, 0]
+    values, columns = np.linalg.eig(state.hessian)
+    direction = columns[:, int(np.argmin(values.real))].real
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
+    """The most violated collocation equation in words, with its violation."""
+    if not problem.size:
+        return "all equations hold"
+    violation = np.abs(problem.factor @ state.gradient)
+    k = int(np.argmax(np.where(np.isfinite(violation), violation, np.inf)))
+    mesh, degree = problem.mesh, problem.mesh.tableau.degree
+    piece = int(np.flatnonzero(mesh.collocated)[problem.point[k] // degree])
+    section = int(mesh.section[piece])
+    point = (piece - int(np.argmax(mesh.section == section))) * degree + int(problem.point[k] % degree)
+    place = f"tube {int(problem.tube[k]) + 1}, section {section + 1}, point {point + 1}"
+    return f"torsion equation, {place}: violated by {violation[k]:.1e} rad"

@@ -1,0 +1,92 @@
+"""Collocation tableaux on [0, 1]: Gauss-Legendre and Radau IIA of any degree.
+
+Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (II.7) and II (IV.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+
+from ...errors import InputError, choice
+from ...typing import Array
+
+FAMILIES = ("gauss", "radau")
+
+
+@dataclass(frozen=True, eq=False)
+class Tableau:
+    """Runge-Kutta matrix `matrix` (K, K), `weights` (K,) and `nodes` (K,) of a collocation method.
+
+    `legendre_of_lagrange` (K, K) holds, by column, the Legendre coefficients on [-1, 1] of the Lagrange polynomials:
+    the stable way to integrate them.
+    """
+
+    family: str
+    nodes: Array
+    weights: Array
+    matrix: Array
+    legendre_of_lagrange: Array
+
+    @property
+    def degree(self) -> int:
+        """Number of collocation points K."""
+        return len(self.nodes)
+
+    @cached_property
+    def adjoint(self) -> Array:
+        """(K, K) matrix b_j - a_ji b_j / b_i that makes a pair with `matrix` symplectic: itself for Gauss points.
+
+        With it for theta'' the collocated equations are those of a least energy (Hairer, Lubich, Wanner, Geometric
+        Numerical Integration, II.1.4 and VI.4).
+        """
+        return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
+
+    @cached_property
+    def compliance(self) -> Array:
+        """(K, K) collocated min(x, y) on an interval of length 1, A diag(1 / b) A'."""
+        return np.asarray(self.matrix @ (self.matrix / self.weights).T)
+
+    def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
+        """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
+        x = 2 * np.asarray(at, dtype=float) - 1
+        coefficients = _integrated(self.family, self.degree, integrals)
+        return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
+
+
+@lru_cache(maxsize=64)
+def _integrated(family: str, degree: int, integrals: int) -> Array:
+    """Legendre coefficients, by column, of the Lagrange polynomials integrated from 0."""
+    coefficients = tableau(family, degree).legendre_of_lagrange
+    return np.asarray(legendre.legint(coefficients, m=integrals, lbnd=-1, scl=0.5)) if integrals else coefficients
+
+
+@lru_cache(maxsize=64)
+def tableau(family: str = "gauss", degree: int = 6) -> Tableau:
+    """The collocation tableau with `degree` points of the given family, "gauss" or "radau" (right end included).
+
+    Raises:
+        InputError: unknown family, or degree below 1.
+    """
+    choice("family", family, FAMILIES)
+    if degree < 1:
+        raise InputError(f"degree is {degree}; it must be at least 1")
+    if family == "gauss":
+        x = legendre.leggauss(degree)[0]
+    else:
+        # Radau IIA: the roots of P_K - P_{K-1} on [-1, 1], of which the last is 1 exactly.
+        x = np.sort(legendre.legroots([0.0] * (degree - 1) + [-1.0, 1.0]).real)
+        x[-1] = 1.0
+    coefficients = np.linalg.inv(legendre.legvander(x, degree - 1))
+    once = legendre.legint(coefficients, lbnd=-1, scl=0.5)
+    return Tableau(
+        family=family,
+        nodes=(x + 1) / 2,
+        weights=np.asarray(legendre.legval(1.0, once), dtype=float),
+        matrix=np.asarray(legendre.legval(x, once).T, dtype=float).reshape(degree, degree),
+        legendre_of_lagrange=np.asarray(coefficients, dtype=float),
+    )

@@ -1,0 +1,153 @@
+"""The space in which plans are searched: one point per equilibrium, so that no point has two branches.
+
+Joint values do not tell in which of several equilibria a robot is. The rotations of the tubes at their own ends do,
+together with the translations: see `block.transcription.explicit`. A straight line of such points is a continuous
+motion of the robot; if every point on it is stable, moving the joints accordingly makes the robot follow it without a
+snap.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..block.transcription.buffered import Buffered
+from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters, explicit_size
+from ..equilibrium.result import Equilibrium
+from ..typing import Array, Mask
+from .clock import Clock, LateError
+from .joints import JointSpace
+from .outline import outer_radius
+
+BATCH = 8
+"""Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
+
+FINE = 128
+"""Points along the arm at which clearance is measured during the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """N equilibria. rotations (N, n) of the joints, rad; stable (N,) whether the margin is above the one asked for;
+    points, tangents (N, p, 3) and arc_length (N, p) of the centrelines, m; tube_end (N, n), m."""
+
+    rotations: Array
+    stable: Mask
+    points: Array
+    tangents: Array
+    arc_length: Array
+    tube_end: Array
+
+    @property
+    def tip(self) -> Array:
+        """(N, 3) m."""
+        return self.points[:, -1]
+
+    def fine(self) -> tuple[Array, Array]:
+        """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points."""
+        s = np.linspace(0.0, 1.0, FINE) * self.arc_length[:, -1:]
+        return s, self.at(s, np.arange(len(s)))
+
+    def at(self, s: Array, rows: NDArray[np.intp]) -> Array:
+        """(r, p, 3) centrelines of the equilibria `rows` (r,) at arc lengths s (r, p), by cubic interpolation."""
+        along = self.arc_length[rows]
+        k = np.clip((along[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, along.shape[1] - 2)
+        row, own = rows[:, None], np.arange(len(rows))[:, None]
+        start = along[own, k]
+        h = along[own, k + 1] - start
+        x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
+        p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
+        ends = p * (1 + 2 * x) * (1 - x) ** 2 + q * x**2 * (3 - 2 * x)
+        return np.asarray(ends + h[..., None] * (a * x * (1 - x) ** 2 - b * x**2 * (1 - x)))
+
+
+@lru_cache(maxsize=64)
+def _mapped(kind: Kind, count: int, thread: int) -> Buffered:
+    return Buffered(explicit_arm(kind).map(count))
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space."""
+
+    space: JointSpace
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The robot as numbers."""
+        return explicit_parameters(self.space.robot)
+
+    @cached_property
+    def kind(self) -> Kind:
+        """Which function its arms are."""
+        return explicit_kind(self.space.robot)
+
+    @property
+    def eccentric(self) -> bool:
+        """Whether tubes run off the centreline."""
+        return self.kind.eccentric
+
+    @cached_property
+    def radius(self) -> Array:
+        """(n,) radius of the arm where tube i is the outermost, m."""
+        return outer_radius(self.space.robot)
+
+    @cached_property
+    def size(self) -> int:
+        """Operations that one equilibrium takes."""
+        return explicit_size(self.kind)
+
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """The point of an equilibrium."""
+        return self.space.join(equilibrium.tip_rotations, equilibrium.translations)
+
+    def translations(self, z: Array) -> Array:
+        """(N, n) translations of points (N, m)."""
+        n = self.space.robot.n_tubes
+        shift: Array = z @ self.space.spread[n:].T + self.space.offset[n:]
+        return shift
+
+    def joints(self, z: Array, arms: Arms) -> Array:
+        """(N, m) independent joint values of points and their arms."""
+        return np.concatenate([arms.rotations, z[:, self.space.robot.n_tubes :]], axis=1)
+
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+        """The equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
+
+        Raises:
+            LateError: the clock is over before all of them are known.
+        """
+        n = self.space.robot.n_tubes
+        shift = self.translations(z)
+        floor = np.broadcast_to(margin, len(z))
+        parts = []
+        for k in range(0, len(z), BATCH):
+            if clock is not None and clock.over:
+                raise LateError
+            parts.append(self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], floor[k : k + BATCH, None]))
+        rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
+        tubes = self.space.robot.tubes
+        end = shift + np.array([tube.length - tube.straight_length for tube in tubes])
+        return Arms(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
+
+    def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
+        count = len(tip)
+        size = BATCH if count > 1 else 1
+        function = _mapped(self.kind, size, threading.get_ident())
+        pad = size - count
+        if pad:
+            tip, shift, margin = (np.pad(each, ((0, pad), (0, 0)), mode="edge") for each in (tip, shift, margin))
+        out = function(tip, shift, margin, self.parameters)
+        width = out[2].shape[0] // size
+        rotations, fields, points, tangents, s = (array.copy() for array in out)
+        return [
+            rotations[:count],
+            fields[:count],
+            points.reshape(size, width, 3)[:count],
+            tangents.reshape(size, width, 3)[:count],
+            s.reshape(size, width)[:count],
+        ]
