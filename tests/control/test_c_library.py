@@ -11,8 +11,9 @@ import pytest
 
 from tests.examples import CRL, THESIS
 from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, forward_kinematics, load_robot
-from tubeopt.control.c_binding import CRobot, Why
+from tubeopt.control.c_binding import CRobot
 from tubeopt.control.c_library import c_library, save_c_library
+from tubeopt.control.why import Why
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compiler
 

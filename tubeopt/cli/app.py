@@ -46,6 +46,7 @@ COMMANDS = {
     "plan": "plan.plan",
     "verify": "plan.verify",
     "export": "export.export",
+    "serve": "serve.serve",
     "doctor": "doctor.doctor",
     "mold plan": "mold.plan",
     "mold mandrel": "mold.mandrel",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import enum
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,18 +15,7 @@ from ..errors import InputError, SolveError, vector
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary
-
-
-class Why(enum.IntFlag):
-    """Why a servo step is not all that was asked for."""
-
-    RATE = 1
-    RANGE = 2
-    ORDER = 4
-    MARGIN = 8
-    SHORTENED = 16
-    HELD = 32
-
+from .why import Why
 
 REFUSED = {
     1: "no stable equilibrium was found from tubes without torsion",

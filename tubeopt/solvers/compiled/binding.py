@@ -179,8 +179,8 @@ def solve_compiled(
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3, 2n),
-    tip rotations (n, 2n) and margin (2n,); and the compliance (6, 6) of the tip at no load."""
+    """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
+    2n), tip rotations (n, 2n) and margin (2n,); and the compliance (6, 6) of the tip at no load."""
 
     position: Array
     turn: Array
@@ -190,8 +190,10 @@ class Slopes:
 
 
 def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
-    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, of translations that move
-    towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or there is none."""
+    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, of translations that
+    move towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or has
+    none.
+    """
     prepared = _prepared(robot)
     if prepared is None or prepared[0].differentiate is None:
         return None
