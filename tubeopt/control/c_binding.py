@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolveError, vector
+from ..inverse.joints import joint_space
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary
+from .servo import Command, ServoOptions
 from .why import Why
 
 REFUSED = {
@@ -121,6 +123,71 @@ class CRobot:
         self._call("servo", np.ascontiguousarray(command, dtype=float), self._pose, report)
         why, _ = report[2:].view(np.int32)
         return self._posed(), float(report[0]), float(report[1]), Why(int(why))
+
+
+class CServo:
+    """The servo of a C library with the face of `Servo`: position and direction of the tip, or a way to joint values.
+
+    Raises:
+        InputError: options that only the servo in Python has: bodies' clearance, an objective other than the margin.
+    """
+
+    def __init__(
+        self, library: CLibrary, seed: tuple[ArrayLike, ArrayLike], options: ServoOptions | None = None
+    ) -> None:
+        self.options = options or ServoOptions()
+        if self.options.clearance or self.options.objective not in (None, "margin"):
+            raise InputError("the servo of a C library knows no bodies, and no objective but the margin")
+        self.space = joint_space(library.robot)
+        self._robot = CRobot(library)
+        self.equilibrium = self._robot.solve(*seed)
+
+    def step(self, command: Command, dt: float) -> CStep:
+        """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
+        if command.pivot is not None:
+            raise InputError("the servo of a C library knows no pivot")
+        here, o = self.equilibrium, self.options
+        if command.joints is not None:
+            rotations, translations = command.joints
+            return self._straight(rotations, translations, dt)
+        place = here.tip_position if command.position is None else np.asarray(command.position)
+        if command.velocity is not None:
+            place = here.tip_position + np.asarray(command.velocity) * dt
+        pointing = np.zeros(3) if command.direction is None else np.asarray(command.direction)
+        push = o.push if o.objective else 0.0
+        told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
+        self.equilibrium, distance, angle, why = self._robot.servo(told)
+        return CStep(self.equilibrium, why, distance, angle)
+
+    def _straight(self, rotations: Array, translations: Array, dt: float) -> CStep:
+        """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
+        here, o = self.equilibrium, self.options
+        turn, shift = rotations - here.rotations, translations - here.translations
+        most = max(
+            np.abs(turn).max() / max(o.turn_rate * dt, 1e-300), np.abs(shift).max() / max(o.shift_rate * dt, 1e-300)
+        )
+        share = 1 / max(float(most), 1.0)
+        why = Why.RATE if share < 1 else Why(0)
+        try:
+            there = self._robot.follow(here.rotations + share * turn, here.translations + share * shift)
+        except (SolveError, InputError):
+            return CStep(here, Why.HELD, np.nan, np.nan)
+        inside = self.space.admissible(self.space.join(there.rotations, there.translations))
+        if there.margin < min(o.min_margin, here.margin) or not inside:
+            self._robot.follow(here.rotations, here.translations)
+            return CStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
+        self.equilibrium = there
+        return CStep(there, why, np.nan, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class CStep:
+    """A step of `CServo`: as `ServoStep`."""
+
+    equilibrium: CPose
+    why: Why
+    distance: float
+    angle: float
 
 
 def _compiled(library: CLibrary) -> Path:

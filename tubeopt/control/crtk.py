@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..errors import InputError, vector
+from ..inverse.joints import JointSpace
 from ..typing import Array
-from .servo import Command, Servo, ServoStep
+from .servo import Command, ServoOptions
 from .why import Why
 
 ARRIVED = 1e-6
@@ -40,6 +41,20 @@ TRANSITIONS = {
 """What `state_command` may say, and the state that follows."""
 
 
+class Led(Protocol):
+    """What leads a robot: `Servo`, or `CServo` of a C library."""
+
+    options: ServoOptions
+    space: JointSpace
+
+    @property
+    def equilibrium(self) -> Any:
+        """Where the robot is."""
+
+    def step(self, command: Command, dt: float) -> Any:
+        """One step of `dt` seconds."""
+
+
 @dataclass
 class _Goal:
     """What is commanded: since when, whether it is a stream, how close it came and when."""
@@ -58,13 +73,13 @@ class CrtkRobot:
         servo: what leads it.   watchdog: s after which a stream without a new command is held.
     """
 
-    def __init__(self, servo: Servo, *, watchdog: float = 0.1) -> None:
+    def __init__(self, servo: Led, *, watchdog: float = 0.1) -> None:
         if not (math.isfinite(watchdog) and watchdog > 0):
             raise InputError(f"watchdog is {watchdog:g} s; it must be more than 0")
         self.servo, self.watchdog = servo, watchdog
         self.state = "DISABLED"
         self._goal: _Goal | None = None
-        self._step: ServoStep | None = None
+        self._why = Why(0)
         self._words = ""
         self._before = servo.equilibrium
         self._moved = 0.0
@@ -111,8 +126,8 @@ class CrtkRobot:
         if goal.stream and not 0 <= now - goal.since <= self.watchdog:
             self._goal, self._words = None, "no command has come in time: held"
             return
-        self._step = step = self.servo.step(goal.command, dt)
-        self._words = step.why.words
+        self._why = self.servo.step(goal.command, dt).why
+        self._words = self._why.words
         if not goal.stream:
             self._arrive(goal, now)
 
@@ -164,7 +179,6 @@ class CrtkRobot:
         joints = np.concatenate([arm.rotations, arm.translations])
         last = np.concatenate([before.rotations, before.translations])
         names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(n)]
-        why = self._step.why if self._step is not None else Why(0)
         pose = {"position": arm.tip_position.tolist(), "rotation": arm.tip_rotation.tolist()}
         speed = (joints - last) / self._moved if self._moved else 0 * joints
         state = {"name": names, "position": joints.tolist(), "velocity": speed.tolist()}
@@ -178,9 +192,9 @@ class CrtkRobot:
             "setpoint_cp": pose,
             "measured_cp": pose,
             "margin": arm.margin,
-            "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in why),
+            "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in self._why),
             "why": self._words,
-            "shape": np.round(arm.position, 7).tolist(),
+            "shape": np.round(getattr(arm, "position", np.zeros((0, 3))), 7).tolist(),
         }
 
 

@@ -43,6 +43,10 @@ HALVINGS = 4
 APPROACH = 0.5
 """Share of what is left of margin and clearance that one step may take."""
 
+ROOM, RISE = 0.01, 0.3
+"""Margin above its floor at which the tip slides, as a step along the floor bends away from it; and the share of what
+the joints could do for the margin that a step must do at most."""
+
 TURN, SHIFT = 0.3, 0.05
 """Longest step whatever the rates: rad, and share of the longest tube."""
 
@@ -182,20 +186,18 @@ class Servo:
         here, look = self._here, _Look(self._here)
         rows, bounds, kinds = self._hedges(look, dt)
         told = self._left(command)
-        wanted = np.zeros(len(here.q))
-        free = np.eye(len(here.q))
-        for group in [*self.options.priorities, ""]:
-            task = self._task(group, command, look, dt)
-            if task is None or not free.shape[1]:
-                continue
-            found = _within(task, wanted, free, rows, bounds)
-            if found is None:
-                return ServoStep(here.equilibrium, Why.HELD, *told)
-            wanted, free, held = found
+        groups = (self._task(group, command, look, dt) for group in [*self.options.priorities, ""])
+        tasks = [task for task in groups if task is not None]
+        if not tasks:
+            return ServoStep(here.equilibrium, Why(0), *told)
+        # Where the margin cannot be raised, it is at least not lowered: then to stay keeps all.
+        found = _in_turn(tasks, rows, bounds) or _in_turn(tasks, rows, np.minimum(bounds, 0.0))
+        if found is None:
+            return ServoStep(here.equilibrium, Why.HELD, *told)
         why = Why(0)
-        for kind in {kinds[k] for k in held}:
+        for kind in {kinds[k] for k in found[1]}:
             why |= kind
-        return ServoStep(*self._guarded(here, wanted * self.space.scale, why), *told)
+        return ServoStep(*self._guarded(here, found[0] * self.space.scale, why), *told)
 
     def _guarded(self, here: Posture, change: Array, why: Why) -> tuple[Equilibrium, Why]:
         """The equilibrium after a change of the joints, of as much of it as the guard lets pass."""
@@ -246,8 +248,10 @@ class Servo:
         bounds.append(np.minimum(space.least - space.rows @ here.q, 0.0))
         kinds += [Why.ORDER] * len(space.least)
         if look.margin.any():
-            rows.append(look.margin[None] * space.scale)
-            bounds.append(np.array([min(APPROACH * (options.min_margin - here.margin), 0.0)]))
+            raised = look.margin * space.scale
+            rows.append(raised[None])
+            most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
+            bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
             kinds.append(Why.MARGIN)
         if self._scene.bodies:
             contacts = here.outline.contacts(self._scene, options.clearance + NEAR * space.length)
@@ -361,24 +365,28 @@ def _compiled_slopes(at: Equilibrium) -> Slopes | None:
     return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations))
 
 
-def _within(
-    task: tuple[Array, Array, bool], wanted: Array, free: Array, rows: Array, bounds: Array
-) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """A step that also does a task, in what those before it leave free (m, f): the step, what is free then, and which
-    rows hold it; None where no step keeps them."""
-    matrix, right, uses = task
-    inside = matrix @ free
-    damping = DAMPING if uses else 0.0
-    found = constrained_least_squares(
-        np.vstack([inside, damping * np.eye(free.shape[1])]),
-        np.concatenate([right - matrix @ wanted, np.zeros(free.shape[1])]),
-        rows @ free,
-        np.minimum(bounds - rows @ wanted, 0.0),
-    )
-    if found is None:
-        return None
-    if uses:
-        _, size, basis = np.linalg.svd(inside)
-        left = basis[np.count_nonzero(size > FREE) :].T
-        return wanted + free @ found.x, np.asarray(free @ left), np.flatnonzero(found.active)
-    return wanted + free @ found.x, free, np.flatnonzero(found.active)
+def _in_turn(
+    tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array
+) -> tuple[Array, NDArray[np.intp]] | None:
+    """A step that does one task after the other, each in what those before it leave free, and which rows hold it; None
+    where no step keeps them."""
+    wanted, free = np.zeros(rows.shape[1]), np.eye(rows.shape[1])
+    held: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+    for matrix, right, uses in tasks:
+        if not free.shape[1]:
+            break
+        inside, damping = matrix @ free, DAMPING if uses else 0.0
+        found = constrained_least_squares(
+            np.vstack([inside, damping * np.eye(free.shape[1])]),
+            np.concatenate([right - matrix @ wanted, np.zeros(free.shape[1])]),
+            rows @ free,
+            # What rounding has taken from a step that keeps them all.
+            bounds - rows @ wanted - (1e-12 if held.size or wanted.any() else 0.0),
+        )
+        if found is None:
+            return None
+        wanted, held = wanted + free @ found.x, np.flatnonzero(found.active)
+        if uses:
+            _, size, basis = np.linalg.svd(inside)
+            free = free @ basis[np.count_nonzero(size > FREE) :].T
+    return wanted, held

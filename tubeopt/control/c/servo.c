@@ -4,6 +4,8 @@
 #define DAMPING 1e-3 /* of a joint's scale against the tip's way as a share of the robot's length */
 #define HALVINGS 4   /* of a step that the guard does not let pass */
 #define CLOSE 1e-9
+#define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it */
+#define RISE 0.3   /* share of what joints could do for the margin that a step must do at most */
 
 typedef struct {
     double task[6][JOINTS], missing[6]; /* by independent joints over their scale */
@@ -70,8 +72,10 @@ static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, 
     aim->rows = 6;
 }
 
-/* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin. Each keeps what is kept already. */
-static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const double *q, Quadratic *p, Aim *aim) {
+/* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
+   than `rise`; where that is 0, to stay keeps them all. */
+static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Quadratic *p,
+                  Aim *aim) {
     p->count = 0;
     for (int k = 0; k < JOINTS; k++) {
         double rate = fmin((k < N ? c->turn_rate : c->shift_rate) * c->step, k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE);
@@ -91,16 +95,19 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const doubl
         }
         p->bounds[p->count] = fmin(gap, 0);
     }
+    double most = 0;
+    for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
     memcpy(p->rows[p->count], aim->margin, sizeof aim->margin);
-    p->bounds[p->count++] = fmin(0.5 * (c->min_margin - m->answers[m->here].margin), 0);
+    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - m->answers[m->here].margin), RISE * most), rise);
 }
 
 /* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
    what that leaves free towards a larger margin. 0 where there is none. */
-static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const double *q, Aim *aim, double *step) {
+static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Aim *aim,
+                        double *step) {
     Quadratic *p = &m->quadratic;
     double matrix[JOINTS][JOINTS], pull[JOINTS], row[JOINTS];
-    hedge(m, c, q, p, aim);
+    hedge(m, c, q, rise, p, aim);
     double steep = sqrt(dot(aim->margin, aim->margin, JOINTS)), push = steep > 0 ? c->push * c->turn_rate * c->step / steep : 0;
     for (int i = 0; i < JOINTS; i++) {
         pull[i] = DAMPING * DAMPING * push * aim->margin[i];
@@ -155,7 +162,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
     floor = fmin(c->min_margin, m->answers[m->here].margin); /* what is below it does not get worse */
-    if (step_towards(m, c, q, &aim, step)) {
+    if (step_towards(m, c, q, 1, &aim, step) || step_towards(m, c, q, 0, &aim, step)) {
         double share = 1;
         for (int half = 0; half <= HALVINGS; half++, share /= 2) {
             for (int k = 0; k < JOINTS; k++)
