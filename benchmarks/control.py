@@ -2,10 +2,10 @@
 
     python -m benchmarks.control
 
-The C library: tips at random configurations within the limits, derivatives on every hundredth of them. Teleoperation: the
-tip is led for 60 s to one place after another, most of which a straight motion of the joints reaches by a snap, by the C
-library and by the servo in Python; `follow`, which knows nothing of either, then looks at the joint values sent. Bodies:
-steps of the servo in Python among spheres. Times are processor times of one step, called from Python.
+The C library: tips at random configurations within the limits, derivatives on every hundredth of them. Teleoperation:
+the tip is led for 60 s to one place after another, most of which a straight motion of the joints reaches by a snap, by
+the C library and by the servo in Python; `follow`, which knows nothing of either, then looks at the joint values sent.
+Bodies: steps of the servo in Python among spheres. Times are processor times of one step, called from Python.
 """
 
 from __future__ import annotations

@@ -125,17 +125,21 @@ def main(out: Path, samples: int = 12) -> list[Path]:
             f"{worst * 1e3:.2g} mm at {len(at)} lengths; least margin {margin:.3f}"
         )
         line = curve(np.linspace(0.0, TOGETHER + ALONE, 300)) * 1e3
-        for axis, label, shift in ((0, "x", 0.0), (1, "y", 0.0)):
-            panel.plot(line[:, 2], line[:, axis] + shift, color="0.78", lw=6, solid_capstyle="round")
+        for axis, label in ((0, "x"), (1, "y")):
+            panel.plot(line[:, 2], line[:, axis], color="0.78", lw=6, solid_capstyle="round", label="curve")
             for k, colour in ((-1, "#D55E00"), (samples - 1, "#E69F00"), (0, "#0072B2")):
                 points = at[k].position * 1e3
-                panel.plot(points[:, 2], points[:, axis], color=colour, lw=1.4)
+                long = f"robot, {at[k].arc_length[-1] * 1e3:.0f} mm long"
+                panel.plot(points[:, 2], points[:, axis], color=colour, lw=1.4, label=long)
                 panel.plot(points[-1, 2], points[-1, axis], "o", ms=4, color=colour)
             panel.text(line[-1, 2] + 1.5, line[-1, axis], label, va="center")
         panel.set_title(f"{name}: off by {worst * 1e3:.1g} mm" if worst > 1e-6 else f"{name}: no error", fontsize=9)
         panel.set_xlabel("z (mm)")
         panel.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("x and y (mm)")
+    axes[0].legend(
+        *(each[:4] for each in axes[0].get_legend_handles_labels()), frameon=False, fontsize=8, loc="lower left"
+    )
     picture = out / "own_follow_the_leader.png"
     figure.savefig(picture, dpi=150)
     plt.close(figure)

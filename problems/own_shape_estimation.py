@@ -62,7 +62,9 @@ def main(out: Path) -> list[Path]:
     print("zeros (deg):", np.round(np.degrees(solution.value(zero)), 2), "of 3 and -2")
     print(f"root mean square of the residuals: {1e3 * NOISE * np.sqrt(solution.value(cost) / 90):.3f} mm")
     picture = out / "own_shape_estimation.png"
-    plot_shapes(poses, picture, titles=[f"commanded {np.degrees(turn).round().astype(int)} deg" for turn in COMMANDS])
+    plot_shapes(
+        poses, picture, titles=[f"commanded ({first:.0f}°, {second:.0f}°)" for first, second in np.degrees(COMMANDS)]
+    )
     return [picture]
 
 

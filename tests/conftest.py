@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 # Matrices here are small: BLAS threads only wait for each other, long where every core has a worker.
@@ -30,6 +33,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.split("[")[0].removeprefix("tests/") in SLOW:
             item.add_marker(pytest.mark.slow)
+
+
+MOST_MEMORY = 1500
+"""MB that a worker may hold when it begins a module; above it, what was built for other robots is forgotten."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory() -> Iterator[None]:
+    """Forget cached functions where hundreds of robots have filled the caches: no user has so many in one process."""
+    yield
+    statm = Path("/proc/self/statm")
+    if statm.is_file() and int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY * 1e6:
+        for name, module in list(sys.modules.items()):
+            if name.startswith("tubeopt"):
+                for each in list(vars(module).values()):
+                    if hasattr(each, "cache_clear"):
+                        each.cache_clear()
+        gc.collect()
 
 
 @pytest.fixture

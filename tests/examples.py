@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tubeopt import ConcentricRobot, Material, Tube, load_robot
-from tubeopt.block.transcription.reduced import margin
+from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.eccentric import EccentricRobot

@@ -24,9 +24,8 @@ from .block.equilibrium_block import EquilibriumBlock, OrderWarning
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.file import load_equilibrium
-from .equilibrium.jacobian import Jacobian
 from .equilibrium.kinematics import forward_kinematics
-from .equilibrium.result import Equilibrium, Statistics, Status, Verification
+from .equilibrium.result import Equilibrium, Jacobian, Statistics, Status, Verification
 from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
 from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
@@ -53,11 +52,12 @@ from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
-from .shaping.feedback.feedback import Feedback, lead_by
-from .shaping.feedback.sensors import Camera, Thermocouple, TubeResistance
+from .shaping.heating.feedback import Feedback
+from .shaping.heating.leading import lead_by
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
+from .shaping.heating.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
 from .show.interactive import show_in_3d

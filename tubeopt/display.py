@@ -59,8 +59,9 @@ def in_a_line(answer: Displayed) -> str:
 
 
 def _fields(answer: Displayed) -> list[tuple[str, Any]]:
-    if answer._brief:
-        return [(name, getattr(answer, name)) for name in answer._brief]
+    brief = getattr(answer, "_brief", ())
+    if brief:
+        return [(name, getattr(answer, name)) for name in brief]
     fields = dataclasses.fields(answer)  # type: ignore[arg-type]  # they are dataclasses, which no type says
     shown = [(field, getattr(answer, field.name)) for field in fields if field.repr]
     return [(field.name, value) for field, value in shown if not _is_default(value, field)]

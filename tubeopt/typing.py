@@ -14,6 +14,7 @@ T = TypeVar("T")
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 
 @functools.lru_cache(maxsize=256)

@@ -29,7 +29,7 @@ from tubeopt import (
     SolveError,
     forward_kinematics,
 )
-from tubeopt.equilibrium.jacobian import Jacobian
+from tubeopt.equilibrium.result import Jacobian
 from tubeopt.equilibrium.solving import to_equilibrium
 from tubeopt.robots.breakpoints import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot

@@ -49,7 +49,7 @@ def test_multiplier_of_a_bound_is_the_slope_of_the_objective() -> None:
     values = []
     for low in (3e-3, 3.001e-3):
         problem = rectangle()
-        problem._variables["side"].lower[0] = low
+        problem.variables["side"].lower[0] = low
         values.append(problem.solve())
     slope = (values[1].objective - values[0].objective) / 1e-6
     assert values[0].multiplier("side")[0] == pytest.approx(slope, rel=1e-2)

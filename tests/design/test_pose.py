@@ -11,7 +11,7 @@ from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
 from tubeopt.design.pose import Pose
 from tubeopt.design.solved import Twist, solve_pose
-from tubeopt.equilibrium.derivatives import PARAMETERS
+from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
 

@@ -67,7 +67,10 @@ def test_a_modulus_that_no_metal_has(
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("robots/*.yaml")), ids=lambda path: path.stem)
 def test_published_robots_are_usual(caplog: pytest.LogCaptureFixture, path: Path) -> None:
-    assert warned(caplog, path) == []
+    soft = path.stem == "braunschweig_pair"  # printed of a polymer, which is softer than any metal
+    said = warned(caplog, path)
+    assert len(said) == (2 if soft else 0)
+    assert all("youngs_modulus_GPa" in each for each in said)
 
 
 def test_a_key_in_another_unit_is_told_with_the_factor(tmp_path: Path) -> None:

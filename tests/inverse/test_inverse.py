@@ -68,7 +68,7 @@ def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.0
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, ETR], ids=lambda robot: robot.name)
 def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
-    for wanted in reachable(robot, 15, seed=1):
+    for wanted in reachable(robot, 10, seed=1):
         answer = inverse_kinematics(robot, wanted.tip_position)
         check(answer, robot)
         assert answer.cold_start_agrees
@@ -156,7 +156,7 @@ class TestSeed:
         """No small motion along the postures with the same tip comes closer to the reference."""
         reference = (np.radians([30.0, 60.0, 90.0]), np.array([-0.03, -0.02, -0.01]))
         answer = inverse_kinematics(THESIS, TARGET, reference=reference)
-        goal = pose_question(THESIS, TARGET, None, (None, reference), 0.05, None, None, (), InverseOptions())
+        goal = pose_question(THESIS, (TARGET, None), (None, reference))
         at = posture_of(goal.space, answer.equilibrium)
         kernel = np.linalg.svd(goal.slope(at) * goal.space.scale)[2][3:] * goal.space.scale
         random, tried = np.random.default_rng(0), 0
@@ -246,7 +246,7 @@ class TestObstacles:
         """The tip, 0.5 mm thick, touches the sphere: no pose is closer, and as many starts as there may be find it."""
         body = Sphere(tuple(TARGET), 0.01)
         nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
-        for starts in (1, 2, 6, 12):
+        for starts in (1, 6):
             options = InverseOptions(starts=starts)
             with pytest.raises(SolveError, match=r"m short.*arm at obstacle 1 \(sphere\)") as told:
                 inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
@@ -268,7 +268,7 @@ class TestObstacles:
     def test_the_closest_pose_is_clear_too(self) -> None:
         body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
         target = np.array([10.4, 38.2, 103.6]) * MM
-        options = InverseOptions(clearance=MM, starts=4, method="gauss_newton")
+        options = InverseOptions(clearance=MM, starts=2, method="gauss_newton")
         closest = inverse_kinematics(THESIS, target, obstacles=[body], on_failure="closest", options=options)
         assert closest.clearance >= MM
         assert closest.margin >= 0.05

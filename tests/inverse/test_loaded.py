@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -26,6 +28,12 @@ def test_the_loaded_tip_is_on_target_with_margin() -> None:
     assert np.linalg.norm(unloaded.tip_position - TARGET) > 5e-3
 
 
+def test_no_way_of_the_unloaded_robot_is_told_of_the_loaded_one() -> None:
+    assert inverse_kinematics(THESIS, TARGET).reachable
+    found = inverse_kinematics(THESIS, TARGET, load=LOAD)
+    assert (found.reachable, found.way) == (None, None)
+
+
 def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> None:
     free = inverse_kinematics(THESIS, TARGET, load=LOAD)
     middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
@@ -44,6 +52,17 @@ def test_what_makes_no_sense_under_load() -> None:
         inverse_kinematics(THESIS, TARGET, load=LOAD, all_solutions=True)
     with pytest.raises(SolveError):
         inverse_kinematics(THESIS, [0.5, 0, 0], load=LOAD, options=InverseOptions(starts=2))
+
+
+def test_the_time_limit_is_that_of_all_of_it() -> None:
+    with pytest.raises(SolveError, match="within 1e-09 s"):
+        inverse_kinematics(THESIS, TARGET, load=LOAD, options=InverseOptions(time_limit=1e-9))
+    inverse_kinematics(THESIS, TARGET)
+    began = time.process_time()
+    with pytest.raises(SolveError):
+        # Every shot of many would have the limit to itself.
+        inverse_kinematics(THESIS, TARGET, load=LOAD, min_margin=0.9999, options=InverseOptions(time_limit=0.1))
+    assert time.process_time() - began < 0.6
 
 
 def test_on_the_command_line(run: Run) -> None:

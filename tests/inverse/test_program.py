@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, eccentric_robot
-from tubeopt import InverseOptions, Problem, forward_kinematics
+from tubeopt import InverseOptions, Ipopt, Problem, ProblemSolution, forward_kinematics
 from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.inverse import program
 from tubeopt.inverse.goal import Goal
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.order import breakpoint_order
@@ -44,14 +48,10 @@ def question(at: Posture, **options: object) -> Goal:
     reference = (at.equilibrium.rotations, at.equilibrium.translations)
     return pose_question(
         at.space.robot,
-        at.tip,
-        direction,
+        (at.tip, direction),  # type: ignore[arg-type]
         (None, reference),
-        0.05,
-        None,
-        None,
-        obstacles,
-        given,  # type: ignore[arg-type]
+        obstacles=obstacles,  # type: ignore[arg-type]
+        options=given,
     )
 
 
@@ -154,9 +154,22 @@ def test_the_order_of_breakpoints_changes_on_the_way() -> None:
     before, after = (THESIS.assembly(e.translations).n_sections for e in (start.equilibrium, wanted))
     assert before != after
     reference = (wanted.rotations, wanted.translations)
-    goal = pose_question(
-        THESIS, wanted.tip_position, None, (None, reference), 0.05, None, None, (), InverseOptions(objective="nearest")
-    )
+    near = InverseOptions(objective="nearest")
+    goal = pose_question(THESIS, (wanted.tip_position, None), (None, reference), options=near)
     found = solve_program(goal, start)
     assert found.reached
     np.testing.assert_allclose(found.posture.q, space.join(*reference), atol=1e-4)
+
+
+def test_ipopt_has_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits, solve = [], Problem.attempt
+
+    def hurried(self: Problem, solver: Ipopt) -> ProblemSolution:
+        limits.append(solver.time_limit)
+        return solve(self, replace(solver, time_limit=1e-6))
+
+    monkeypatch.setattr(program, "building", lambda goal: 0.1)
+    monkeypatch.setattr(Problem, "attempt", hurried)
+    late = replace(question(pose(THESIS)), until=time.perf_counter() + 100.0)
+    assert not solve_program(late, pose(THESIS, 1)).reached
+    assert limits[0] == 64.0

@@ -11,7 +11,7 @@ import tubeopt
 from tests.command_line import ROOT
 from tests.examples import CRL, MM, THESIS, eccentric_robot
 from tests.inverse_targets import inside
-from tubeopt import IkSession, InputError, SolveError, forward_kinematics
+from tubeopt import IkSession, InputError, InverseOptions, SolveError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse.leaps import leap
 from tubeopt.inverse.posture import posture_of
@@ -117,6 +117,12 @@ def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.I
     return np.array([e.tip_position for e in path.equilibria])
 
 
+def test_a_time_limit_ends_a_step() -> None:
+    session = IkSession(THESIS, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-9))
+    with pytest.raises(SolveError, match="the time ran out on the way to the target"):
+        session.solve([0.05, 0.03, 0.15])
+
+
 def test_it_does_not_leap() -> None:
     """Targets 3.2 mm apart between two of which a carriage may go 31 mm, the tip 0.5 mm off the line."""
     targets = load_targets(ROOT / "configs/targets/arc.csv").position
@@ -135,9 +141,7 @@ def test_it_does_not_leap() -> None:
 def test_a_leap_is_said() -> None:
     """Of motions of the joints that bring the tip straight on, round on an arc, and through a snap."""
     before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
-    goal = pose_question(
-        THESIS, before.tip_position, None, (None, None), 0.05, None, None, (), tubeopt.InverseOptions()
-    )
+    goal = pose_question(THESIS, (before.tip_position, None))
     here = posture_of(goal.space, before)
     near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
     assert near is not None

@@ -32,9 +32,10 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
+from tubeopt.inverse import closed
 from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.clock import Clock
-from tubeopt.inverse.closed import pocket
+from tubeopt.inverse.closed import Wall, pocket, wall
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
@@ -285,6 +286,30 @@ def test_a_turn_that_must_snap_is_told_at_once() -> None:
     assert time.process_time() - began < 5
 
 
+def test_of_several_goals_all_must_be_proved_to_be_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    likely, sure = Wall("most states", False), Wall("every state", True)
+    z = np.zeros(6)
+    for pair, told in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
+        walls = iter(pair)
+        monkeypatch.setattr(closed, "_walls", lambda *_, walls=walls: [next(walls)])
+        assert wall(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is told
+
+
+def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: pytest.MonkeyPatch) -> None:
+    goal = (np.radians([0.0, 90.0, 180.0]), None)
+    with pytest.raises(SolveError, match=r"no plan exists: the goal has margin 0\.9267"):
+        plan_trajectory(THESIS, HOME, goal, min_margin=0.95)
+
+    def lost(*_: object) -> list[Equilibrium]:
+        raise SolveError("an equilibrium is missing")
+
+    monkeypatch.setattr("tubeopt.planning.goals.find_equilibria", lost)
+    with pytest.raises(
+        SolveError, match=r"no plan was found, as far as the equilibria at the goal are known: the goal"
+    ):
+        plan_trajectory(THESIS, HOME, goal, min_margin=0.95)
+
+
 def test_a_wall_of_states_ends_the_search_before_its_time() -> None:
     fixed = JointLimits(((-7.0, 7.0),) * 3, ((0.0, 0.0),) * 3)
     with pytest.raises(SolveError, match=r"every way passes tube 1 turned by .* states on a grid \(evidence, not"):
@@ -330,6 +355,6 @@ def test_a_closed_pocket_is_told_from_an_open_place() -> None:
     """A joint space that is a tiny box is filled by a few states; that of the robot is not."""
     z = Chart(joint_space(THESIS)).of(forward_kinematics(THESIS, *HOME))
     tiny = JointLimits(((-0.02, 0.02),) * 3, ((0.0, 0.0),) * 3)
-    closed = Task(Chart(joint_space(THESIS, tiny)), (), 0.05, 0.0)
-    assert pocket(closed, z, Clock(60.0)) is not None
+    small = Task(Chart(joint_space(THESIS, tiny)), (), 0.05, 0.0)
+    assert pocket(small, z, Clock(60.0)) is not None
     assert pocket(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None

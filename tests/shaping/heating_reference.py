@@ -10,7 +10,7 @@ from typing import Any
 
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.robots.materials import NITINOL
-from tubeopt.shaping.mold.materials import MoldMaterial
+from tubeopt.shaping.materials import MoldMaterial
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 THESIS_RIG = CONFIGS / "rigs" / "thesis_calcium_silicate.yaml"

@@ -12,11 +12,12 @@ from scipy.integrate import solve_ivp
 
 from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, TubeResistance, lead_by
 from tubeopt.robots.materials import ZERO_CELSIUS
-from tubeopt.shaping.feedback.feedback import fleet_of, nominal_law, wilson
-from tubeopt.shaping.feedback.gains import RESET, Response, regulator
-from tubeopt.shaping.feedback.law import begin, decide
-from tubeopt.shaping.feedback.loop import Fleet, run_loop
+from tubeopt.shaping.heating.feedback import wilson
+from tubeopt.shaping.heating.gains import RESET, Response, regulator
 from tubeopt.shaping.heating.ideal import joined
+from tubeopt.shaping.heating.law import begin, decide
+from tubeopt.shaping.heating.leading import fleet_of, nominal_law
+from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest
 from tubeopt.shaping.heating.robust import ENSEMBLE

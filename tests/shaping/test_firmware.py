@@ -18,13 +18,13 @@ import pytest
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple
 from tubeopt.robots.materials import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
-from tubeopt.shaping.feedback.feedback import fleet_of
-from tubeopt.shaping.feedback.law import HeatingLaw, begin, decide
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine
 from tubeopt.shaping.firmware.parts import parts_list
 from tubeopt.shaping.firmware.simulated import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
+from tubeopt.shaping.heating.law import HeatingLaw, begin, decide
+from tubeopt.shaping.heating.leading import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty

@@ -20,7 +20,7 @@ from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charg
 from tubeopt.shaping.heating.schedule import sum_up_rounding
 from tubeopt.shaping.heating.simulation import integrate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.mold.materials import GLASS_MICA, MDF, STEEL
+from tubeopt.shaping.materials import GLASS_MICA, MDF, STEEL
 
 from .heating_reference import TUBE, thesis_plan, thesis_rig, with_mold
 

@@ -14,7 +14,7 @@ from tubeopt.robots.materials import ThermalData
 from tubeopt.shaping.heating.rates import State, current, linearised, rates, stored
 from tubeopt.shaping.heating.rig import gap_conductance
 from tubeopt.shaping.heating.thermal import Resolution, leak_resistance, stack, thermal_model
-from tubeopt.shaping.mold.materials import CALCIUM_SILICATE, STEEL
+from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.typing import Array
 
 from .heating_reference import TUBE, ideal_tube, section, thesis_rig, with_mold

@@ -24,8 +24,8 @@ from tubeopt.shaping.heating.thermal import (
     vent_profile,
     zones,
 )
+from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.shaping.mold.heat import HeatSpec, heat_flow
-from tubeopt.shaping.mold.materials import CALCIUM_SILICATE, STEEL
 
 from .heating_reference import TUBE, ideal_tube, mold_of, section, thesis_rig, with_mold
 

@@ -285,6 +285,28 @@ def test_loaded_equilibria_are_those_of_the_general_solver(load: Load) -> None:
             check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, guess=one))
 
 
+@compiler
+@pytest.mark.parametrize("robot", [THESIS, CRL])
+def test_a_batch_under_load_is_that_of_single_solves(robot: ConcentricRobot) -> None:
+    """Also at other translations, and where a branch ends."""
+    random, load, n = np.random.default_rng(3), Load((0.1, 0.0, -0.1)), robot.n_tubes
+    alpha = random.uniform(-3, 3, (12, n))
+    shift = np.repeat([np.zeros(n), np.linspace(-0.01, 0, n)], 6, axis=0)
+    batch = forward_kinematics_batch(robot, alpha, shift, load=load)
+    failed = [k for k, _ in batch.failures]
+    for k in range(12):
+        if k in failed:
+            with pytest.raises(SolveError):
+                forward_kinematics(robot, alpha[k], shift[k], load=load)
+            continue
+        one = forward_kinematics(robot, alpha[k], shift[k], load=load)
+        assert batch.tip_position[k] == pytest.approx(one.tip_position, abs=1e-12)
+        assert batch.tip_rotations[k] == pytest.approx(one.tip_rotations, abs=1e-11)
+        assert batch.margin[k] == pytest.approx(one.margin, abs=1e-9)
+        assert batch.energy[k] == pytest.approx(one.energy, rel=1e-10)
+        assert batch.compliance[k] == pytest.approx(one.compliance, abs=1e-10 * np.abs(one.compliance).max())
+
+
 def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:
     for name in ("tip_position", "position", "frame", "rotation", "tip_rotations"):
         assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-12), name

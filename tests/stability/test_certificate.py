@@ -123,7 +123,7 @@ def _moved(robot: ConcentricRobot, shift: Array, name: str, i: int, sign: int) -
 def test_three_tubes_never_do_better_than_found() -> None:
     random = np.random.default_rng(5)
     gaps = []
-    for _ in range(8):
+    for _ in range(4):
         robot = random_robot(random, 3, bend=random.uniform(0.3, 2.0))
         shift = random_translations(random, robot)
         proved = snap_free_certificate(robot, shift)

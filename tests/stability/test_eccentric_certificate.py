@@ -244,7 +244,7 @@ def test_segmented_robots() -> None:
         assert segments is not None
         return min(softest_untwisted(segment).margin for segment in segments)
 
-    edge = float(brentq(least, 0.2, 5.0))
+    edge = float(brentq(least, 0.2, 5.0, xtol=1e-4))
     assert snap_free_certificate(segmented(0.95 * edge)) > 0
     robot = segmented(1.003 * edge)
     assert snap_free_certificate(robot) < 0

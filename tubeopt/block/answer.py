@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,11 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import Tube
+from .composed import ComposedBlock
 from .guess import sample
 from .near import N
 from .pieces import tubes_at
 from .transcription.chain import chain_of
-
-if TYPE_CHECKING:
-    from .equilibrium_block import EquilibriumBlock
 
 AGREEMENT = 1e-6
 """Largest difference of the tip between block and equilibrium, over the length of the arm."""
@@ -29,7 +27,7 @@ MISSED = 5e-5
 """By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
 
 
-def confirmed(block: EquilibriumBlock[N], value: Callable[[Any], Any]) -> N:
+def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
     numbers = {name: np.array(value(part)).ravel() for name, part in block.dimensions.items()}
     robot = rebuilt(block.robot, numbers)
@@ -45,7 +43,7 @@ def confirmed(block: EquilibriumBlock[N], value: Callable[[Any], Any]) -> N:
             "pieces of the block are too long (raise its refinement), or the program was not solved",
             found,
         )
-    for _, floor in block._margins:
+    for _, floor in block.margins:
         least = float(np.array(value(floor)).item())
         if found.margin < least - MISSED:
             raise SolveError(

@@ -8,39 +8,30 @@ and IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes ar
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Generic
+from collections.abc import Callable, Sequence
+from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..physics.shape import rotation_matrix
-from ..robots.breakpoints import order_of, where_of
-from ..typing import Array
-from .given import LENGTHS, assembly_at, given_of, numbers_at, symbolic
-from .guess import Shape, fields_of, points_of, poses_of, sample, torsion_of_equilibrium
+from ..robots.breakpoints import order_of
+from .answer import confirmed, rebuilt
+from .composed import CLOSED, ComposedBlock
+from .given import assembly_at, numbers_at, symbolic
+from .guess import Shape, fields_of, points_of, sample, torsion_of_equilibrium
 from .near import N, Near
-from .outputs import Outputs
-from .program import as_program
-from .sensitivity import JOINTS, add_jacobian, answers_of
+from .sensitivity import add_jacobian, answers_of
 from .stability import add_certificate, add_margin
-from .transcription.collocated import Grid
-from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout, may_swap, sides, swapped
-from .transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
+from .transcription.layout import Layout, gap_names, layout, may_swap, sides, swapped
+from .transcription.model import Model
 from .violation import Violation, violations_of, worst
-
-CLOSED = 1e-6
-"""Breakpoints closer than this part of the arm's length meet."""
 
 
 class OrderWarning(UserWarning):
     """A solution at which breakpoints meet: behind the meeting another order of them may be better."""
 
 
-class EquilibriumBlock(Outputs, Generic[N]):
+class EquilibriumBlock(ComposedBlock[N]):
     """One equilibrium of a robot in a nonlinear program.
 
     Args:
@@ -84,132 +75,6 @@ class EquilibriumBlock(Outputs, Generic[N]):
         >>> round(1e3 * (found.tip_position[0] - near.tip_position[0]), 6)
         1.0
     """
-
-    def __init__(
-        self,
-        opti: Any,
-        near: N,
-        *,
-        rotations: Any = None,
-        translations: Any = None,
-        tubes: Mapping[str, Any] | None = None,
-        side: int = -1,
-        refinement: int | None = None,
-        name: str = "",
-    ) -> None:
-        if not hasattr(near, "robot"):
-            raise InputError(
-                f"near is a {type(near).__name__}; it must be an Equilibrium, solved by forward_kinematics"
-            )
-        self.near, self.robot, self.program = near, near.robot, as_program(opti)
-        self._given = given_of(near, rotations, translations, tubes or {})
-        self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
-        self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
-        self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
-        self.chain = chain = self._given.chain
-        self._grid = Grid(
-            self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
-        )
-        self._moving = self._given.free(*LENGTHS)
-        self._fixed = not self._given.free("translations", *self.dimensions)
-        self._side, self.layout = side, self._lay_out(side, refinement)
-        self._reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
-        called = self.program.enter(self)
-        self.name = name or called
-        self._label = f"{self.name}: " if self.name else ""
-        self._words: dict[str, list[str]] = {}
-        self._checked: list[tuple[Any, ...]] = []
-        self._margins: list[tuple[tuple[Any, Any], Any]] = []
-        self._certificates: list[Any] = []
-        self._answers: list[tuple[Any, ...]] = []
-        self._add_unknowns()
-        self._add_equations()
-
-    # --- construction -------------------------------------------------------------------------------------------------
-
-    def _lay_out(self, side: int, refinement: int | None) -> Layout:
-        if side not in (-1, 1):
-            raise InputError(f"side is {side}; it must be -1 (behind the plate) or 1 (in front of it)")
-        if refinement is not None and refinement < 0:
-            raise InputError(f"refinement is {refinement}; it must be at least 0")
-        halvings = (0 if self._fixed else FREE_REFINEMENT) if refinement is None else refinement
-        order = order_of(self._bundle, self.robot.moving_together, side=side)
-        if not order.front:
-            raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
-        # Where breakpoints may change places every one of them may come to the front.
-        least = len(order.front) + len(order.behind) if self._moving else 0
-        return layout(self._bundle, order, refinement=halvings, least=least)
-
-    def _add_unknowns(self) -> None:
-        """Unknowns in columns, and the arm that they make."""
-        n, pieces, degree, reach = self.robot.n_tubes, self.layout.n_pieces, self._grid.degree, self._reach
-        scale = {"torsion": 1 / reach, "position": reach}
-        shapes = sizes(n, pieces, degree)
-        self._columns = [
-            self.program.variable(self._label + name, rows * columns, scale=scale.get(name, 1.0))
-            for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=True)
-        ]
-        self._numbers = None
-        if self._moving:
-            self._numbers = self.program.parameter(self._label + "layout", self.layout.numbers())
-        unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self._columns, shapes, strict=True))
-        values = {**self._given.values, **self._fittings()}
-        self.model = model_of(self._grid, numbers_of(self.layout, self._numbers), unknowns, values)
-        begin = self._start_model(self._given.start)
-        self._set_guess(begin, torsion_of_equilibrium(self.near, *points_of(begin)))
-
-    def _fittings(self) -> dict[str, Any]:
-        """What `model_of` needs beside joint values and dimensions."""
-        return {"place": placed(self._bundle), "chain": self._given.chain}
-
-    def _start_model(self, numbers: Mapping[str, Array]) -> Model:
-        """The arm at joint values and dimensions in numbers, its unknowns nought."""
-        self._begin_numbers = dict(numbers)
-        shapes = sizes(self.robot.n_tubes, self.layout.n_pieces, self._grid.degree)
-        values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self._fittings()}
-        zero = tuple(ca.DM.zeros(*shape) for shape in shapes)
-        return model_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
-
-    def _set_guess(self, model: Model, shape: Shape) -> None:
-        """Start from these rotations and torsions on the pieces of `model`."""
-        model = replace(model, theta=shape[0], twist=shape[1], inner=shape[2])
-        for column, value in zip(self._columns, (*shape, *poses_of(model)), strict=True):
-            self.program.set_guess(column, np.asarray(value).ravel(order="F"))
-        self._begin = model
-
-    def _demand(
-        self,
-        name: str,
-        expression: Any,
-        *,
-        upper: ArrayLike = np.inf,
-        scale: ArrayLike = 1.0,
-        entries: Sequence[str] = (),
-    ) -> None:
-        """0 <= expression <= upper, with words for its entries."""
-        name, words = self._label + name, [self._label + entry for entry in (entries or (name,))]
-        self.program.subject_to(name, expression, upper=upper, scale=scale, entries=words)
-        size = expression.numel()
-        self._words[name] = words
-        self._checked.append((name, expression, *(np.broadcast_to(v, size).astype(float) for v in (upper, scale))))
-
-    def _add_equations(self) -> None:
-        model, reach = self.model, self._reach
-        for each in model.equations(self.rotations, reach):
-            self._demand(each.name, each.expression, upper=0.0, scale=each.scale, entries=each.entries)
-        q, p = model.pose_ends
-        self.tip_position, self.tip_rotation = p[:, -1], rotation_matrix(q[:, -1])
-        self.tip_rotations = model.ends[1][:, -1] + self._natural_turn()
-        self.energy, self.length = model.energy, ca.sum1(model.lengths)
-        if self._moving:
-            self._demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
-        if self._given.free("translations", "straight_length"):
-            held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
-            self._demand("transmissions", model.held, scale=reach, entries=held)
-        if not self._moving:
-            gaps = self.layout.gap @ where_of(self._bundle)
-            if gaps.min(initial=0.0) < -CLOSED * reach:
-                raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")
 
     # --- demands ------------------------------------------------------------------------------------------------------
 
@@ -266,8 +131,6 @@ class EquilibriumBlock(Outputs, Generic[N]):
             OrderWarning: breakpoints meet at the solution, so that another order of them may be better; `reorder`
                 changes places. Of a `Problem`, which tries that by itself, only where they still press on each other.
         """
-        from .answer import confirmed
-
         tried = hasattr(solution, "multipliers") and self.pressing(solution) is None
         for text in () if tried else self.meetings(solution):
             better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"
@@ -293,7 +156,7 @@ class EquilibriumBlock(Outputs, Generic[N]):
         if not self._moving:
             return []
         gaps = np.array(solution.value(self.model.gaps)).ravel()
-        rows = np.flatnonzero(np.abs(gaps) < CLOSED * self._reach).tolist()
+        rows = np.flatnonzero(np.abs(gaps) < CLOSED * self.reach).tolist()
         shifted, stretched = self._given.free("translations"), self._given.free("curved_length", "piece_length")
         free = [shifted or (stretched and any(p.end or p.joint for p in sides(self.layout.order, row))) for row in rows]
         return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
@@ -304,8 +167,8 @@ class EquilibriumBlock(Outputs, Generic[N]):
         if not rows:
             return None
         # In the scale of the solver: at a strict optimum a multiplier is large where its gap is small.
-        gaps = solution.value(self.model.gaps) / self._reach
-        forces = solution.multipliers[f"{self._label}order of breakpoints"] * self._reach
+        gaps = solution.value(self.model.gaps) / self.reach
+        forces = solution.multipliers[f"{self.label}order of breakpoints"] * self.reach
         pressed = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
         return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
@@ -331,7 +194,7 @@ class EquilibriumBlock(Outputs, Generic[N]):
         begin = self._start_model(numbers)
         start, inside = points_of(begin)
         theta, twist = sample(solved, start)
-        floors = [float(np.array(solution.value(margin)).item()) for _, margin in self._margins]
+        floors = [float(np.array(solution.value(margin)).item()) for _, margin in self.margins]
         self._begin_with(begin, (theta, twist, sample(solved, inside)[0]), floors)
 
     def start(self, equilibrium: Near) -> None:
@@ -349,7 +212,7 @@ class EquilibriumBlock(Outputs, Generic[N]):
                 raise InputError("the robot lies behind the plate: an arm without length has no equilibrium")
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
-        floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self._margins]
+        floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self.margins]
         self._begin_with(begin, torsion_of_equilibrium(equilibrium, *points_of(begin)), floors)
 
     def start_at(self, value: Callable[[Any], Any]) -> None:
@@ -359,30 +222,28 @@ class EquilibriumBlock(Outputs, Generic[N]):
             InputError: no tube has these dimensions, or breakpoints an order that the block cannot take.
             SolveError: there is no stable equilibrium.
         """
-        from .answer import rebuilt
-
         numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
         robot = rebuilt(self.robot, numbers)
         self.start(self.near.at(robot, numbers["rotations"], numbers["translations"]))
 
     def owns(self, name: str) -> bool:
         """Whether a variable of the program, by its name, is the block's own."""
-        return bool(self._label) and name.startswith(self._label)
+        return bool(self.label) and name.startswith(self.label)
 
     def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:
         """Start all that the block has added to the program at these numbers."""
         self._set_guess(begin, shape)
-        for (columns, _), floor in zip(self._margins, floors, strict=True):
-            for column, value in zip(columns, fields_of(self._begin, min(floor, 0.9)), strict=True):
+        for (columns, _), floor in zip(self.margins, floors, strict=True):
+            for column, value in zip(columns, fields_of(self.begin, min(floor, 0.9)), strict=True):
                 self.program.set_guess(column, value)
-        for flat, equations, seeds in self._answers:
+        for flat, equations, seeds in self.answers:
             self.program.set_guess(flat, answers_of(self, equations, seeds))
 
     def restore(self, laid: Layout) -> None:
         """Lay the pieces as in a layout that the block had."""
         self.layout = laid
-        self.program.set_value(self._numbers, laid.numbers())
-        name = self._label + "order of breakpoints"
-        words = [self._label + entry for entry in gap_names(laid.order)]
+        self.program.set_value(self.numbers, laid.numbers())
+        name = self.label + "order of breakpoints"
+        words = [self.label + entry for entry in gap_names(laid.order)]
         self.program.rename(name, words)
         self._words[name] = words

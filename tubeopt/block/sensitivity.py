@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ..errors import InputError, choice
+from .composed import JOINTS, ComposedBlock
 from .guess import poses_of
 from .transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 
-if TYPE_CHECKING:
-    from .equilibrium_block import EquilibriumBlock
 
-JOINTS = ("rotations", "translations")
-
-
-def add_jacobian(block: EquilibriumBlock[Any], wrt: Sequence[str]) -> Any:
+def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every joint a, with dx as unknowns."""
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
     for name in names:
@@ -30,33 +26,33 @@ def add_jacobian(block: EquilibriumBlock[Any], wrt: Sequence[str]) -> Any:
     count = seeds["rotations"].shape[1]
     shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
     rows = [size[0] * size[1] for size in shapes]
-    typical = {"torsion": 1 / block._reach, "position": block._reach}
+    typical = {"torsion": 1 / block.reach, "position": block.reach}
     unit = np.concatenate([np.full(size, typical.get(name, 1.0)) for name, size in zip(UNKNOWNS, rows, strict=True)])
     per = np.concatenate(
-        [np.full(_width(block, name), 1 / block._reach if name == "translations" else 1.0) for name in names]
+        [np.full(_width(block, name), 1 / block.reach if name == "translations" else 1.0) for name in names]
     )
     total = np.outer(unit, per)
     begin = answers_of(block, equations, seeds)
-    tag = block._label + "answer to the joints"
+    tag = block.label + "answer to the joints"
     flat = block.program.variable(tag, total.size, scale=total.ravel(order="F"), guess=begin)
-    block._answers.append((flat, equations, seeds))
+    block.answers.append((flat, equations, seeds))
     lifted = ca.reshape(flat, len(unit), count)
-    where = [ca.vertcat(*block._columns), *_parameters(block)]
+    where = [ca.vertcat(*block.columns), *_parameters(block)]
     change = [lifted, ca.DM(seeds["rotations"]), ca.DM(seeds["translations"])]
     change += [ca.DM.zeros(part.shape[0], count * part.shape[1]) for part in where[3:]]
     out = equations(*where)
     residual, tip = equations.forward(count)(*where, *out, *change)
     entries = [f"answer to joint {q + 1}: {word}" for q in range(count) for word in words]
     size = np.outer(scale, per).ravel(order="F")
-    block._demand("equations of the answer to the joints", ca.vec(residual), upper=0.0, scale=size, entries=entries)
+    block.demand("equations of the answer to the joints", ca.vec(residual), upper=0.0, scale=size, entries=entries)
     return tip
 
 
-def _width(block: EquilibriumBlock[Any], name: str) -> int:
+def _width(block: ComposedBlock[Any], name: str) -> int:
     return block.robot.n_tubes if name == "rotations" else len(block.robot.moving_together)
 
 
-def _seed(block: EquilibriumBlock[Any], name: str, column: str) -> Any:
+def _seed(block: ComposedBlock[Any], name: str, column: str) -> Any:
     """(n, ...) how the joints `name` of the tubes change with each of `column`."""
     out = np.zeros((block.robot.n_tubes, _width(block, column)))
     if name == column:
@@ -66,13 +62,13 @@ def _seed(block: EquilibriumBlock[Any], name: str, column: str) -> Any:
     return out
 
 
-def _parameters(block: EquilibriumBlock[Any]) -> list[Any]:
+def _parameters(block: ComposedBlock[Any]) -> list[Any]:
     """What the equations of a block depend on beside its unknowns: joints first."""
-    numbers = block._numbers if block._numbers is not None else ca.DM(block.layout.numbers())
+    numbers = block.numbers if block.numbers is not None else ca.DM(block.layout.numbers())
     return [block.rotations, block.translations, *block.dimensions.values(), numbers]
 
 
-def _equations(block: EquilibriumBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
+def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
     shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
     rows = [size[0] * size[1] for size in shapes]
@@ -83,21 +79,21 @@ def _equations(block: EquilibriumBlock[Any]) -> tuple[ca.Function, Any, list[str
     symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
     unknowns = tuple(ca.reshape(part, *shape) for part, shape in zip(parts, shapes, strict=True))
-    model = model_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block._fittings()})
-    table = model.equations(symbols["rotations"], block._reach)
+    model = model_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
+    table = model.equations(symbols["rotations"], block.reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
     words = [word for each in table for word in each.entries]
     outputs = [ca.vertcat(*(each.expression for each in table)), model.pose_ends[1][:, -1]]
     return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, words
 
 
-def answers_of(block: EquilibriumBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
+def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
     """The lifted derivatives where the solve begins, by columns."""
-    begin, count = block._begin, seeds["rotations"].shape[1]
+    begin, count = block.begin, seeds["rotations"].shape[1]
     start = [np.asarray(part).ravel(order="F") for part in (begin.theta, begin.twist, begin.inner)]
     start += [np.asarray(part).ravel(order="F") for part in poses_of(begin)]
     x = np.concatenate(start)
-    numbers = [block._begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
+    numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
     where = [x, *numbers, block.layout.numbers()]
     size = len(x)
     change = [seeds["rotations"], seeds["translations"]]

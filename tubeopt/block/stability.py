@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -10,13 +10,11 @@ import numpy as np
 from ..errors import InputError, finite
 from ..physics.certificate import base_determinant
 from ..physics.strain import SMOOTH
+from .composed import ComposedBlock
 from .given import symbolic
 from .guess import fields_of
 from .transcription import functions
 from .transcription.panel import CHANNELS
-
-if TYPE_CHECKING:
-    from .equilibrium_block import EquilibriumBlock
 
 
 def _checked(name: str, margin: Any) -> Any:
@@ -27,7 +25,7 @@ def _checked(name: str, margin: Any) -> Any:
     return ca.DM(float(margin))
 
 
-def add_margin(block: EquilibriumBlock[Any], margin: Any) -> None:
+def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     """Jacobi's condition on tubes softened by `margin`, for their fields y, v from y = 1, v = 0 at the tip: det y >= 0
     where pieces begin and det(y - |beta| v) >= 0 at the plate.
 
@@ -36,9 +34,9 @@ def add_margin(block: EquilibriumBlock[Any], margin: Any) -> None:
     matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
     floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
-    pieces, reach, degree = model.n_pieces, block._reach, model.grid.degree
-    count = f" {len(block._margins) + 1}" if block._margins else ""
-    label = f"{block._label}Jacobi fields"
+    pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
+    count = f" {len(block.margins) + 1}" if block.margins else ""
+    label = f"{block.label}Jacobi fields"
     columns = [
         block.program.variable(f"{label}{what}{count}", size, scale=scale)
         for what, size, scale in (
@@ -48,7 +46,7 @@ def add_margin(block: EquilibriumBlock[Any], margin: Any) -> None:
         )
     ]
     start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
-    for column, value in zip(columns, fields_of(block._begin, start), strict=True):
+    for column, value in zip(columns, fields_of(block.begin, start), strict=True):
         block.program.set_guess(column, value)
     ratio, points, ahead = (ca.reshape(column, n, -1) for column in columns)
     after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
@@ -59,24 +57,24 @@ def add_margin(block: EquilibriumBlock[Any], margin: Any) -> None:
     gaps = [own @ begins[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
     words = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
-    block._demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=words)
+    block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=words)
     words = [
         f"Jacobi field {c + 1}, tube {i + 1}, piece {k + 1}, point {x + 1}"
         for k, c, x, i in np.ndindex(pieces, n, degree, n)
     ]
-    block._demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
+    block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, entries=words)
     places = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
     words = [
         f"Jacobi field {c + 1}, tube {i + 1}, where {place} begins" for place in places for c, i in np.ndindex(n, n)
     ]
-    block._demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=words)
+    block.demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=words)
     det = functions.determinant_function(n)
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
-    block._demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
-    block._margins.append((tuple(columns), floor))
+    block.demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
+    block.margins.append((tuple(columns), floor))
 
 
-def add_certificate(block: EquilibriumBlock[Any], margin: Any) -> None:
+def add_certificate(block: ComposedBlock[Any], margin: Any) -> None:
     """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
     `physics.certificate`, with the pieces of the block in place of sections."""
     floor, model = _checked("margin", margin), block.model
@@ -97,11 +95,10 @@ def add_certificate(block: EquilibriumBlock[Any], margin: Any) -> None:
     determinant = base_determinant(eigenvalue, given)
     function = ca.Function("certificate", [eigenvalue, *given.values()], [determinant], {"cse": True})
     value = function(1 - floor, *own[:2], model.lengths, *own[2:])
-    block._demand("certificate", value)
-    block._certificates.append(floor)
+    block.demand("certificate", value)
 
 
-def _in_steps(block: EquilibriumBlock[Any]) -> tuple[Any, Any, Any, Any]:
+def _in_steps(block: ComposedBlock[Any]) -> tuple[Any, Any, Any, Any]:
     """kt (n, P), transmissions (n,) with kt at the plate, kb and |m| (n, P) of tubes made of pieces.
 
     Raises:

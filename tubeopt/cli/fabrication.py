@@ -18,7 +18,7 @@ def fabricate(study: FabricationStudy, output: Output) -> None:
     """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures.
 
     The mold is drawn for the rig, and the heating planned on the rig with the mold as drawn. Ends with 3 where the
-    window cannot be held within limit, ramp and currents for one of them, or where mold and heating do not agree;
+    window is not held within limit, ramp and currents for one of them, or where mold and heating do not agree;
     everything is shown and saved all the same.
     """
     answer(study, output)

@@ -31,8 +31,8 @@ LOG = (
 def plan(study: HeatingStudy, output: Output) -> None:
     """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
 
-    Ends with 3 where the window cannot be held within limit, ramp and currents; the best schedule and what would help
-    are shown and saved all the same.
+    Ends with 3 where no schedule is found that holds the window within limit, ramp and currents; the best one and what
+    would help are shown and saved all the same.
     """
     answer(study, output)
 

@@ -15,7 +15,7 @@ from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..control.servo import OBJECTIVES, Servo, ServoOptions
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..robots.calibration import to_model
+from ..robots.readings import to_model
 from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
 from ..runs.obstacle_file import Bodies
 from ..show.report import to_text

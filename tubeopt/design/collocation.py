@@ -27,7 +27,6 @@ from ..robots.concentric import ConcentricRobot
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
-from .order import ordered_places
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
 from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
 from .rows import joint_rows, order_rows
@@ -180,7 +179,7 @@ class _Collocated:
     def _linear(self) -> None:
         """Order of the tubes and limits of the joints, which are linear in the unknowns."""
         task = self.program.task
-        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, ordered_places(task))
+        parts = joint_rows(self.state, task.robot.joint_limits), order_rows(self.state, task.places)
         for values, slopes in parts:
             if len(values):
                 self._at_least(ca.DM(values) + ca.DM(slopes) @ (self.x - ca.DM(self.state.x)))

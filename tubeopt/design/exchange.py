@@ -38,7 +38,7 @@ POINTS_PER_ROUND = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
+class Motion:
     """A robot moved along its task poses: margins (W,) at fractions (W,) of each step, snaps, and where it arrives."""
 
     first: int
@@ -56,7 +56,7 @@ def robot_at(program: Program, x: Array) -> ConcentricRobot:
     return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
 
 
-def walks(program: Program, robot: ConcentricRobot, x: Array) -> list[Walk]:
+def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
     state = state_at(program, x)
     joints = [state.joint_values(k) for k in program.task_poses]
@@ -69,7 +69,7 @@ def walks(program: Program, robot: ConcentricRobot, x: Array) -> list[Walk]:
         snap = (path.snaps[0].index + path.snaps[0].fraction) / WAYPOINTS if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
         numbers = program.task_poses[a], program.task_poses[a + 1]
-        out.append(Walk(*numbers, share, margin, path.equilibria, snap))
+        out.append(Motion(*numbers, share, margin, path.equilibria, snap))
         start = None if path.snaps else path.equilibria[-1]
     return out
 
@@ -125,35 +125,35 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, least: floa
     """Points of joint paths where the margin is below `least`, the worst of each; poses there begin in what was
     found."""
     out = []
-    for walk in walks(program, robot, x):
-        if walk.snap is not None:
-            fraction, found = _inside_fold(robot, walk)
-        elif walk.margin.min() < least:
-            k = int(np.argmin(walk.margin))
-            fraction, found = float(walk.fraction[k]), walk.equilibria[k]
+    for motion in motions(program, robot, x):
+        if motion.snap is not None:
+            fraction, found = _inside_fold(robot, motion)
+        elif motion.margin.min() < least:
+            k = int(np.argmin(motion.margin))
+            fraction, found = float(motion.fraction[k]), motion.equilibria[k]
         else:
             continue
-        out.append((walk.first, walk.second, fraction))
+        out.append((motion.first, motion.second, fraction))
         program.guesses[len(program.layout.poses) + len(out) - 1] = twist_of(found)
     return out
 
 
-def _inside_fold(robot: ConcentricRobot, walk: Walk) -> tuple[float, Equilibrium]:
+def _inside_fold(robot: ConcentricRobot, motion: Motion) -> tuple[float, Equilibrium]:
     """A fraction of a path that snaps, and the equilibrium there with the least margin: the saddle between branches.
 
     Going forth the robot leaves its branch at one fold, coming back at another; half-way between them the saddle is
     farthest from both. A design in which it has a positive margin has no folds there.
     """
-    assert walk.snap is not None
-    joints = [np.concatenate([e.rotations, e.translations]) for e in (walk.equilibria[0], walk.equilibria[-1])]
+    assert motion.snap is not None
+    joints = [np.concatenate([e.rotations, e.translations]) for e in (motion.equilibria[0], motion.equilibria[-1])]
 
     def at(t: float) -> tuple[Array, Array]:
         rotations, translations = np.split(joints[0] + t * (joints[1] - joints[0]), 2)
         return rotations, translations
 
     there, here = at(1.0), at(0.0)
-    back = follow(robot, [there[0], here[0]], [there[1], here[1]], start=walk.equilibria[-1]).snaps
-    t = walk.snap if not back else 0.5 * (walk.snap + 1.0 - back[-1].fraction)
+    back = follow(robot, [there[0], here[0]], [there[1], here[1]], start=motion.equilibria[-1]).snaps
+    t = motion.snap if not back else 0.5 * (motion.snap + 1.0 - back[-1].fraction)
     candidates = find_equilibria(robot, *at(t))
     return t, min(candidates, key=lambda e: e.margin)
 

@@ -10,18 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
 from ..robots.tubes import Tube
 from ..typing import Array
-from .objectives import Objective
-from .requirements import Poses, SnapFree
-
-if TYPE_CHECKING:
-    from .task import DesignTask
+from .objectives import AnyObjective, Objective
+from .requirements import Poses, Requirement, SnapFree
 
 SLACK = 1e-10
 """Length (m) by which round-off may take tubes out of order: what inverse kinematics and planning allow."""
@@ -36,13 +32,13 @@ class Place:
     high: tuple[float, ...]
 
 
-def ordered_places(task: DesignTask) -> tuple[Place, ...]:
-    """Where the tubes of a task must be in order: at home, and wherever a requirement or an objective puts them."""
-    if not task.ordered:
-        return ()
-    home = (0.0,) * task.robot.n_tubes
+def ordered_places(
+    n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
+) -> tuple[Place, ...]:
+    """Where tubes must be in order: at home, and wherever a requirement or an objective puts them."""
+    home = (0.0,) * n_tubes
     found = [Place("at home", home, home)]
-    for one in task.requirements:
+    for one in requirements:
         match one:
             case SnapFree(translations=rows, box=box):
                 found += [Place(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()]
@@ -51,7 +47,7 @@ def ordered_places(task: DesignTask) -> tuple[Place, ...]:
                 found += [Place(f"at the pose with translations {_mm(row)}", row, row) for row in dict.fromkeys(rows)]
             case _:
                 pass
-    for aim in task.objectives:
+    for aim in objectives:
         if isinstance(aim, Objective) and aim.translations is not None:
             found.append(Place(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2))
     return tuple({(place.low, place.high): place for place in reversed(found)}.values())[::-1]
@@ -77,11 +73,11 @@ def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, 
     return min((_worst(order_gaps(straight, curved, place), place) for place in places), key=lambda found: found[0])
 
 
-def check_order(task: DesignTask, least: dict[str, Array], most: dict[str, Array]) -> None:
-    """Raise InputError where no lengths within their bounds (n,) keep the order of a task."""
-    for place in ordered_places(task):
+def check_order(places: Sequence[Place], least: dict[str, Array], most: dict[str, Array]) -> None:
+    """Raise InputError where no lengths within their bounds (n,) keep the order at places."""
+    for place in places:
         lows = order_gaps(most["straight_length"], most["curved_length"], place)
-        n = task.robot.n_tubes
+        n = len(place.low)
         # The outer tube of a pair counts with its least length.
         for name, first in (("straight_length", 0), ("curved_length", n - 1)):
             lows[first : first + n - 1] += most[name][1:] - least[name][1:]

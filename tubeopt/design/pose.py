@@ -12,7 +12,8 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS
-from ..equilibrium.derivatives import PARAMETERS, Derivatives
+from ..equilibrium.arm_change import PARAMETERS
+from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.margin import AtSolution, AtWorst
 from ..equilibrium.solving import Solution
 from ..equilibrium.state import arm_of

@@ -19,13 +19,12 @@ from ..typing import Array
 from .aims import aim
 from .lookup import at_state
 from .objectives import AnyObjective, Objective, key_of
-from .order import ordered_places
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
 from .rows import Rows, joint_rows, order_rows, stated_rows
 from .solved import Twist
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .statements import Statement, statements
-from .task import DesignTask
+from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)
 """What task poses must keep where nothing else speaks of snapping."""
@@ -191,7 +190,9 @@ def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
 
 def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     space, n = layout.space, layout.n
-    low_tubes, high_tubes = _extreme_lengths(task)
+    low_tubes = [tube.length for tube in space.tubes(space.start)]
+    most = extreme_lengths(task, "upper")
+    high_tubes = most["straight_length"] + most["curved_length"]
     limits = task.robot.limits.rotations
     lower = [*space.lower]
     upper = [*space.upper]
@@ -207,19 +208,6 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
         upper.append(high)
         scale.append(size)
     return np.array(lower), np.array(upper), np.array(scale)
-
-
-def _extreme_lengths(task: DesignTask) -> tuple[list[float], list[float]]:
-    """Overall length of every tube at the start, and the greatest that the bounds allow."""
-    space = task.space
-    start = [tube.length for tube in space.tubes(space.start)]
-    most = list(start)
-    for (name, tubes, scaled), begin, high in zip(space.unknowns, space.start, space.upper, strict=True):
-        if name in ("straight_length", "curved_length"):
-            for i in tubes:
-                size = getattr(space.robot_tubes[i], name) if scaled else 1.0
-                most[i] += (high - begin) * size
-    return start, most
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
@@ -269,7 +257,7 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
 def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
     strain and margin."""
-    jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, ordered_places(program.task))
+    jointed = joint_rows(state, program.task.robot.joint_limits), order_rows(state, program.task.places)
     parts, changes = [values for values, _ in jointed], [slopes for _, slopes in jointed]
     look = at_state(state)
     for one in built_in(program.task.objectives):

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.transcription.mesh import Mesh, make_mesh
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, to_unknowns
-from ..equilibrium.derivatives import PARAMETERS
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
+from ..block.transcription.second_variation import margin
+from ..equilibrium.arm_change import PARAMETERS
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF, Assembly, assemble
 from ..robots.tubes import Tube

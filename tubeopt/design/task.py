@@ -15,7 +15,7 @@ from ..robots.tubes import must_follow_section
 from ..typing import Array
 from .checks import items
 from .objectives import KINDS, AnyObjective, Objective, key_of
-from .order import check_order
+from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
 from .requirements import (
     Avoid,
@@ -75,12 +75,17 @@ class DesignTask(Displayed):
             raise InputError("objective is empty; a design needs at least one")
         _check_requirements(self)
         _check_objectives(self)
-        check_order(self, *(extreme_lengths(self, side) for side in ("lower", "upper")))
+        check_order(self.places, *(extreme_lengths(self, side) for side in ("lower", "upper")))
 
     @property
     def objectives(self) -> tuple[AnyObjective, ...]:
         """All objectives."""
         return (self.objective,) if isinstance(self.objective, AnyObjective) else tuple(self.objective)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where the tubes must be in order."""
+        return ordered_places(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
 
     @property
     def space(self) -> DesignSpace:

@@ -14,9 +14,9 @@ from ..robots.concentric import ConcentricRobot
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .checks import whole
-from .exchange import certified_at, walks
+from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
-from .order import ordered_places, pose_places, worst_order
+from .order import pose_places, worst_order
 from .program import Program, corners, state_at
 from .requirements import (
     Avoid,
@@ -96,8 +96,8 @@ def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equ
     joints = [state.joint_values(k) for k in program.task_poses]
     paths = [one for one in of_kind(program.task.requirements, SnapFreeInUse) if one.paths]
     if paths and len(joints) > 1:
-        found = walks(program, robot, x)
-        return (found[0].equilibria[0], *(walk.equilibria[-1] for walk in found))
+        found = motions(program, robot, x)
+        return (found[0].equilibria[0], *(motion.equilibria[-1] for motion in found))
     return tuple(forward_kinematics(robot, *pair) for pair in joints)
 
 
@@ -148,7 +148,7 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
 def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
     """Tubes in order where the task wants them so, and in its poses."""
     posed = pose_places([e.translations for e in equilibria]) if program.task.ordered else ()
-    places = (*ordered_places(program.task), *posed)
+    places = (*program.task.places, *posed)
     if not places:
         return []
     gap, words = worst_order(robot.tubes, places)
@@ -156,10 +156,10 @@ def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibri
 
 
 def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse) -> Check:
-    found = walks(program, robot, x)
-    if any(walk.snap is not None for walk in found):
+    found = motions(program, robot, x)
+    if any(motion.snap is not None for motion in found):
         return Check("joint paths between the task poses", "a snap", False)
-    least = min(float(walk.margin.min()) for walk in found)
+    least = min(float(motion.margin.min()) for motion in found)
     words = "margin on the joint paths between the task poses"
     return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..block.transcription.reduced import margin, to_unknowns
+from ..block.transcription.reduced import to_unknowns
+from ..block.transcription.second_variation import margin
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.newton import newton

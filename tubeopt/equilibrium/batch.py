@@ -18,6 +18,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask
 from .kinematics import check_turn, forward_kinematics, measure
+from .loaded import grow_many
 from .result import Equilibrium
 
 CHUNK = 2048
@@ -83,7 +84,7 @@ def forward_kinematics_batch(
     Args:
         rotations: (N, n) rad.
         translations: (N, n) m, or (n,) for all; None is home.
-        load: on every configuration; solved one by one.
+        load: on every configuration; those of the same translations share what is built for them.
         tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm, with tubes
             made of pieces of 10 mm.
         workers: threads of the kernel; 0 is one per core.
@@ -216,13 +217,22 @@ def _solve_loaded(
 ) -> list[tuple[int, str]]:
     """Solve some rows under load into a table and compliances; returns those without an answer, with the reason."""
     (alpha, shift, load), (table, compliance), failures = given, out, []
-    for row in range(*rows.indices(len(alpha))):
-        try:
-            e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
-        except SolveError as error:
-            failures.append((row, str(error)))
-            continue
-        table[row], compliance[row] = _row(e), e.compliance
+    places, group = np.unique(shift[rows], axis=0, return_inverse=True)
+    for k, place in enumerate(places):
+        chosen = rows.start + np.flatnonzero(group.ravel() == k)
+        left = chosen
+        if len(chosen) > 1 and (solved := grow_many(robot, alpha[chosen], place, load, tolerance)) is not None:
+            found, soft, fine = solved
+            table[chosen], compliance[chosen] = found, soft
+            left = chosen[~fine]
+        for row in left.tolist():
+            try:
+                e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
+            except SolveError as error:
+                table[row], compliance[row] = np.nan, np.nan
+                failures.append((row, str(error)))
+                continue
+            table[row], compliance[row] = _row(e), e.compliance
     return failures
 
 

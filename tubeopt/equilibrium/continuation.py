@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.transcription import arm as arms
-from ..block.transcription.reduced import ReducedProblem, margin, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.newton import newton

@@ -13,54 +13,36 @@ from functools import cached_property
 
 import numpy as np
 
-from ..block.transcription.buffered import section_function
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import (
     Arm,
-    Chain,
-    Response,
     Slopes,
-    along,
-    chain_of,
     cross,
     cumulate,
     poses_inside,
-    respond,
     rotation_change,
     rotation_rates_at,
     rotations_at,
     slopes_at,
 )
 from ..block.transcription.reduced import ReducedProblem
-from ..errors import InputError
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.breakpoints import DIMENSIONS
 from ..typing import Array
-from .jumps import Jumps, moving_breakpoints
+from .arm_change import ArmChange
 from .margin import AtSolution, Variation, quotient_change
 from .offset import offset_change
-
-PARAMETERS = ("rotations", "translations", *DIMENSIONS)
-"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
 
 FLAT = 1 - 1e-9
 """Margin above which nothing softens: the greatest value, 1, which does not change."""
 
 
-class Derivatives:
+class Derivatives(ArmChange):
     """Derivatives of one equilibrium with respect to Q parameters, computed where they are asked for.
 
     Args:
-        arm, assembly, carriages: the solved arm, its bundle of tubes, and the tubes that move together.
-        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
-            to its translation in equal parts, so that the chain rule holds for every motion that is possible.
-        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
-            derivatives differ.
+        arm, assembly, carriages, wrt, side: as of `ArmChange`.
         margin: of the equilibrium.
         problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
-
-    Raises:
-        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
     """
 
     def __init__(
@@ -74,136 +56,8 @@ class Derivatives:
         margin: float = 1.0,
         problem: Callable[[], ReducedProblem] | None = None,
     ) -> None:
-        if side not in (1, -1):
-            raise InputError(f"side is {side}; it must be 1 (forward) or -1 (backward)")
-        for name in wrt:
-            if name not in PARAMETERS:
-                raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
-        self.arm, self.assembly, self.carriages = arm, assembly, carriages
-        self.wrt, self.side, self.value, self._problem = tuple(wrt), side, margin, problem
-        self.size = 0
-        """Number of columns, by carriages."""
-        self._first = {}
-        for name in self.wrt:
-            self._first[name] = self.size
-            self.size += len(carriages) if name == "translations" else arm.n_tubes
-
-    # --- what changes -------------------------------------------------------------------------------------------------
-
-    def first(self, name: str) -> int | None:
-        """The first column of a parameter, None where it is not asked for."""
-        return self._first.get(name)
-
-    @cached_property
-    def data(self) -> Array:
-        """(P, 3n, Q) change of kb, m and kt."""
-        arm, n = self.arm, self.arm.n_tubes
-        out = np.zeros((arm.n_pieces, 3 * n, self.size))
-        if not self.reshaped:
-            return out
-        present, tube = arm.stiffness > 0, np.arange(n)
-        kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
-        curved = self._curved
-        for name, rows in (
-            ("curvature", ((n, kb * curved),)),
-            ("bending_stiffness", ((0, present), (n, kappa * curved))),
-            ("torsional_stiffness", ((2 * n, np.ones((arm.n_pieces, n))),)),
-        ):
-            first = self.first(name)
-            if first is not None:
-                for row, values in rows:
-                    out[:, row + tube, first + tube] = values
-        return out
-
-    @property
-    def reshaped(self) -> bool:
-        """Whether any parameter changes the cross-sections."""
-        return not {"curvature", "bending_stiffness", "torsional_stiffness"}.isdisjoint(self.wrt)
-
-    @property
-    def _curved(self) -> Array:
-        """(P, n) whether each tube is on its curved part, straight or not."""
-        middle = (self.arm.start + self.arm.length / 2)[:, None]
-        return np.asarray((middle > self.assembly.transition) & (middle < self.assembly.end))
-
-    @cached_property
-    def transmitted(self) -> Array:
-        """(n, Q) change of |beta|."""
-        out = np.zeros((self.arm.n_tubes, self.size))
-        first = self.first("translations")
-        if first is not None:
-            for c, tubes in enumerate(self.carriages):
-                for i in tubes:
-                    out[i, first + c] = -1.0
-        first = self.first("straight_length")
-        if first is not None:
-            out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
-        return out
-
-    @cached_property
-    def movers(self) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
-        """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
-        out: list[tuple[int, tuple[int, ...], tuple[int, ...]]] = []
-        first = self.first("translations")
-        if first is not None:
-            out += [(first + c, tubes, tubes) for c, tubes in enumerate(self.carriages)]
-        first = self.first("curved_length")
-        if first is not None:
-            out += [(first + i, (), (i,)) for i in range(self.arm.n_tubes)]
-        return out
-
-    @cached_property
-    def jumps(self) -> Jumps:
-        """Every breakpoint in front of the plate that a parameter moves."""
-        return moving_breakpoints(self)
-
-    @cached_property
-    def cuts(self) -> Array:
-        """(P + 1,) arc lengths between the pieces, plate and tip included."""
-        return np.append(self.arm.start, self.assembly.total_length)
-
-    @cached_property
-    def _gains(self) -> tuple[Array, Array, Array, Array]:
-        """What theta' and w' (J, 2n), u (J, 2), and energy per length and |u|^2 (J,) gain at the jumps, per unit of
-        their parameters."""
-        jumps, n, place, kt = self.jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
-        count = len(jumps)
-        if not count:
-            return np.zeros((0, 2 * n)), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-        theta, twist = (jumps.twice(table) for table in self.arm.states)
-        there = jumps.stiffness.any(1, keepdims=True)
-        function = section_function("section", 2 * count, n, bool(place))
-        moment, stretch, u, bending = function(theta, jumps.solid, jumps.moment, *place)
-        turned, bent = np.where(there, stretch, 1.0) * twist, u * there
-        density = (bending * there)[:, 0] + (turned * twist) @ kt / 2
-        rates = np.concatenate([turned, moment / kt], axis=1), bent, density, (bent**2).sum(1)
-        state, curvature, energy, squared = (self.side * jumps.gain(rate) for rate in rates)
-        return state, curvature, energy, squared
-
-    # --- torsion ------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def slopes(self) -> Slopes:
-        """Cross-sections at the points, with their derivatives."""
-        return slopes_at(self.arm, self.arm.inner)
-
-    @cached_property
-    def chain(self) -> Chain:
-        """Linear maps of the pieces."""
-        return chain_of(self.arm, self.slopes, dimensions=self.reshaped)
-
-    @cached_property
-    def response(self) -> Response:
-        """Change of theta and w along the arm, by carriages."""
-        arm, n = self.arm, self.arm.n_tubes
-        base = self.transmitted * arm.twist[:1].sum(0)[:, None]
-        first = self.first("rotations")
-        if first is not None:
-            base[np.arange(n), first + np.arange(n)] = 1.0
-        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
-        # No two breakpoints that one parameter moves are at the same place.
-        jumps[self.jumps.index, :, self.jumps.column] = self._gains[0]
-        return respond(arm, self.chain, base, self.data, jumps)
+        super().__init__(arm, assembly, carriages, wrt=wrt, side=side)
+        self.value, self._problem = margin, problem
 
     @cached_property
     def tip_rotations(self) -> Array:
@@ -252,7 +106,7 @@ class Derivatives:
     def _turns(self) -> Array:
         """(J, 3) turns of all that lies beyond the jumps."""
         frame = self.arm.frame[self.jumps.index * (len(ENDS) - 1)]
-        return np.asarray((frame[:, :, :2] @ self._gains[1][:, :, None])[..., 0])
+        return np.asarray((frame[:, :, :2] @ self.gains[1][:, :, None])[..., 0])
 
     @cached_property
     def _tip(self) -> tuple[Array, Array]:
@@ -322,7 +176,7 @@ class Derivatives:
         """(Q,) of int |u|^2 ds, 1/m."""
         weights, at = self.arm.length[:, None] * self.arm.tableau.weights, self.slopes
         out = 2 * np.einsum("px,pxa,pxaq->q", weights, at.curvature, self.bent)
-        return self.per_tube(out + self._gains[3] @ self.jumps.spread)
+        return self.per_tube(out + self.gains[3] @ self.jumps.spread)
 
     # --- energy and margin --------------------------------------------------------------------------------------------
 
@@ -340,31 +194,13 @@ class Derivatives:
         if self.reshaped:
             by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
             out += _total(by_data, self.data)
-        out += self._gains[2] @ self.jumps.spread
+        out += self.gains[2] @ self.jumps.spread
         base, change = arm.twist[:1].sum(0), self.response.end[0, n:]
         out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ change
         first = self.first("torsional_stiffness")
         if first is not None:
             out[first : first + n] += arm.transmission * base**2 / 2
         return self.per_tube(out)
-
-    @cached_property
-    def twist_change(self) -> Array:
-        """(P, K, n, Q) change of w at the points, by carriages."""
-        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
-        rate = at.rate_slope[..., :n] @ self.response.inner
-        if self.reshaped:
-            rate += at.rate_slope[..., n:] @ self.data[:, None, : 2 * n]
-            rate -= (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
-        gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
-        return np.asarray(self.response.state[:-1, None, n:] + gained)
-
-    @cached_property
-    def columns(self) -> Array:
-        """(P, K, 3n, Q) change of theta, kb and m at the points."""
-        n, inner = self.arm.n_tubes, self.response.inner
-        data = np.broadcast_to(self.data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self.size))
-        return np.concatenate([inner, data], axis=2)
 
     @cached_property
     def margin(self) -> Array:
@@ -383,16 +219,6 @@ class Derivatives:
         if value >= FLAT:
             return self.per_tube(np.zeros(self.size))
         return self.per_tube(quotient_change(self, value, variation, one_of_two=one_of_two))
-
-    def per_tube(self, columns: Array) -> Array:
-        """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
-        n, first = self.arm.n_tubes, self.first("translations")
-        if first is None or len(self.carriages) == n:
-            return columns
-        parts = [columns[..., :first], np.zeros((*columns.shape[:-1], n)), columns[..., first + len(self.carriages) :]]
-        for c, tubes in enumerate(self.carriages):
-            parts[1][..., list(tubes)] = columns[..., first + c, None] / len(tubes)
-        return np.concatenate(parts, axis=-1)
 
 
 def _total(weights: Array, change: Array) -> Array:

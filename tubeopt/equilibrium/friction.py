@@ -15,8 +15,9 @@ import numpy as np
 from ..block.transcription import arm as arms
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import Contact, evaluate_contact, make_contact, rubbing_profile, unknowns_of
+from ..block.transcription.green import sections_at
 from ..block.transcription.piece import EXTRA_POINTS
-from ..block.transcription.reduced import sections_at, to_unknowns
+from ..block.transcription.reduced import to_unknowns
 from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot

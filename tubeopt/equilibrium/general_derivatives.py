@@ -21,8 +21,9 @@ import scipy
 
 from ..block.transcription.arm import Profile, integrate_torque
 from ..block.transcription.buffered import section_function
+from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import poses_at_points
-from ..block.transcription.reduced import INWARDS, ReducedProblem
+from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import InputError, SolveError
 from ..robots.breakpoints import DIMENSIONS

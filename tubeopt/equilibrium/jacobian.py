@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..display import Displayed
 from ..errors import SolveError
 from ..robots.robot import is_general
 from ..solvers.parallel.blas import small
-from ..typing import Array
 from .derivatives import Derivatives
 from .general_derivatives import general_columns
-from .result import Equilibrium
+from .loaded_jacobian import loaded_columns
+from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
 
 SOLVED = 1e-6
@@ -22,28 +20,6 @@ SOLVED = 1e-6
 
 JOINTS = ("rotations", "translations")
 """What a Jacobian is taken with respect to unless asked otherwise."""
-
-
-@dataclass(frozen=True, eq=False)
-class Jacobian(Displayed):
-    """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
-
-    Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
-    translation in equal parts, so that the chain rule holds for every motion that is possible.
-
-    Attributes:
-        wrt: of what the columns are: "rotations", "translations", or a dimension of the tubes.
-        position: (3, Q) of tip_position.  rotation: (3, Q) turn vector of the tip frame, in the plate frame, rad.
-        tip_rotations: (n, Q) of theta at each tube's own end.
-        margin: (Q,); NaN where the margin is a double eigenvalue.  energy: (Q,), J.
-    """
-
-    wrt: tuple[str, ...]
-    position: Array
-    rotation: Array
-    tip_rotations: Array
-    margin: Array
-    energy: Array
 
 
 def derivatives_of(equilibrium: Equilibrium, wrt: Sequence[str] = JOINTS, *, side: int = 1) -> Derivatives:
@@ -87,8 +63,6 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
     if equilibrium.load is not None:
-        from .loaded_jacobian import loaded_columns
-
         return Jacobian(tuple(wrt), *loaded_columns(equilibrium, wrt, side))
     if is_general(equilibrium.robot):
         return Jacobian(tuple(wrt), *general_columns(equilibrium, wrt, side))

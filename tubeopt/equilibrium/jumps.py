@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import ROUND_OFF, Assembly
 from ..typing import Array
-
-if TYPE_CHECKING:
-    from .derivatives import Derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +44,18 @@ class Jumps:
         return np.asarray(values[:half] - values[half:])
 
 
-def moving_breakpoints(of: Derivatives) -> Jumps:
-    """Every breakpoint in front of the plate that a parameter moves."""
-    assembly, n, nudge = of.assembly, of.arm.n_tubes, of.side * ROUND_OFF
+Mover = tuple[int, tuple[int, ...], tuple[int, ...]]
+"""Column of a parameter that moves breakpoints, with the tubes whose transitions and whose ends move along."""
+
+
+def moving_breakpoints(assembly: Assembly, cuts: Array, movers: Sequence[Mover], side: int, size: int) -> Jumps:
+    """Every breakpoint in front of the plate that a parameter, one of `size`, moves towards the tip (`side` 1) or the
+    plate (-1); `cuts` (P + 1,) are the arc lengths between the pieces."""
+    n, nudge = assembly.n_tubes, side * ROUND_OFF
     begin, end = assembly.transition.tolist(), assembly.end.tolist()
-    least = -nudge if of.arm.n_pieces else np.inf
+    least = -nudge if len(cuts) > 1 else np.inf
     column, place, gained, lost = [], [], [], []
-    for c, first, last in of.movers:
+    for c, first, last in movers:
         own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
         begins = [s + 2 * nudge * (i in first) for i, s in enumerate(begin)]
         ends = [s + 2 * nudge * (i in last) for i, s in enumerate(end)]
@@ -68,10 +70,10 @@ def moving_breakpoints(of: Derivatives) -> Jumps:
     there = np.array(gained + lost, dtype=bool).reshape(-1, 2, n)
     return Jumps(
         column=np.array(column, dtype=np.intp),
-        index=np.searchsorted(of.cuts, np.array(place) - 2 * ROUND_OFF),
+        index=np.searchsorted(cuts, np.array(place) - 2 * ROUND_OFF),
         stiffness=there[:, 0] * assembly.bending_stiffness,
         moment=there[:, 1] * (assembly.bending_stiffness * assembly.curvature),
-        spread=(np.array(column)[:, None] == np.arange(of.size)).astype(float),
+        spread=(np.array(column)[:, None] == np.arange(size)).astype(float),
     )
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription import arm as arms
-from ..block.transcription.reduced import ReducedProblem, evaluate, margin, on_centreline, to_unknowns, worst_equation
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, to_unknowns, worst_equation
+from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, choice, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
@@ -82,7 +83,7 @@ MOST_TURN = 1e3
 """Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
 
 
-def forward_kinematics(
+def forward_kinematics(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,

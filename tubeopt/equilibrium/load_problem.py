@@ -15,6 +15,7 @@ from ..robots.assembly import Assembly, cut
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
+from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
 from .solving import Discretisation
 
@@ -22,7 +23,7 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 
 
-EXTRA_POINTS = 2
+EXTRA_POINTS = 1
 """Collocation points by which the check of the mesh is finer than the solution."""
 
 
@@ -31,6 +32,11 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
     does not exist, a tube of unknown weight."""
     if not isinstance(load, Load):
         raise InputError(f"load is {load!r}; it must be a Load")
+    _check(robot, load, translations)
+
+
+@lru_cache(maxsize=64)
+def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     assembly = robot.assembly(np.array(translations))
     if assembly.eccentric:
         raise InputError(
@@ -85,14 +91,13 @@ def loaded_problem(
 
 
 @lru_cache(maxsize=64)
-def loaded_pair(
-    robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0
-) -> tuple[LoadedProblem, LoadedProblem]:
-    """The problem of a robot under a load, and that with more points which tells its error."""
+def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0) -> LoadedRules:
+    """The problem of a robot under a load on the rules of the compiled kernel."""
     family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
-    problem = loaded_problem(robot, translations, load, Discretisation(family, degree, refinement))
-    finer = Discretisation(family, degree + EXTRA_POINTS, refinement)
-    return problem, loaded_problem(robot, translations, load, finer)
+    degrees = degree, ROUGH_DEGREE, degree + EXTRA_POINTS
+    return LoadedRules(
+        *(loaded_problem(robot, translations, load, Discretisation(family, k, refinement)) for k in degrees)
+    )
 
 
 @lru_cache(maxsize=64)

@@ -6,20 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..block.transcription.arm import arc_lengths
+from ..block.transcription.collocated import STEPS
 from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, unknowns
 from ..block.transcription.loaded_along import compliance_along
 from ..errors import InputError, SolveError, finite
 from ..robots.load import Load, PointForce
 from ..robots.robot import Robot
-from ..solvers.compiled.loaded import solve_loaded_compiled
+from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
+from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
-from ..typing import Array
+from ..typing import Array, Mask
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
 from .load_continuation import JointFamily, LoadedPoint, LoadFamily, Member, carry, interpolate, reach
-from .load_problem import LOADED_DISCRETISATION, check_load, loaded_pair, loaded_problem
+from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
 from .result import Equilibrium, Status
-from .solving import Discretisation, discretisation_of, sample_rotation
+from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
 
 FINEST = 4
 """Most times that the pieces of the mesh are halved."""
@@ -173,7 +176,8 @@ def compiled(
     rotations, shift = joints
     if not load.has_energy:
         return None
-    problem, finer = loaded_pair(robot, shift, load)
+    rules = loaded_rules(robot, shift, load)
+    problem = rules.problem
     turn = rotations - start.rotations
     if not start.margin > 0:
         return None
@@ -186,19 +190,51 @@ def compiled(
         given, word = _at_points(start, problem), "guess"
     else:
         return None
-    found = solve_loaded_compiled(problem, finer, (rotations, turn), given, start.margin)
+    found = solve_loaded_compiled(rules, (rotations, turn), given, start.margin)
     refinement = 0
     while found is not None and _too_coarse(found, problem, tolerance):
         refinement += 1
         if refinement > FINEST:
             return None
-        coarse, (problem, finer) = problem, loaded_pair(robot, shift, load, refinement)
+        coarse, rules = problem, loaded_rules(robot, shift, load, refinement)
+        problem = rules.problem
         table = interpolate(coarse, np.concatenate([found.theta, found.curvature], axis=1), problem)
         given = table[:, : len(turn)], table[:, len(turn) :]
-        found = solve_loaded_compiled(problem, finer, (rotations, 0 * turn), given, found.margin)
+        found = solve_loaded_compiled(rules, (rotations, 0 * turn), given, found.margin)
     if found is None:
         return None
     return from_answer(robot, Member(problem, rotations, shift), load, found, (word, began, refinement, 0))
+
+
+def grow_many(
+    robot: Robot, rotations: Array, translations: Array, load: Load, tolerance: float
+) -> tuple[Array, Array, Mask] | None:
+    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels.
+
+    Rows of tip position (3), tip frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy; the
+    compliances (M, 6, 6); and (M,) which are fine: grown from an equilibrium without load, and on a mesh fine enough.
+    None where there is no kernel for them.
+    """
+    shift = tuple(translations.tolist())
+    check_load(robot, load, shift)
+    first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
+    if first is None:
+        return None
+    s = first["arc_length"][: int(first["pieces"]) * STEPS + 1].copy()
+    arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
+    unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
+    assert unloaded is not None
+    rules = loaded_rules(robot, shift, load)
+    problem, n = rules.problem, robot.n_tubes
+    length = problem.torsion.assembly.total_length
+    theta = sample_arms(robot, translations, s, arms, problem.torsion.arc_length)
+    ends = np.searchsorted(arc_lengths(problem.mesh), np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
+    found = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
+    if found is None:
+        return None
+    table, compliance, declined = found
+    coarse = np.maximum(table[:, n + 14], table[:, n + 15] / length) > tolerance
+    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > MARGIN_TOLERANCE))
 
 
 def _too_coarse(found: LoadedAnswer, problem: LoadedProblem, tolerance: float) -> bool:

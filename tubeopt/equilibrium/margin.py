@@ -7,7 +7,7 @@ breakpoints that move.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy
@@ -16,15 +16,13 @@ from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.linear import Arm
 from ..physics.certificate import worst_function
 from ..typing import Array
-
-if TYPE_CHECKING:
-    from .derivatives import Derivatives
+from .arm_change import ArmChange
 
 
 class Variation(Protocol):
     """The part V'' of a second variation, with m (N, n) cross-sections."""
 
-    def matrix(self, of: Derivatives) -> Array:
+    def matrix(self, of: ArmChange) -> Array:
         """(P, K, n, n) at the points, each row over the torsional stiffness of its tube."""
 
     def form(self, theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
@@ -34,7 +32,7 @@ class Variation(Protocol):
 class AtSolution:
     """That of the margin of concentric tubes, at the solved rotations."""
 
-    def matrix(self, of: Derivatives) -> Array:
+    def matrix(self, of: ArmChange) -> Array:
         """(P, K, n, n): a moment is a slope of V."""
         return of.slopes.rate_slope[..., : of.arm.n_tubes]
 
@@ -48,7 +46,7 @@ class AtSolution:
 class AtWorst:
     """That of the certificate: at rotations which are worst for every pair of tubes."""
 
-    def matrix(self, of: Derivatives) -> Array:
+    def matrix(self, of: ArmChange) -> Array:
         """(P, K, n, n)."""
         _, kb, m = of.arm.flat
         count, n = kb.shape
@@ -62,7 +60,7 @@ class AtWorst:
         return form[:, 0].copy(), np.concatenate([np.zeros((count, n)), slope.reshape(count, 2 * n)], axis=1)
 
 
-def quotient_change(of: Derivatives, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
+def quotient_change(of: ArmChange, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
     """(Q,) change, by carriages, of a least Rayleigh quotient that is `value`.
 
     Where it is a double eigenvalue it has no derivative: NaN, or, if `one_of_two`, that of one of its modes.
@@ -96,7 +94,7 @@ DOUBLE = 1e-9
 """Two eigenvalues closer than this are one, whose mode, and so derivative, is not told."""
 
 
-def _mode(of: Derivatives, rate: Array, value: float, one_of_two: bool) -> tuple[Array, Array, Array, Array] | None:
+def _mode(of: ArmChange, rate: Array, value: float, one_of_two: bool) -> tuple[Array, Array, Array, Array] | None:
     """The mode y (P, K, n) at the points, y' at the plate (n,) and at the points, and y (P + 1, n) between the pieces.
 
     It solves (1 - mu) y = -C B V'' y, with C the compliance of the tubes between points: by inverse iteration, since mu

@@ -15,20 +15,16 @@ where a breakpoint that moves gives the jumps of g, g' and M' at it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.offset_margin import Mode, worst_mode
 from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array
-
-if TYPE_CHECKING:
-    from .derivatives import Derivatives
+from .arm_change import ArmChange
 
 
-def offset_change(of: Derivatives, problem: ReducedProblem) -> Array:
+def offset_change(of: ArmChange, problem: ReducedProblem) -> Array:
     """(Q,) change of the margin, by carriages, of the solution of `problem`; NaN where it is a double eigenvalue."""
     n, there = of.arm.n_tubes, problem.mesh.collocated
     theta = of.arm.inner[there].reshape(-1, n)
@@ -85,7 +81,7 @@ class _Wave:
         kappa = self.mode.value
         return self.mode.y, self.b, -kappa * self.a * self.twist, -kappa * self.a * self.v
 
-    def gains(self, of: Derivatives) -> Array:
+    def gains(self, of: ArmChange) -> Array:
         """(J,) what the stretches that breakpoints uncover add to the equation, per length."""
         jumps, count, kappa = of.jumps, len(of.jumps), self.mode.value
         if not count:

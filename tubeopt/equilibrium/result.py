@@ -21,7 +21,6 @@ from ..typing import Array, Mask, Sentence, late
 if TYPE_CHECKING:
     from ..block.transcription.arm import Profile
     from ..block.transcription.reduced import ReducedProblem
-    from .jacobian import Jacobian
 
 
 class Status(Sentence):
@@ -90,6 +89,28 @@ class FrictionState:
     def sticking(self) -> Mask:
         """(R,) whether a place bears less than it could."""
         return np.abs(self.torque) < np.array(self.capacity) * (1 - 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian(Displayed):
+    """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
+
+    Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
+    translation in equal parts, so that the chain rule holds for every motion that is possible.
+
+    Attributes:
+        wrt: of what the columns are: "rotations", "translations", or a dimension of the tubes.
+        position: (3, Q) of tip_position.  rotation: (3, Q) turn vector of the tip frame, in the plate frame, rad.
+        tip_rotations: (n, Q) of theta at each tube's own end.
+        margin: (Q,); NaN where the margin is a double eigenvalue.  energy: (Q,), J.
+    """
+
+    wrt: tuple[str, ...]
+    position: Array
+    rotation: Array
+    tip_rotations: Array
+    margin: Array
+    energy: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +217,7 @@ class Equilibrium(Displayed):
         return found
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
-        """Derivatives of tip pose, margin and energy by joint values and dimensions; see `block.jacobian.jacobian`."""
+        """Derivatives of tip pose, margin and energy by joint values and dimensions; see `equilibrium.jacobian`."""
         found: Jacobian = late("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
         return found
 

@@ -12,15 +12,8 @@ import numpy as np
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.mesh import make_mesh, piece_counts
-from ..block.transcription.reduced import (
-    ReducedProblem,
-    margin,
-    pull_rate,
-    reduce,
-    residual,
-    to_unknowns,
-    unstable_directions,
-)
+from ..block.transcription.reduced import ReducedProblem, pull_rate, reduce, residual, to_unknowns
+from ..block.transcription.second_variation import margin, unstable_directions
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..errors import SolveError
@@ -100,35 +93,34 @@ def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
     where a tube is made of pieces."""
-    if is_general(equilibrium.robot):
-        return _sample_elastic(equilibrium, arc_length)
     if np.array_equal(arc_length, equilibrium.point):
-        return equilibrium.point_rotation
-    s = equilibrium.arc_length
+        theta = equilibrium.point_rotation
+        if is_general(equilibrium.robot):
+            theta = theta - equilibrium.robot.assembly(equilibrium.translations).wound(arc_length)
+        return theta
+    arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
+    return sample_arms(equilibrium.robot, equilibrium.translations, equilibrium.arc_length, arm, arc_length)
+
+
+def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
+    """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
+    rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
     if len(s) < 2:
-        return np.tile(equilibrium.rotation[:, 0], (len(arc_length), 1))
+        return np.repeat(rotation, len(arc_length), axis=-2)
+    if is_general(robot):
+        # The polynomial through the shape points of each piece: its rate jumps between.
+        phi = rotation - robot.assembly(translations).wound(s)
+        piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
+        x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
+        basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))
+        around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]
+        return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
     k = np.clip(np.searchsorted(s, arc_length, side="right") - 1, 0, len(s) - 2)
-    h = s[k + 1] - s[k]
-    x = np.clip((arc_length - s[k]) / h, 0.0, 1.0)
-    r, w = equilibrium.rotation, equilibrium.torsion
-    value = r[:, k] * (1 + 2 * x) * (1 - x) ** 2 + r[:, k + 1] * x**2 * (3 - 2 * x)
-    value += h * (w[:, k] * x * (1 - x) ** 2 - w[:, k + 1] * x**2 * (1 - x))
-    return np.asarray(value.T)
-
-
-def _sample_elastic(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """phi (len(arc_length), n), by the polynomial through the shape points of each piece: its rate jumps between."""
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
-    if np.array_equal(arc_length, equilibrium.point):
-        return equilibrium.point_rotation - assembly.wound(arc_length)
-    s = equilibrium.arc_length
-    phi = equilibrium.rotation.T - assembly.wound(s)
-    if len(s) < 2:
-        return np.tile(phi[0], (len(arc_length), 1))
-    piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
-    x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
-    basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))
-    return np.asarray(np.einsum("ak,aki->ai", basis, phi[piece[:, None] * STEPS + np.arange(STEPS + 1)]))
+    h = (s[k + 1] - s[k])[:, None]
+    x = np.clip((arc_length - s[k]) / h[:, 0], 0.0, 1.0)[:, None]
+    value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
+    value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
+    return np.asarray(value)
 
 
 def from_compiled(

@@ -138,7 +138,8 @@ class InverseOptions(Displayed):
         extra_cost: an own objective, added to `objective`: its expression of the quantities of the one pose,
             `q.poses[0]`, times its weight.
         extra_constraints: own requirements that every answer keeps. With either, the fast path searches alone.
-        time_limit: s, after which no further start, polishing of a miss or way is begun; infinite by default.
+        time_limit: s, of the whole call, whatever the method: what is under way then ends where it is; infinite by
+            default.
 
     Raises:
         InputError: a value that is not allowed.

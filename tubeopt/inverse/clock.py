@@ -14,7 +14,8 @@ class Clock:
 
     def __init__(self, limit: float, within: Clock | None = None) -> None:
         self.began, self.limit = time.perf_counter(), limit
-        self._since: tuple[float, float] = (self.began, time.process_time()) if within is None else within._since
+        self.since: tuple[float, float] = (self.began, time.process_time()) if within is None else within.since
+        """Wall and processor time from which crowding is told, s."""
 
     @property
     def seconds(self) -> float:
@@ -33,7 +34,7 @@ class Clock:
     @property
     def crowding(self) -> float:
         """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
-        passed, worked = time.perf_counter() - self._since[0], time.process_time() - self._since[1]
+        passed, worked = time.perf_counter() - self.since[0], time.process_time() - self.since[1]
         return max(1.0, passed / worked) if worked > 0 else 1.0
 
     @property

@@ -79,15 +79,17 @@ class _Section:
 
 
 def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
-    """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over."""
+    """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over. Of
+    several goals the one is told of which least is proved."""
     bare = replace(task, min_margin=task.min_margin - DOUBT, margin_room=0.0, floor=0.0, ends=None)
     random = np.random.default_rng(seed)
-    found = None
+    found = []
     for goal in goals:
-        found = next(iter(_walls(bare, start, goal, clock, random)), None)
-        if found is None:
+        between = next(iter(_walls(bare, start, goal, clock, random)), None)
+        if between is None:
             return None
-    return found
+        found.append(between)
+    return min(found, key=lambda each: each.proved, default=None)
 
 
 def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.random.Generator) -> Iterator[Wall]:

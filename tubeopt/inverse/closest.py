@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 from .descent import ALMOST, FIRST_STEP, SHORTEST_STEP, SLACK, Search, boxed
 from .goal import NEAR, Goal
 from .least_squares import constrained_least_squares
 from .order import apart, beyond, breakpoint_order
-from .outline import MOST_CONTACTS, Index
+from .outline import MOST_CONTACTS
 from .posture import Posture
 
 CONVERGED = 1e-8

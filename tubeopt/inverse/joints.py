@@ -156,8 +156,8 @@ class JointSpace:
                 return np.asarray(chosen[:count])
         if len(chosen) >= count // 4:
             return chosen
-        walked = self._walk(count - len(chosen))
-        return np.concatenate([chosen, walked])
+        added = self._hit_and_run(count - len(chosen))
+        return np.concatenate([chosen, added])
 
     def inside(self) -> Array:
         """(m,) joint values as far as possible from all ends of ranges and order; raises InputError without any."""
@@ -177,7 +177,7 @@ class JointSpace:
             )
         return np.asarray(found.x[:-1])
 
-    def _walk(self, count: int) -> Array:
+    def _hit_and_run(self, count: int) -> Array:
         random = np.random.default_rng(0)
         q = self.inside()
         out = np.empty((count, len(q)))

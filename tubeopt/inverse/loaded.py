@@ -125,4 +125,7 @@ def _answer(found: InverseSolution, e: Equilibrium, target: tuple[Array, Array |
         direction_error=float("nan") if direction is None else angle(e.tip_rotation[:, 2], direction),
         cold_start_agrees=None,
         straight_from_seed=None,
+        # The way of the unloaded robot: what the loaded one does on it nobody asked.
+        reachable=None,
+        way=None,
     )

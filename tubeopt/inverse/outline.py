@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..bodies.scene import Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
-from ..typing import Array, Mask
-
-Index = NDArray[np.intp]
+from ..typing import Array, Index, Mask
 
 FINE = 400
 """Points along the arm at which its distance from bodies is measured."""

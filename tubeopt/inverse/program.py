@@ -6,12 +6,15 @@ and the program of the new order goes on.
 
 from __future__ import annotations
 
+import math
 import threading
+from dataclasses import replace
 
 import numpy as np
 
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
-from ..block.transcription.reduced import margin, to_unknowns
+from ..block.transcription.reduced import to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.continuation import LARGEST_TWIST
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError
@@ -20,6 +23,7 @@ from ..solvers.newton import newton
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution
 from ..solvers.problem_status import ProblemStatus
+from ..solvers.settings import Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .descent import Search
@@ -51,11 +55,11 @@ def programmable(goal: Goal) -> bool:
 
 def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
-    if goal.left < building(goal):
-        return Search(start, False, 0, 0)
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
     for _ in range(MOST_SWITCHES + 1):
+        if goal.left < building(goal):
+            break
         found, count, crossed = _solve_order(goal, here)
         iterations += count
         if found is None:
@@ -82,7 +86,12 @@ def _score(goal: Goal, at: Posture) -> tuple[float, float]:
     return (0.0 if missing < 1e-6 else missing), goal.cost(at)
 
 
-USABLE = (ProblemStatus.SOLVED, ProblemStatus.TOO_MANY_ITERATIONS, ProblemStatus.INFEASIBLE)
+USABLE = (
+    ProblemStatus.SOLVED,
+    ProblemStatus.TOO_MANY_ITERATIONS,
+    ProblemStatus.OUT_OF_TIME,
+    ProblemStatus.INFEASIBLE,
+)
 """Stopped short of the optimum, an iterate may still be a better answer than none, and where this order of breakpoints
 does not reach the target, the next may: what follows checks."""
 
@@ -94,7 +103,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
     if question.overdetermined:
         return None, 0, []  # as where all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
-    found = program.attempt(SETTINGS)
+    found = program.attempt(_in_time(goal))
     if not all(np.isfinite(value).all() for value in found.values.values()):
         return None, 0, []
     posture = _read(goal, at, found, order) if found.status in USABLE else None
@@ -105,6 +114,12 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
     pressed = ((gap <= 10 * CLOSED) & (np.abs(force) > 1e-7))[: order.changeable]
     crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
     return posture, found.statistics.iterations, crossed
+
+
+def _in_time(goal: Goal) -> Ipopt:
+    """Settings with the time that is left, cut to a power of two: a solver is built for every time limit."""
+    left = max(goal.left, building(goal))
+    return SETTINGS if left == math.inf else replace(SETTINGS, time_limit=2.0 ** math.floor(math.log2(left)))
 
 
 def _question(goal: Goal, at: Posture, order: Order) -> Question:

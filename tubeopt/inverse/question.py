@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +16,8 @@ from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
-from .answer import InverseOptions
+from .answer import DEFAULT_OPTIONS, InverseOptions
+from .arguments import check_robot, checked_obstacles
 from .extra import extras
 from .goal import Goal
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights
@@ -32,22 +32,22 @@ def prepared(robot: Robot, limits: JointLimits | None, carriage_gap: float, sect
 
 def pose_question(
     robot: Robot,
-    position: ArrayLike,
-    direction: ArrayLike | None,
-    places: tuple[Configuration | None, Configuration | None],
-    min_margin: float,
-    limits: JointLimits | None,
-    weights: tuple[ArrayLike, ArrayLike] | None,
-    obstacles: Sequence[Obstacle],
-    options: InverseOptions,
+    wanted: tuple[ArrayLike, ArrayLike | None],
+    places: tuple[Configuration | None, Configuration | None] = (None, None),
+    *,
+    min_margin: float = 0.05,
+    limits: JointLimits | None = None,
+    weights: tuple[ArrayLike, ArrayLike] | None = None,
+    obstacles: Sequence[Obstacle] = (),
+    options: InverseOptions = DEFAULT_OPTIONS,
 ) -> Goal:
-    """The question, checked; `places` are seed and reference."""
-    if not hasattr(robot, "n_tubes") or not hasattr(robot, "assembly"):
-        raise InputError(f"robot is {robot!r}; it must be a ConcentricRobot, an EccentricRobot, or the like")
+    """The question, checked; `wanted` are position and direction of the tip, `places` seed and reference."""
+    position, direction = wanted
+    check_robot(robot)
     instance("options", options, InverseOptions)
     if limits is not None:
         instance("limits", limits, JointLimits)
-    bodies = _bodies(obstacles)
+    bodies = checked_obstacles(obstacles)
     target = vector("position", position, 3, "x, y, z in m")
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
@@ -71,18 +71,6 @@ def pose_question(
         weights=scaled_weights(space, weights),
         extras=extras(options.extra_cost, options.extra_constraints, robot.n_tubes),
     )
-
-
-def _bodies(obstacles: Any) -> tuple[Obstacle, ...]:
-    """Obstacles as a tuple; raises InputError where they are none."""
-    try:
-        bodies = tuple(obstacles)
-    except TypeError:
-        raise InputError(f"obstacles is {obstacles!r}; it must be a sequence of bodies, as [Sphere(...)]") from None
-    for k, body in enumerate(bodies):
-        if not hasattr(body, "signed_distance"):
-            raise InputError(f"obstacle {k + 1} is {body!r}; it must be a body of tubeopt.bodies.obstacles")
-    return bodies
 
 
 def unit_vector(name: str, value: ArrayLike) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,7 +96,7 @@ class IkSession:
         obstacles: Sequence[Obstacle] = (),
         options: InverseOptions = DEFAULT_OPTIONS,
     ) -> None:
-        self._question = {
+        self._question: dict[str, Any] = {
             "min_margin": min_margin,
             "limits": limits,
             "weights": weights,
@@ -103,9 +104,8 @@ class IkSession:
             "options": options,
         }
         self._robot = robot
-        self._goal = pose_question(
-            robot, np.zeros(3), None, (seed, None), min_margin, limits, weights, obstacles, options
-        )
+        self._goal = pose_question(robot, (np.zeros(3), None), (seed, None), **self._question)
+        self._time_limit = options.time_limit
         self._solution: InverseSolution | None = None
         self._here: Posture | None = None
         self._near: _Slopes | None = None
@@ -158,7 +158,8 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         if self._here is None:
             return [self._first(target, pointing)]
-        goal = replace(self._goal, position=target, direction=pointing)
+        until = time.perf_counter() + self._time_limit
+        goal = replace(self._goal, position=target, direction=pointing, until=until)
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
@@ -178,6 +179,8 @@ class IkSession:
             end = done + share if done + share < 1 - 1e-9 else 1.0
             began = time.perf_counter()
             assert self._here is not None
+            if goal.late:
+                raise SolveError(_stalled(goal, self._here))
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), self._here, self._near)
             words, safe = leap(goal, self._here, there)
@@ -220,7 +223,7 @@ class IkSession:
         return seed
 
     def _first(self, target: Array, direction: Array | None) -> InverseSolution:
-        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)  # type: ignore[call-overload]
+        answer = inverse_kinematics(self._robot, target, direction=direction, **self._question)
         assert isinstance(answer, InverseSolution)
         self._here = seed_posture(self._goal.space, answer)
         self._solution = answer
@@ -372,5 +375,7 @@ def _servo(
 
 
 def _stalled(goal: Goal, at: Posture) -> str:
+    if goal.late:
+        return f"the time ran out on the way to the target: {missed_by(goal, at)}"
     why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
     return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"

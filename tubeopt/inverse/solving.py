@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
@@ -17,9 +17,10 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution
-from .hunt import Hunt, known_home
+from .goal import Goal
 from .joints import Configuration
 from .loaded import under_load, without_load
+from .multistart import Multistart, known_home
 from .question import pose_question, seed_posture, unit_vector
 from .way import with_a_way
 
@@ -65,7 +66,7 @@ def inverse_kinematics(
 
 
 @small
-def inverse_kinematics(
+def inverse_kinematics(  # noqa: PLR0913
     robot: Robot,
     position: ArrayLike,
     *,
@@ -120,6 +121,7 @@ def inverse_kinematics(
         (True, True)
     """
     began = time.perf_counter()
+    kept: dict[str, Any] = {"min_margin": min_margin, "limits": limits, "weights": weights, "obstacles": obstacles}
     choice("on_failure", on_failure, ("raise", "closest"))
     if load is not None:
         if all_solutions or reachable or on_failure != "raise":
@@ -128,27 +130,37 @@ def inverse_kinematics(
         def without(
             at: Array, along: Array | None, last: InverseSolution | None, floor: float, asked: InverseOptions
         ) -> InverseSolution:
-            return inverse_kinematics(
-                robot,
-                at,
-                direction=along,
-                seed=without_load(seed) if last is None else last,
-                reference=reference,
-                min_margin=floor,
-                limits=limits,
-                weights=weights,
-                obstacles=obstacles,
-                options=asked,
-            )
+            start = without_load(seed) if last is None else last
+            goal = pose_question(robot, (at, along), (start, reference), options=asked, **{**kept, "min_margin": floor})
+            return _answers(goal, (start, reference), asked, began)[0]
 
         towards = None if direction is None else unit_vector("direction", direction)
         return under_load(
             without, (vector("position", position, 3, "x, y, z in m"), towards), load, min_margin, options
         )
-    goal = pose_question(robot, position, direction, (seed, reference), min_margin, limits, weights, obstacles, options)
+    goal = pose_question(robot, (position, direction), (seed, reference), options=options, **kept)
+    found = _answers(
+        goal, (seed, reference), options, began, every=all_solutions, on_failure=on_failure, reachable=reachable
+    )
+    return found if all_solutions else found[0]
+
+
+def _answers(
+    goal: Goal,
+    places: tuple[Configuration | None, Configuration | None],
+    options: InverseOptions,
+    began: float,
+    *,
+    every: bool = False,
+    on_failure: str = "raise",
+    reachable: bool = False,
+) -> list[InverseSolution]:
+    """The answer to a question asked at the moment `began`, from which its time limit counts, or `every` one; `places`
+    are seed and reference."""
+    seed, reference = places
     if options.objective == "nearest" and seed is None and reference is None:
         raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
-    if options.direction_weight is not None and direction is None:
+    if options.direction_weight is not None and goal.direction is None:
         raise InputError("direction_weight is given without a direction; give the direction to point along")
     if options.method == "nlp" and goal.overdetermined:
         raise InputError(
@@ -157,14 +169,15 @@ def inverse_kinematics(
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     goal = replace(goal, until=began + options.time_limit)
-    search = Hunt(goal, first, reference is not None or seed is not None, options, began)
+    search = Multistart(goal, first, reference is not None or seed is not None, options, began)
     found: list[InverseSolution] = []
-    if all_solutions:
+    if every:
         found = search.all()
-    elif (answer := search.one()) is not None:
-        found = [answer]
+    else:
+        answer = search.one()
+        found = [] if answer is None else [answer]
     found = found or [search.failure(on_failure)]
     if reachable:
         begin = first if first is not None else known_home(goal.space)
         found = [with_a_way(each, begin, goal.space, options.time_limit - search.seconds) for each in found]
-    return found if all_solutions else found[0]
+    return found

@@ -122,13 +122,6 @@ def rotation_matrix_function() -> ca.Function:
 
 
 @lru_cache(maxsize=1)
-def quaternion_product_function() -> ca.Function:
-    """a (4,), b (4,) -> a b (4,)."""
-    a, b = ca.SX.sym("a", 4), ca.SX.sym("b", 4)
-    return ca.Function("quaternion_product", [a, b], [ca.densify(quaternion_product(a, b))])
-
-
-@lru_cache(maxsize=1)
 def step_function() -> ca.Function:
     """(u (6,), h) -> R (3, 3), p (3,) after a step of length h; u at the three GAUSS_POINTS, x before y."""
     u, h = ca.SX.sym("u", 6), ca.SX.sym("h")

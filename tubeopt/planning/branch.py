@@ -69,7 +69,8 @@ class _Bounds:
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
 
-    def _h(self) -> Jet:
+    def steps(self) -> Jet:
+        """(B, K, 1) lengths of the pieces."""
         return self.long.map(lambda bound: bound[..., None])
 
     def torque_change(self, turn: Turn) -> Array:
@@ -91,7 +92,7 @@ class _Bounds:
 
     def twist(self, moment: Jet) -> tuple[Jet, Jet]:
         """w (B, K, n) at both ends of every section, of moments with these bounds."""
-        gain = self._h() * moment
+        gain = self.steps() * moment
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
         end = Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd)
         return begin.over(self.kt), end.over(self.kt)
@@ -102,7 +103,7 @@ class _Bounds:
         half = np.array(0.5)
         mean = Jet((begin.v + end.v) * half, (begin.d + end.d) * half, (begin.dd + end.dd) * half)
         one = Jet(1 + stretch.v, stretch.d, stretch.dd)
-        along = (self._h() * (one * mean)).map(lambda bound: np.cumsum(bound, axis=1))
+        along = (self.steps() * (one * mean)).map(lambda bound: np.cumsum(bound, axis=1))
         base = self.transmission * begin.map(lambda bound: bound[:, 0])
         return along + base.map(lambda bound: bound[:, None])
 
@@ -145,7 +146,7 @@ class _Bounds:
 
     def _between(self, turn: Turn) -> Array:
         """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
-        h, torque = self._h(), Jet(self.torque, self.torque_change(turn), np.zeros_like(self.torque))
+        h, torque = self.steps(), Jet(self.torque, self.torque_change(turn), np.zeros_like(self.torque))
         u, du = self.bending.most, self.bending.change(turn[0])
         g = Jet(1 + self._stretch(u), self._stretch(du), np.zeros_like(self.torque))
         second = h * h * g * torque.over(self.kt)
@@ -189,7 +190,7 @@ class _Bounds:
         made = still.rotation(varied, plain).d
         if self.offset.any():
             twist = still.twist(Jet(self.torque, self.torque_change(by), zero))[0]
-            made = made + (still._h() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
+            made = made + (still.steps() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
         return np.asarray(made)
 
     def off(self, turn: Turn, error: Array) -> Array:

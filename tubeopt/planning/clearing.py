@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..typing import Array, Mask
-from .sections import PARTS, Index, Intervals
+from ..typing import Array, Index, Mask
+from .sections import PARTS, Intervals
 
 SHARE = 1 / 3
 """Part of the tolerance that the size of cells may give away; the rest is left to the time between equilibria."""

@@ -25,7 +25,7 @@ from ..robots.limits import JointLimits
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .reach import least_miss
-from .walk import clearance_of
+from .tracking import clearance_of
 
 MOST_GOALS = 12
 """Goals that are tried, the nearest to the start first."""
@@ -93,7 +93,7 @@ def ends(
         InputError: a goal that is none, or out of range.
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
-    found = _equilibria(task, start, goal, clock or Clock(math.inf))
+    found, whole = _equilibria(task, start, goal, clock or Clock(math.inf))
     reasons, good = [], []
     for e in found:
         try:
@@ -103,7 +103,9 @@ def ends(
         else:
             good.append(e)
     if not good:
-        raise SolveError(reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium")
+        reason = reasons[0] if reasons else "no plan exists: the goal has no stable equilibrium"
+        partly = "no plan was found, as far as the equilibria at the goal are known"
+        raise SolveError(reason if whole else reason.replace("no plan exists", partly))
     out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
         raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
@@ -156,27 +158,29 @@ def _tip_goal(goal: Any) -> TipGoal | None:
     return TipGoal(vector("goal", goal, 3, "x, y, z of the tip in m"))
 
 
-def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> list[Equilibrium]:
+def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
+    """Equilibria that may meet a goal, and whether a systematic search found no others."""
     space = task.chart.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium
     if isinstance(goal, Equilibrium):
         if goal.robot != space.robot:
             raise InputError("goal is an equilibrium of another robot")
-        return [goal]
+        return [goal], True
     wanted = _tip_goal(goal)
     if wanted is not None:
-        return _posed(task, start, wanted, clock)
+        return _posed(task, start, wanted, clock), False
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     found: list[Equilibrium] = []
     if task.chart.eccentric or space.robot.n_tubes <= FEW_TUBES or clock.left > FOR_MANY:
         with suppress(SolveError):
             found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
+    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= FEW_TUBES)
     if not found:
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.
-    return sorted(found, key=lambda e: -e.margin)
+    return sorted(found, key=lambda e: -e.margin), whole
 
 
 def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:

@@ -29,8 +29,8 @@ from .plan import Built, actuators, build
 from .question import asked, in_time
 from .timing import through
 from .tip_path import distance_from
+from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
-from .walk import walk
 
 STEPS = 60
 """Lengths at which the arm is fitted."""
@@ -125,10 +125,10 @@ def _goal(task: Task, goal: Any) -> Equilibrium:
 
 def _first(task: Task, last: Equilibrium, q: Array) -> Equilibrium:
     """The equilibrium at the beginning, on the branch of the goal: followed backwards."""
-    walked = walk(task, last, q)
-    if walked.lost:
+    tracked = track(task, last, q)
+    if tracked.lost:
         raise SolveError("the arm snaps while it is withdrawn")
-    return walked.equilibria[-1]
+    return tracked.equilibria[-1]
 
 
 def _fit(task: Task, z: Array, last: Equilibrium, length: float) -> Array:

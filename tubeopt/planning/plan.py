@@ -26,8 +26,8 @@ from .proof import Proof, verify_trajectory
 from .question import asked, in_time
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
+from .tracking import track
 from .trajectory import PlanStatistics, Trajectory
-from .walk import walk
 
 FOR_SEARCH = 0.9
 """Share of the time limit after which the search ends, so that what was found can be reported in time."""
@@ -150,8 +150,8 @@ def _way(
     begin = task.chart.of(first)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if of_the_tip(goal) or len(goals) == MOST_GOALS:  # there may be others
-        way = replace(way, impossible=False)
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+        way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
     rest = Clock(left - search.seconds)
@@ -261,7 +261,7 @@ def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
 
     def tips(q: Array) -> Array:
         """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = walk(task, first, q).tip
+        found = track(task, first, q).tip
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
@@ -326,8 +326,8 @@ def build(
     q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
     table = np.array([space.joint(row) for row in q])
     n = space.robot.n_tubes
-    walked = walk(task, first, q, clock)
-    if walked.lost:
+    tracked = track(task, first, q, clock)
+    if tracked.lost:
         return (_no_time(clock) if clock.over else "the branch is lost between samples",)
     proof = verify_trajectory(
         space.robot,
@@ -344,10 +344,10 @@ def build(
     )
     if not (proof.holds or proof.open):
         return proof.faults
-    reached = walked.equilibria[-1]
+    reached = tracked.equilibria[-1]
     if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, walked.tip, walked.margin, walked.equilibria, proof)
+    return Built(t, q, tracked.tip, tracked.margin, tracked.equilibria, proof)
 
 
 def _not_found(

@@ -24,6 +24,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
+from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
@@ -31,7 +32,6 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability.following import checked_waypoints
 from ..typing import Array
-from .arguments import check_robot, checked_obstacles, kind_of
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .motion import RateLimits
@@ -95,7 +95,7 @@ class Proof(Displayed):
 
 
 @small
-def verify_trajectory(
+def verify_trajectory(  # noqa: PLR0913
     robot: Robot,
     time: ArrayLike,
     rotations: ArrayLike,
@@ -131,11 +131,11 @@ def verify_trajectory(
         >>> proof.holds
         False
     """
-    check_robot(robot, limits)
+    check_robot(robot)
     bodies = checked_obstacles(obstacles)
-    for name, value, kind in (("rate_limits", rate_limits, RateLimits), ("start", start, Equilibrium)):
-        if value is not None:
-            kind_of(name, value, kind)
+    kind_of("limits", limits, JointLimits, optional=True)
+    kind_of("rate_limits", rate_limits, RateLimits, optional=True)
+    kind_of("start", start, Equilibrium, optional=True)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:

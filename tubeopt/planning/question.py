@@ -7,13 +7,13 @@ from contextlib import contextmanager
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, finite
+from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.question import prepared
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from .arguments import check_robot, checked_obstacles, kind_of
 from .motion import RateLimits
 from .options import PlanOptions
 from .smooth import path_cost
@@ -43,7 +43,8 @@ def asked(
     """
     kind_of("options", options, PlanOptions)
     clock = Clock(options.time_limit)
-    check_robot(robot, limits)
+    check_robot(robot)
+    kind_of("limits", limits, JointLimits, optional=True)
     kind_of("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
     if options.extra_cost is not None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock
-from ..inverse.hunt import known_starts
 from ..inverse.least_squares import constrained_least_squares
+from ..inverse.multistart import known_starts
 from ..inverse.table import nearest_starts, spread_starts
 from ..typing import Array
 

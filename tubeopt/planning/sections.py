@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..robots.steps import Steps, steps_of
-from ..typing import Array, Mask
-
-Index = NDArray[np.intp]
+from ..typing import Array, Index, Mask
 
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""

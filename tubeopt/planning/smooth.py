@@ -17,7 +17,7 @@ from ..inverse.task import Task
 from ..typing import Array, Mask
 from .motion import Motion
 from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
-from .walk import walk
+from .tracking import track
 
 OBJECTIVES = ("length", "time", "effort", "margin")
 """Weights of length, time, effort and margin follow from these."""
@@ -302,11 +302,11 @@ def violated(task: Task, start: Equilibrium, motion: Motion, clock: Clock) -> tu
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short."""
     time, q = motion.sampled(task.scale)
-    walked = walk(task, start, q, clock)
+    tracked = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
-    short = walked.short(task)
+    short = tracked.short(task)
     wrong = time[: short.shape[1]][(short > 0).any(0)]
-    if walked.lost:
+    if tracked.lost:
         wrong = np.append(wrong, time[short.shape[1]])
     at = np.clip(np.searchsorted(motion.time, wrong, side="right") - 1, 0, len(bad) - 1)
     bad[at] = True

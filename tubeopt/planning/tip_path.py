@@ -46,7 +46,7 @@ DENSE = 40
 
 
 @small
-def follow_tip_path(
+def follow_tip_path(  # noqa: PLR0913
     robot: Robot,
     path: ArrayLike,
     *,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +14,6 @@ from ..files.marks import Absent, unit
 from ..typing import Array
 from .limits import JointLimits, default_limits
 from .tubes import Tube
-
-if TYPE_CHECKING:
-    from .robot import Robot
 
 Numbers = tuple[float, ...]
 """A number for every tube."""
@@ -110,22 +107,6 @@ def check_calibration(calibration: Calibration | None, n_tubes: int) -> None:
     """Raise InputError where a calibration is for another number of tubes."""
     if calibration is not None and calibration.n_tubes != n_tubes:
         raise InputError(f"calibration is for {calibration.n_tubes} tubes; the robot has {n_tubes}")
-
-
-def to_model(robot: Robot, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-    """The model's joint values at readings of a robot: the readings where it has no calibration."""
-    own = robot.calibration
-    if own is None:
-        return np.array(rotations, dtype=float), np.array(translations, dtype=float)
-    return own.to_model(rotations, translations)
-
-
-def to_readings(robot: Robot, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-    """The readings of a robot at joint values of the model: the same where it has no calibration."""
-    own = robot.calibration
-    if own is None:
-        return np.array(rotations, dtype=float), np.array(translations, dtype=float)
-    return own.to_readings(rotations, translations)
 
 
 def limits_of(given: JointLimits | None, calibration: Calibration | None, tubes: Sequence[Tube]) -> JointLimits:

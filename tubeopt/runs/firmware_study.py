@@ -11,11 +11,12 @@ from ..display import Displayed
 from ..errors import choice
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
-from ..shaping.feedback.feedback import Feedback, lead_by
-from ..shaping.feedback.sensors import SENSORS, Sensor
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, pwm_frequency
+from ..shaping.heating.feedback import Feedback
+from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
 from .base import Progress
 from .heating_study import HeatedTube

@@ -11,7 +11,7 @@ from pydantic import Field
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive
-from ..robots.calibration import to_model
+from ..robots.readings import to_model
 from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 

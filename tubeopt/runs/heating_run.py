@@ -15,14 +15,14 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
-from ..shaping.feedback.feedback import lead_by
-from ..shaping.feedback.sensors import Thermocouple
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine
 from ..shaping.firmware.simulated import SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
+from ..shaping.heating.leading import lead_by
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import ENSEMBLE
+from ..shaping.heating.sensors import Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import thermal_model
 from .base import Progress, Study

@@ -20,7 +20,7 @@ from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
-from ..shaping.mold.materials import mold_material
+from ..shaping.materials import mold_material
 from .base import Progress, RobotPath, Study, TubeNumber
 from .rig_file import load_rig
 

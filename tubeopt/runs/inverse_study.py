@@ -14,7 +14,7 @@ from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.units import MM, to_si
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
-from ..robots.calibration import to_model
+from ..robots.readings import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array

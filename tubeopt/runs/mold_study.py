@@ -13,9 +13,9 @@ from ..files.checked import NotNegative, Number, Positive, Whole, in_file
 from ..files.units import MM, to_si
 from ..robots.materials import ZERO_CELSIUS
 from ..robots.tubes import Tube
+from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import Mandrel, plan_mandrel
-from ..shaping.mold.materials import mold_material
 from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec

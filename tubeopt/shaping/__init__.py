@@ -1,12 +1,12 @@
 """How the tubes of a robot are made: molds, heating."""
 
+from .materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.checks import Check
 from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
 from .mold.holes import Hole
 from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
 from .mold.mandrel_files import write_mandrel
-from .mold.materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec

@@ -9,9 +9,9 @@ from rich.console import Group
 from ..errors import SolveError
 from ..files.files import write_text
 from ..runs.firmware_study import LedHeating
-from ..shaping.feedback.feedback import Contribution, Feedback
 from ..shaping.firmware.parts import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
+from ..shaping.heating.feedback import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns

@@ -33,7 +33,7 @@ UNLIKELY = 0.02
 def _verdict(plan: HeatingPlan) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    return f"held: {wanted}" if plan.feasible else f"CANNOT BE HELD ({wanted}), {plan.verdict}"
+    return f"held: {wanted}" if plan.feasible else f"NOT HELD ({wanted}), {plan.verdict}"
 
 
 def held_duties(plan: HeatingPlan) -> tuple[int, int]:
@@ -242,7 +242,7 @@ class HeatingReport(Report[Heating]):
         return {"heating": drawing(plot_heating, self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
-        """Raise SolveError where the window cannot be held within limit, ramp and currents."""
+        """Raise SolveError where no schedule was found that holds the window within limit, ramp and currents."""
         if not self.answer.plan.feasible:
             raise SolveError(missed(self.answer.plan))
 
@@ -255,7 +255,7 @@ def _cure_words(cure: Cure) -> str:
 def missed(plan: HeatingPlan) -> str:
     """What a plan does not keep, in words."""
     low, high = plan.spec.window_degC
-    window = f"the window of {low:g} to {high:g} degC cannot be held for {plan.spec.hold_time:g} s"
+    window = f"no schedule was found that holds {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
     cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
     return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
 

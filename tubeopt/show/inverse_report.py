@@ -18,8 +18,8 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution, JointWay
-from ..robots.calibration import to_readings
 from ..robots.path_file import joint_columns
+from ..robots.readings import to_readings
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
 from ..typing import Array

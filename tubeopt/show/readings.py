@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from ..equilibrium.result import Equilibrium
-from ..robots.calibration import to_readings
+from ..robots.readings import to_readings
 from ..typing import Array
 from .quantities import Quantity
 from .words import degrees, millimetres

@@ -12,8 +12,7 @@ import numpy as np
 
 from ..design.optimize import DesignSolution, Dimension
 from ..equilibrium.batch import EquilibriumBatch
-from ..equilibrium.jacobian import Jacobian
-from ..equilibrium.result import Verification
+from ..equilibrium.result import Jacobian, Verification
 from ..inverse import InverseSolution
 from ..planning import Proof
 from ..robots.tubes import Tube

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
+from .named_program import NamedProgram
 from .problem_solution import Attempts, ProblemSolution
-from .settings import Ipopt
-
-if TYPE_CHECKING:
-    from .problem import Problem
 
 
-def multistart(problem: Problem, over: Sequence[str], count: int, seed: int, solver: Ipopt) -> ProblemSolution:
-    """See `Problem.multistart`."""
+def multistart(
+    problem: NamedProgram, solve: Callable[[], ProblemSolution], over: Sequence[str], count: int, seed: int
+) -> ProblemSolution:
+    """See `Problem.multistart`; `solve` solves from where the problem begins."""
     names = [over] if isinstance(over, str) else list(over)
     lower, upper = _box(problem, names)
     if count < 1:
@@ -35,7 +33,7 @@ def multistart(problem: Problem, over: Sequence[str], count: int, seed: int, sol
             astray += 1
             continue
         try:
-            found = problem.solve(solver)
+            found = solve()
         except SolveError as error:
             failed, missed = failed + 1, _nearer(missed, error.solution)
             continue
@@ -54,9 +52,9 @@ def multistart(problem: Problem, over: Sequence[str], count: int, seed: int, sol
     return replace(best[0], attempts=attempts)
 
 
-def _box(problem: Problem, names: list[str]) -> tuple[Array, Array]:
+def _box(problem: NamedProgram, names: list[str]) -> tuple[Array, Array]:
     """Bounds of the variables, one below the other."""
-    known = problem._variables
+    known = problem.variables
     for name in names:
         if name not in known:
             raise InputError(f"over names {name!r}, which is no variable{nearest(name, known)}")
@@ -68,9 +66,9 @@ def _box(problem: Problem, names: list[str]) -> tuple[Array, Array]:
     return lower, upper
 
 
-def _begin_at(problem: Problem, names: list[str], point: Array) -> None:
+def _begin_at(problem: NamedProgram, names: list[str], point: Array) -> None:
     """Guesses at a point, and every block at the equilibrium there."""
-    sizes = np.cumsum([len(problem._variables[name].guess) for name in names])[:-1]
+    sizes = np.cumsum([len(problem.variables[name].guess) for name in names])[:-1]
     for name, value in zip(names, np.split(point, sizes), strict=True):
         problem.set_guess(name, value)
     for block in problem.blocks:

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -18,8 +18,12 @@ from ..errors import InputError, nearest
 from ..typing import Array
 from .problem_status import ProblemStatus
 
-if TYPE_CHECKING:
-    from .problem import Problem
+
+class Evaluates(Protocol):
+    """A program whose expressions have numbers where it is solved."""
+
+    def evaluate(self, expression: Any, values: dict[str, Array], parameters: dict[str, Array]) -> Array:
+        """An expression at numbers of the variables and parameters."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class ProblemSolution(Displayed):
     violations: tuple[Violation, ...]
     statistics: ProblemStatistics
     attempts: Attempts | None = None
-    program: Problem | None = field(default=None, repr=False)
+    program: Evaluates | None = field(default=None, repr=False)
 
     def value(self, what: Any) -> Any:
         """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.

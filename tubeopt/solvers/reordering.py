@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from .named_program import NamedProgram
 from .problem_solution import ProblemSolution
 from .problem_status import ProblemStatus
 from .settings import Ipopt
 
-if TYPE_CHECKING:
-    from .problem import Problem
 
-
-def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: int) -> ProblemSolution:
+def improve(problem: NamedProgram, solver: Ipopt, solution: ProblemSolution, limit: int) -> ProblemSolution:
     """Let breakpoints that press against each other change places, and keep the best that comes of it.
 
     A change that neither gains nor loses is kept as well: of several breakpoints at one place, one after the other has
@@ -43,14 +40,14 @@ def improve(problem: Problem, solver: Ipopt, solution: ProblemSolution, limit: i
     return replace(best, statistics=replace(best.statistics, reorderings=count, seconds=seconds))
 
 
-def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
+def retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
     """After a failed solve: let breakpoints that meet where it ended change places, one a time, and solve again.
 
     Where the order of breakpoints keeps the robot from what is demanded, the solver halts where they meet. Returns the
     first success, or the first failure with everything as it was.
     """
     laid, first = _layouts(problem), missed
-    guesses = {name: each.guess for name, each in problem._variables.items()}
+    guesses = {name: each.guess for name, each in problem.variables.items()}
     seen = {_arrangement(problem)}
     for _ in range(limit):
         blocked = [block for block in problem.blocks if block.closed(missed)]
@@ -69,23 +66,23 @@ def retry(problem: Problem, solver: Ipopt, missed: ProblemSolution, limit: int) 
     return first
 
 
-def _begin_at(problem: Problem, solution: ProblemSolution) -> None:
+def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
     """Start the variables that no block has set where a solution has them."""
     for name, value in solution.values.items():
         if not any(block.owns(name) for block in problem.blocks):
             problem.set_guess(name, value)
 
 
-def _layouts(problem: Problem) -> list[object]:
+def _layouts(problem: NamedProgram) -> list[object]:
     return [block.layout for block in problem.blocks]
 
 
-def _restore(problem: Problem, layouts: list[object]) -> None:
+def _restore(problem: NamedProgram, layouts: list[object]) -> None:
     for block, laid in zip(problem.blocks, layouts, strict=True):
         if block.layout is not laid:
             block.restore(laid)
 
 
-def _arrangement(problem: Problem) -> Hashable:
+def _arrangement(problem: NamedProgram) -> Hashable:
     """The orders of all breakpoints."""
     return tuple((block.layout.order.front, block.layout.order.behind) for block in problem.blocks)

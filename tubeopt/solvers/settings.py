@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +79,7 @@ class Ipopt(Displayed):
             counts as a failure.
         constraint_tolerance: of constraints over their scales; None is `tolerance`.
         iterations: after how many it gives up.
+        time_limit: s, after which it stops where it is; infinite by default.
         linear_solver: of the Newton steps; "mumps" comes with CasADi.
         expand: write the program out in scalars first: a solve is faster, the building slower. For one to three blocks.
         hessian: "exact" second derivatives, or "limited-memory".
@@ -91,6 +93,7 @@ class Ipopt(Displayed):
     tolerance: float = 1e-10
     constraint_tolerance: float | None = None
     iterations: int = 500
+    time_limit: float = math.inf
     linear_solver: str = "mumps"
     expand: bool = False
     hessian: str = "exact"
@@ -102,6 +105,8 @@ class Ipopt(Displayed):
         if self.constraint_tolerance is not None:
             positive("constraint_tolerance", self.constraint_tolerance)
         positive("barrier", self.barrier)
+        if self.time_limit != math.inf:
+            positive("time_limit", self.time_limit)
         choice("hessian", self.hessian, HESSIANS)
         if self.iterations < 1:
             raise InputError(f"iterations is {self.iterations}; it must be at least 1")
@@ -122,6 +127,8 @@ class Ipopt(Displayed):
             # "Acceptable" is not converged: what is not within the tolerance is a failure, and said to be one.
             "acceptable_iter": 0,
         }
+        if self.time_limit < math.inf:
+            own["max_wall_time"] = self.time_limit
         if warm:
             near = dict.fromkeys(
                 (f"warm_start_{what}" for what in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")),

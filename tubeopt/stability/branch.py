@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.reduced import ReducedProblem, evaluate, margin
+from ..block.transcription.reduced import ReducedProblem, evaluate
+from ..block.transcription.second_variation import margin
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics

@@ -9,13 +9,14 @@ import scipy
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.offset_margin import softenings
-from ..block.transcription.reduced import Index, ReducedProblem, margin, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..typing import Array
+from ..typing import Array, Index
 from .eccentric_certificate import Untwisted, segments_of, softest_untwisted
 
 SAMPLES_LOG2 = 7

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.reduced import ReducedProblem, margin, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError, vector

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.mesh import make_mesh
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, reduce, softest
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce
+from ..block.transcription.second_variation import margin, softest
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.reduced import softest
+from ..block.transcription.second_variation import softest
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import to_held_equilibrium

@@ -18,8 +18,10 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from ..block.transcription.reduced import Index, ReducedProblem, reach
+from ..block.transcription.green import reach
+from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import Assembly
+from ..typing import Index
 from .shooting import Bundle, along_of
 
 

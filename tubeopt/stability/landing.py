@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, margin, to_unknowns
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.solving import Solution
 from ..solvers.newton import NewtonResult, newton
 from ..typing import Array

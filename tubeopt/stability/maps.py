@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..block.transcription.reduced import ReducedProblem, ahead, evaluate, on_centreline, reach
+from ..block.transcription.green import ahead, reach
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline
 from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.kinematics import forward_kinematics

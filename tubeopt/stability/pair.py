@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.reduced import Index, ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..errors import SolveError
-from ..typing import Array
+from ..typing import Array, Index
 
 STRIDE = 0.3
 """Largest change (rad) of a rotation, at a point or at the joint, in one step along the curve."""

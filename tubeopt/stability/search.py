@@ -10,13 +10,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..block.transcription.reduced import Index, ReducedProblem, evaluate, margin
+from ..block.transcription.reduced import ReducedProblem, evaluate
+from ..block.transcription.second_variation import margin
 from ..equilibrium.continuation import JointPath, Point
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.newton import NewtonResult
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 from .folds import Fold
 from .following import Event, Snap, to_snap
 from .landing import land

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..block.transcription.reduced import Index, ReducedProblem
-from ..typing import Array, Mask
+from ..block.transcription.reduced import ReducedProblem
+from ..typing import Array, Index, Mask
 from .shooting import relative, relative_joints, relative_slope
 
 TURN = 2 * np.pi

@@ -14,8 +14,9 @@ from functools import lru_cache
 import numpy as np
 
 from ..block.transcription.buffered import section_function
-from ..block.transcription.reduced import Index, ReducedProblem, reach, sections_at
-from ..typing import Array, Mask
+from ..block.transcription.green import reach, sections_at
+from ..block.transcription.reduced import ReducedProblem
+from ..typing import Array, Index, Mask
 
 CHUNKS = (512, 64, 8)
 """Tip angles integrated at once: the largest that is at most half padding."""

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription.program import Structure, add_torsion, structure_of, torsion_guess, torsion_numbers
-from ..block.transcription.reduced import evaluate, margin, to_unknowns
+from ..block.transcription.reduced import evaluate, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..equilibrium.continuation import JointPath, Point, follow_to
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..block.transcription.reduced import Index
 from ..robots.robot import Robot
-from ..typing import Array, Mask
+from ..typing import Array, Index, Mask
 
 
 def relaxed_rotations(robot: Robot, coupled: Index) -> list[Array]:

@@ -8,14 +8,15 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..block.transcription.reduced import Index, ReducedProblem, evaluate, margin, to_unknowns
+from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.second_variation import margin
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import newton
-from ..typing import Array
+from ..typing import Array, Index
 from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_worst import least_margin
 from .shooting import profiles, to_base

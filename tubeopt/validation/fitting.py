@@ -13,12 +13,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..display import Displayed
 from ..errors import InputError, choice, positive
 from ..robots.robot import Robot
-from ..typing import Array, Sentence
+from ..typing import Array, Index, Sentence
 from .comparison import Progress, Validation, check_tubes, compare_at, distances
 from .descent import ITERATIONS, LOSSES, Descent, Weights, descend, normal_equations
 from .errors import ErrorSummary
@@ -39,8 +38,6 @@ FIRST_GUESS = 1e-3, np.radians(1.0)
 
 SAME_NOISE = 0.02
 """Relative change of the estimated noise at which it has settled."""
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

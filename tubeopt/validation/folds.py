@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..typing import Array
+from ..typing import Array, Index
 from .measurements import Measurements
 from .timeline import runs_of
 
@@ -28,8 +27,6 @@ LEVER = 20.0
 
 STILL = 2e-4
 """rad: joint values that are nearer than this are the same."""
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

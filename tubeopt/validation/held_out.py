@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import SolveError
-from ..typing import Array
+from ..typing import Array, Index
 from .descent import Descent, Weights, descend, normal_equations
 from .model import ArmModel
 
@@ -20,7 +19,6 @@ NEAR = 1e-5
 
 DRAWS = 400
 DRAW_SEED = 1
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

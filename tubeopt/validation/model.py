@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..errors import InputError, SolveError
 from ..robots.concentric import friction_of
@@ -32,8 +31,6 @@ JOINT_STEP = 1e-6
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 """Directions along which a sensor may lie in its own frame."""
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive
-from ..robots.calibration import to_readings
+from ..robots.readings import to_readings
 from ..robots.robot import Robot
 from ..stability import follow
 from ..typing import Array, Mask

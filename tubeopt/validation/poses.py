@@ -7,16 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
-from ..typing import Array, Mask
-
-Index = NDArray[np.intp]
+from ..typing import Array, Index, Mask
 
 LEAP = 0.5
 STEEP = 15.0

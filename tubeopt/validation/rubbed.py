@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
@@ -16,10 +15,8 @@ from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..stability.rubbing_following import rubbing_legs
-from ..typing import Array
+from ..typing import Array, Index
 from .poses import Poses
-
-Index = NDArray[np.intp]
 
 COARSE = -1
 """Refinement of the mesh: where slip ends is then off by less than what tips are measured to."""

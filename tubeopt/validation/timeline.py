@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..typing import Array
+from ..typing import Array, Index
 from .measurements import Measurements
 
 GAP = 5.0
 """A step of time that is so many times the median one parts two runs."""
-
-Index = NDArray[np.intp]
 
 
 def runs_of(time: Array) -> list[Index]:

@@ -11,7 +11,8 @@ from benchmarks.shooting import sections_of
 from tests.examples import CRL, DEG, MM, THESIS, TWO_TUBE, eccentric_assembly, opposed, poses, unstable_home
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
 from tubeopt.block.transcription.mesh import make_mesh
-from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, margin, reduce, residual, to_unknowns
+from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, reduce, residual, to_unknowns
+from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, to_equilibrium
 from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array

@@ -17,16 +17,14 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ...robots.assembly import ROUND_OFF, Assembly
 from ...robots.friction import PAIRWISE, Friction
-from ...typing import Array, Mask
+from ...typing import Array, Index, Mask
 from .arm import Profile, profile
+from .green import ahead, reach
 from .mesh import make_mesh, piece_counts
-from .reduced import Evaluation, ReducedProblem, ahead, evaluate, reach, reduce, to_unknowns
-
-Index = NDArray[np.intp]
+from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
 
 DEGREE = 6
 """Collocation points of a piece."""

@@ -12,12 +12,27 @@ from ...typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at
 from .buffered import mapped, section_function
 from .collocated import ENDS, STEPS
-from .piece import COARSE_STEPS, EXTRA_POINTS
-from .reduced import Evaluation, ReducedProblem, reach, sections_at
+from .green import reach, sections_at
+from .piece import EXTRA_POINTS
+from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
 
-FINE = ((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel()
-COARSE = ((np.arange(COARSE_STEPS)[:, None] + GAUSS_POINTS) / COARSE_STEPS).ravel()
+SUBSTEPS = 2
+"""Steps of the shape from one of its points to the next: the curvature of such arms turns as they go on."""
+
+FINE = ((np.arange(SUBSTEPS * STEPS)[:, None] + GAUSS_POINTS) / (SUBSTEPS * STEPS)).ravel()
+
+SHAPE_RATIO = SUBSTEPS**6 - 1
+"""How far a rougher integration, of one step, is off the finer one, over what is wrong with that."""
+
+
+def _through(nodes: Array, x: Array) -> Array:
+    """(X, K) Lagrange's polynomials through nodes (K,) at x (X,)."""
+    return np.asarray(np.vander(x, len(nodes)) @ np.linalg.inv(np.vander(nodes, len(nodes))))
+
+
+ROUGHER = _through(FINE[: 3 * SUBSTEPS] * STEPS, GAUSS_POINTS)
+"""(3, 3 SUBSTEPS) what makes of the curvature at the points of finer steps that at the points of the rougher one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +60,12 @@ def general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) ->
     mesh, n = problem.mesh, problem.assembly.n_tubes
     pieces = len(mesh.length)
     ends = _points(problem, torsion, ENDS)
-    inside = _points(problem, torsion, np.concatenate([FINE, COARSE]))
+    inside = _points(problem, torsion, FINE)
     count = len(inside.here.stiffness)
     u = section_function("curvature", count, n, False)(*inside.arguments)[0].reshape(pieces, -1, 2).copy()
-    turn, position = _poses(u[:, : len(FINE)], mesh.length / STEPS)
-    rough = _poses(u[:, len(FINE) :], mesh.length / COARSE_STEPS)[1][-1]
+    turn, position = (part[::SUBSTEPS] for part in _poses(u, mesh.length / (SUBSTEPS * STEPS)))
+    rougher = (ROUGHER @ u.reshape(pieces * STEPS, -1, 2)).reshape(pieces, -1, 2)
+    rough = _poses(rougher, mesh.length / STEPS)[1][-1]
     defect, bending = _check(problem, torsion)
     torque = torsion.twist[:, None] + mesh.length[:, None, None] * (
         mesh.tableau.lagrange(ENDS, integrals=1) @ torsion.moment
@@ -63,7 +79,7 @@ def general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) ->
         curvature=along_pieces(curvature, pieces),
         position=position,
         frame=turn,
-        shape_error=float(np.linalg.norm(position[-1] - rough)) / ((STEPS / COARSE_STEPS) ** 6 - 1),
+        shape_error=float(np.linalg.norm(position[-1] - rough)) / SHAPE_RATIO,
         defect=defect,
         energy=state.energy + float(bending[~mesh.collocated].sum()),
     )

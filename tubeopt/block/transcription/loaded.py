@@ -29,9 +29,10 @@ from ...physics.shape import rotation_matrix_function, tangent_forms, world_turn
 from ...robots.load import Load
 from ...typing import Array
 from .buffered import section_function
+from .green import reach
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, directions, reach, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, directions, to_unknowns, torsional_hessian
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,10 @@ from ...typing import Array
 from .arm import Profile, arc_lengths, integrate, integrate_torque, rotations_at
 from .buffered import mapped, section_function
 from .collocated import ENDS
+from .green import reach, sections_at
 from .loaded import LoadedProblem, LoadedState
 from .orientation import tangents
-from .reduced import ReducedProblem, reach, sections_at
+from .reduced import ReducedProblem
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,36 +23,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...robots.assembly import Assembly
 from ...typing import Array
 from .buffered import section_function
-
-if TYPE_CHECKING:
-    from .reduced import ReducedProblem
+from .offset_blocks import Block
+from .reduced import ReducedProblem
 
 REAL = 1e-6
 """An eigenvalue whose imaginary part is less than this share of it is real: two that are almost one are split so far by
 round-off. Only a real eigenvalue can be that of a fold."""
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """k tubes that are curved together, at the p points where they are.
-
-    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p):
-    integrals from the base to these points, and over them from every point to the tip.
-    """
-
-    tubes: NDArray[np.intp]
-    points: NDArray[np.intp]
-    compliance: Array
-    up_to: Array
-    beyond: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,41 +47,6 @@ class Mode:
     y: Array
     zeta: Array
     pairing: float
-
-
-def curved_groups(assembly: Assembly) -> list[NDArray[np.intp]]:
-    """Tubes that are curved together, in groups that do not act on one another but from base to tip."""
-    groups: list[set[int]] = []
-    for row in assembly.curved:
-        mine = set(np.flatnonzero(row).tolist())
-        if mine:
-            groups = [g for g in groups if not g & mine] + [mine.union(*(g for g in groups if g & mine))]
-    acts = [_present(assembly, group) for group in groups]
-    for k, group in enumerate(groups):
-        if any(acts[k] & other and acts[j] & group for j, other in enumerate(groups) if j != k):
-            return [np.array(sorted(set().union(*groups)), dtype=np.intp)]
-    return [np.array(sorted(group), dtype=np.intp) for group in groups]
-
-
-def _present(assembly: Assembly, group: set[int]) -> set[int]:
-    """Tubes that run where some of a group are curved."""
-    there = assembly.curved[:, sorted(group)].any(1)
-    return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
-
-
-def make_blocks(
-    assembly: Assembly, green: Array, section: NDArray[np.intp], integrals: tuple[Array, ...]
-) -> list[Block]:
-    """The blocks of an assembly whose N points lie on sections `section`, with min(s, r) (N, N), and P, W, weights."""
-    up_to, beyond, weight = integrals
-    blocks = []
-    for tubes in curved_groups(assembly):
-        points = np.flatnonzero(assembly.curved[section][:, tubes].any(1))
-        chosen = green[np.ix_(points, points)]
-        length = assembly.transmission[tubes][:, None, None] + chosen
-        compliance = length * weight[points] / assembly.torsional_stiffness[tubes][:, None, None]
-        blocks.append(Block(tubes, points, compliance, up_to[points], beyond[:, points]))
-    return blocks
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,37 +24,16 @@ from itertools import pairwise
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ...robots.assembly import Assembly, without_offsets
-from ...robots.lengthwise import CrossSections
-from ...typing import Array, Mask
+from ...typing import Array, Index, Mask
 from .buffered import section_function
+from .green import Compliant, compliant, green_of, green_of_pieces, integrals, point_places
 from .mesh import Mesh
-from .offset_margin import Block, make_blocks, softenings
-
-Index = NDArray[np.intp]
+from .offset_blocks import Block, make_blocks
 
 LARGE = 60
 """Unknowns from which it pays to leave out what is 0 of L."""
-
-INWARDS = 1e-6
-"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
-
-
-@dataclass(frozen=True, eq=False)
-class Compliant:
-    """Tubes made of pieces on a mesh.
-
-    Attributes:
-        sections: (P K, n) the cross-sections at the points that all pieces would have.
-        rate: (P, K, n) 1 / kt there.
-        transmission: (n,) int ds / kt from where each tube is held to the plate.
-    """
-
-    sections: CrossSections
-    rate: Array
-    transmission: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,37 +121,26 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     at, row, column = np.unravel_index(pair, (len(section), n, n))
     here = compliant(assembly, mesh) if assembly.general else None
     piece_stiffness, piece_moment = _piece_numbers(assembly, mesh)
-    factor = np.zeros((len(point), len(point)))
-    green = _green(mesh, elements)
-    for i in range(n):
-        mine = tube == i
-        if mine.any():
-            chosen = np.ix_(point[mine], point[mine])
-            if here is None:
-                compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
-            else:
-                compliance = _general_green(mesh, elements, here, i)[chosen]
-            factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+    if here is None:
+        numbers = tuple(np.repeat(table[elements], degree, axis=0) for table in (piece_stiffness, piece_moment))
+    else:
+        chosen = (elements[:, None] * degree + np.arange(degree)).ravel()
+        numbers = tuple(table[chosen] for table in (here.sections.stiffness, here.sections.moment, here.sections.phase))
+    factor = _factor(assembly, mesh, here, (point, tube))
     stretch: tuple[Array, Array, Array] | None = None
     blocks: tuple[Block, ...] = ()
     if assembly.eccentric:
-        up_to, beyond = _integrals(mesh, elements)
+        up_to, beyond = integrals(mesh, elements)
         stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
-        blocks = tuple(make_blocks(assembly, green, section, (up_to, beyond, weight)))
-    at_points: tuple[Array, ...] = ()
-    if here is not None:
-        chosen_points = (elements[:, None] * degree + np.arange(degree)).ravel()
-        at_points = tuple(
-            table[chosen_points] for table in (here.sections.stiffness, here.sections.moment, here.sections.phase)
-        )
+        blocks = tuple(make_blocks(assembly, green_of(mesh, elements), section, (up_to, beyond, weight)))
     return ReducedProblem(
         assembly=assembly,
         mesh=mesh,
         piece_stiffness=piece_stiffness,
         piece_moment=piece_moment,
-        stiffness=np.repeat(piece_stiffness[elements], degree, axis=0) if here is None else at_points[0],
-        moment=np.repeat(piece_moment[elements], degree, axis=0) if here is None else at_points[1],
-        arc_length=_points(mesh, elements),
+        stiffness=numbers[0],
+        moment=numbers[1],
+        arc_length=point_places(mesh, elements),
         weight=weight,
         point=point,
         tube=tube,
@@ -185,23 +153,26 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
         entry_weight=weight[at],
         stretch=stretch,
         blocks=blocks,
-        phase=None if here is None else at_points[2],
+        phase=None if here is None else numbers[2],
         here=here,
     )
 
 
-def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
-    """The tubes of an assembly with pieces on a mesh."""
-    assert assembly.lengthwise is not None
-    sections = sections_at(assembly, mesh, mesh.tableau.nodes)
-    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
-    return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
-
-
-def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
-    """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
-    s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
-    return assembly.cross_sections(s.ravel(), inside.ravel())
+def _factor(assembly: Assembly, mesh: Mesh, here: Compliant | None, unknowns: tuple[Index, Index]) -> Array:
+    """(U, U) L of the unknowns, of which `unknowns` has point and tube: of every tube the root of its compliance."""
+    (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
+    factor = np.zeros((len(point), len(point)))
+    green = green_of(mesh, elements)
+    for i in range(assembly.n_tubes):
+        mine = tube == i
+        if mine.any():
+            chosen = np.ix_(point[mine], point[mine])
+            if here is None:
+                compliance = (assembly.transmission[i] + green[chosen]) / assembly.torsional_stiffness[i]
+            else:
+                compliance = green_of_pieces(mesh, elements, here, i)[chosen]
+            factor[np.ix_(mine, mine)] = np.linalg.cholesky(compliance)
+    return factor
 
 
 def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
@@ -213,69 +184,11 @@ def _piece_numbers(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
     return stiffness, moment
 
 
-def reach(mesh: Mesh, here: Compliant) -> Array:
-    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
-    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
-    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
-
-
-def ahead(mesh: Mesh, here: Compliant) -> Array:
-    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
-    chosen = mesh.collocated
-    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
-    out = reach(mesh, here)[:-1][chosen][:, None] + inside
-    return np.asarray(out.reshape(-1, out.shape[-1]))
-
-
-def _general_green(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
-    """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
-    t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
-    rate, length = here.rate[elements, :, tube], mesh.length[elements]
-    near = ahead(mesh, here)[:, tube]
-    first = np.arange(len(near)) // t.degree
-    green: Array = np.where(first[:, None] < first, near[:, None], near)
-    for e in range(len(elements)):
-        block = slice(e * t.degree, (e + 1) * t.degree)
-        green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
-    return green
-
-
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
     """The same tubes without offsets on the same mesh: the problem that has an energy, and defines the margin."""
     if not problem.assembly.eccentric:
         return problem
     return reduce(without_offsets(problem.assembly), problem.mesh)
-
-
-def _points(mesh: Mesh, elements: Index) -> Array:
-    """(N,) arc length of the collocation points, m."""
-    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
-    return s.ravel()
-
-
-def _green(mesh: Mesh, elements: Index) -> Array:
-    """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
-    tableau = mesh.tableau
-    start, length = mesh.start[elements], mesh.length[elements]
-    s = _points(mesh, elements)
-    green = np.minimum(s[:, None], s)
-    k = tableau.degree
-    for e in range(len(elements)):
-        block = slice(e * k, (e + 1) * k)
-        green[block, block] = start[e] + length[e] * tableau.compliance
-    return green
-
-
-def _integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
-    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
-    k, count = mesh.tableau.degree, len(elements)
-    length = np.repeat(mesh.length[elements], k)
-    whole = np.tile(mesh.tableau.weights, count) * length
-    element = np.repeat(np.arange(count), k)
-    before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
-    within = np.tile(mesh.tableau.matrix, (count, count)) * length
-    up_to = np.where(same, within, before * whole)
-    return up_to, whole - up_to
 
 
 def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
@@ -369,36 +282,6 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
     """Largest violation of the collocation equations, as an error of theta at the points, rad."""
     return float(abs(problem.factor @ state.gradient).max()) if problem.size else 0.0
-
-
-def margin(problem: ReducedProblem, state: Evaluation) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; for tubes off the
-    centreline, what takes its place (see `offset_margin`)."""
-    if not problem.size:
-        return 1.0
-    if problem.assembly.eccentric:
-        return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
-    values = scipy.linalg.lapack.dsyevr(state.hessian, compute_v=0, range="I", il=1, iu=1)[0]
-    return min(1.0, float(values[0]))
-
-
-def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
-    """Number of negative eigenvalues of the second variation, or of what takes its place."""
-    if not problem.size:
-        return 0
-    if problem.assembly.eccentric:
-        return int((softenings(problem, state.theta) > 1).sum())
-    return int((np.linalg.eigvalsh(state.hessian) < 0).sum())
-
-
-def softest(problem: ReducedProblem, state: Evaluation) -> Array:
-    """Direction (U,) in z in which an equilibrium is softest, without stiffness at a fold."""
-    if not problem.assembly.eccentric:
-        vectors: Array = np.linalg.eigh(state.hessian)[1]
-        return vectors[:, 0]
-    values, columns = np.linalg.eig(state.hessian)
-    direction = columns[:, int(np.argmin(values.real))].real
-    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:

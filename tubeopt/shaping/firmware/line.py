@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import InputError, SolveError, extra
 from ...robots.materials import ZERO_CELSIUS
-from ..feedback.law import HeatingLaw, begin, decide
+from ..heating.law import HeatingLaw, begin, decide
 from .simulated import SimulatedRig
 
 BAUD = 115200

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...physics.heat import PROPERTIES
-from ..feedback.sensors import Sensor
 from ..heating.rates import State, at_rest, current
 from ..heating.rig import COUNTS
+from ..heating.sensors import Sensor
 from ..heating.simulation import advance
 from ..heating.thermal import ThermalModel
 

@@ -14,9 +14,9 @@ import numpy as np
 from ...errors import InputError
 from ...files.files import write_text
 from ...typing import Array
-from ..feedback.feedback import Feedback
-from ..feedback.law import HeatingLaw
 from ..heating.counts import full_current
+from ..heating.feedback import Feedback
+from ..heating.law import HeatingLaw
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
 from ..heating.robust import at_charge

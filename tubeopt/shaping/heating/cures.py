@@ -10,7 +10,7 @@ from typing import Protocol
 from ...errors import SolveError
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ..mold.materials import CALCIUM_SILICATE
+from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current
 from .ideal import Ideal, Shift, solve_ideal
 from .outcome import Outcome

@@ -50,7 +50,7 @@ class Outcome:
 def outcome_of(
     model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh_error: float = 0.0
 ) -> Outcome:
-    """The outcome of what `integrate` simulated, whose hold begins at `start`, s; with its `mesh_error`, K."""
+    """The outcome of what `resimulate` simulated, whose hold begins at `start`, s; with its `mesh_error`, K."""
     within = history.within
     assert within is not None
     first, last = hold_slots(spec, start)

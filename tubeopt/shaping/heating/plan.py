@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array, Of, Sentence
 from .cures import Cure
+from .feedback import Feedback
 from .outcome import Outcome, hold_slots, outcome_of, remarks
 from .rates import stored
 from .rig import COUNTS, Rig
@@ -23,9 +24,6 @@ from .schedule import Counts
 from .simulation import History, clamp_temperature
 from .spec import HeatingSpec
 from .thermal import ThermalModel, cross_section, thermal_data
-
-if TYPE_CHECKING:
-    from ..feedback.feedback import Feedback
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
@@ -92,6 +90,21 @@ class Energies:
     """Heat in tube, mold and clamps at the end, J."""
     energy_error: float
     """Energy unaccounted for in the re-simulation, as a fraction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """What a plan is told from: model, beginning of the hold (s), counts and ideal mean duties, what both do to the
+    tube (that of the counts from `resimulate`), error of the mesh (K), iterations."""
+
+    model: ThermalModel
+    start: float
+    counts: Counts
+    levels: Array
+    checked: History
+    exact: History
+    mesh_error: float
+    iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,38 +252,23 @@ class HeatingPlan(Displayed):
         return end + max(end - self.tube.straight_length, 0.0)
 
     @classmethod
-    def of(
-        cls,
-        *,
-        tube: Tube,
-        rig: Rig,
-        spec: HeatingSpec,
-        start: float,
-        model: ThermalModel,
-        schedule: tuple[Counts, Array],
-        histories: tuple[History, History],
-        mesh_error: float = 0.0,
-        cures: tuple[Cure, ...] = (),
-        iterations: int = 0,
-    ) -> Self:
-        """The plan from what was computed: `schedule` are counts and ideal mean duties; `histories` what they do, that
-        of the counts from `integrate`."""
-        history, exact = histories
-        counts, levels = schedule
-        outcome = outcome_of(model, rig, spec, history, start, mesh_error)
+    def of(cls, tube: Tube, rig: Rig, spec: HeatingSpec, computed: Computed, *, cures: tuple[Cure, ...] = ()) -> Self:
+        """The plan from what was computed."""
+        model, start, history = computed.model, computed.start, computed.checked
+        outcome = outcome_of(model, rig, spec, history, start, computed.mesh_error)
         _, last = hold_slots(spec, start)
         row = history.tube[last, 0]
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
         course = Course(
             time=history.time,
-            duty=np.append(counts, 0),
+            duty=np.append(computed.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
             curved=np.concatenate([model.curved, model.curved[::-1]]),
             zone=np.concatenate([model.zone, model.zone[::-1]]),
-            ideal_duty=np.append(COUNTS * levels, 0.0),
-            ideal_temperature=_mirrored(exact.tube[:, 0]) - ZERO_CELSIUS,
+            ideal_duty=np.append(COUNTS * computed.levels, 0.0),
+            ideal_temperature=_mirrored(computed.exact.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
             charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
@@ -286,12 +284,12 @@ class HeatingPlan(Displayed):
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
             hold_start=start,
-            mesh_error=mesh_error,
+            mesh_error=computed.mesh_error,
             problems=outcome.broken + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
             growth=_growth(tube, model, row),
-            iterations=iterations,
+            iterations=computed.iterations,
         )
 
 

@@ -18,16 +18,16 @@ from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from ..feedback.feedback import lead_by
-from ..feedback.sensors import Sensor
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
 from .ideal import Ideal, Shift, joined, solve_ideal
+from .leading import lead_by
 from .outcome import Outcome, outcome_of
-from .plan import HeatingPlan
+from .plan import Computed, HeatingPlan
 from .rig import COUNTS, Rig
 from .schedule import Counts
-from .simulation import History, integrate, simulate
+from .sensors import Sensor
+from .simulation import History, resimulate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, PROGRAM, ThermalModel, thermal_data, thermal_model
 
@@ -102,11 +102,11 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    plan = HeatingPlan.of(
-        tube=tube, rig=found.ideal.rig, spec=spec, start=hold_start(found.ideal, spec), model=found.model,
-        schedule=(found.counts, found.levels), histories=(found.checked, found.exact), mesh_error=found.error,
-        cures=cures, iterations=found.ideal.iterations,
-    )  # fmt: skip
+    start, iterations = hold_start(found.ideal, spec), found.ideal.iterations
+    computed = Computed(
+        found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
+    )
+    plan = HeatingPlan.of(tube, found.ideal.rig, spec, computed, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
@@ -174,7 +174,7 @@ def _schedule(
     levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
     exact = simulate(model, spec.slot, levels)
-    checked = integrate(model, spec.slot, counts / COUNTS)
+    checked = resimulate(model, spec.slot, counts / COUNTS)
     error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
     outcome = outcome_of(model, ideal.rig, spec, checked, hold_start(ideal, spec), error)
     return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve)
@@ -193,7 +193,7 @@ def trimmed(model: ThermalModel, spec: HeatingSpec, rig: Rig, schedule: Array, e
     scale = 1.0
     for _ in range(TRIMS):
         counts = guarded_counts(model, spec, rig, scale * schedule)
-        history = integrate(model, spec.slot, counts / COUNTS)
+        history = resimulate(model, spec.slot, counts / COUNTS)
         excess = float(history.tube.max()) - ZERO_CELSIUS + error - spec.limit
         if excess <= 0:
             break

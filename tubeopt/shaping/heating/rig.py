@@ -18,7 +18,7 @@ from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Writt
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
-from ..mold.materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
+from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""

@@ -14,11 +14,11 @@ from ...typing import Array
 from .counts import guarded_counts
 from .ideal import joined
 from .outcome import hold_slots
-from .plan import HeatingPlan
+from .plan import Computed, HeatingPlan
 from .rates import State, current
 from .rig import COUNTS
 from .schedule import Counts, sum_up_rounding
-from .simulation import integrate, simulate, simulate_feedback
+from .simulation import resimulate, simulate, simulate_feedback
 from .thermal import FINE, ThermalModel, thermal_model
 from .uncertainty import Uncertainty
 
@@ -58,11 +58,9 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
 
     exact, scaled = simulate_feedback(model, slot, len(levels), controller)
     counts = guarded_counts(model, plan.spec, rig, scaled)
-    history = integrate(model, slot, counts / COUNTS)
-    return HeatingPlan.of(
-        tube=plan.tube, rig=rig, spec=plan.spec, start=plan.hold_start, model=model, schedule=(counts, scaled),
-        histories=(history, exact), mesh_error=plan.mesh_error, iterations=plan.iterations,
-    )  # fmt: skip
+    history = resimulate(model, slot, counts / COUNTS)
+    computed = Computed(model, plan.hold_start, counts, scaled, history, exact, plan.mesh_error, plan.iterations)
+    return HeatingPlan.of(plan.tube, rig, plan.spec, computed)
 
 
 def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tuple[HeatingPlan, ...]:
@@ -130,7 +128,7 @@ def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
     coldest, hottest = curved.min(2), curved.max(2)
     top = history.tube.max(2) - ZERO_CELSIUS
     # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
-    fine = integrate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
+    fine = resimulate(thermal_model(plan.tube, plan.rig, FINE), spec.slot, counts / COUNTS)
     reference = thermal_model(plan.tube, plan.rig, FINE)
     exact = joined(reference, fine.tube[:, 0]) - ZERO_CELSIUS
     coldest = coldest[:, 1:] + (exact.min(1) - coldest[:, 0])[:, None]
@@ -200,9 +198,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan.duty, plan, before, before)
-    histories = (integrate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled))
-    robust = HeatingPlan.of(
-        tube=plan.tube, rig=plan.rig, spec=plan.spec, start=plan.hold_start, model=fine, schedule=(counts, scaled),
-        histories=histories, mesh_error=plan.mesh_error, iterations=plan.iterations,
-    )  # fmt: skip
+    histories = resimulate(fine, plan.spec.slot, counts / COUNTS), simulate(fine, plan.spec.slot, scaled)
+    computed = Computed(fine, plan.hold_start, counts, scaled, *histories, plan.mesh_error, plan.iterations)
+    robust = HeatingPlan.of(plan.tube, plan.rig, plan.spec, computed)
     return RobustSchedule(scale, robust.duty, robust, band, before)

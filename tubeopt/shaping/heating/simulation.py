@@ -1,17 +1,17 @@
-"""The thermal model in time: many members at once by a Rosenbrock method, or one with SciPy's stiff integrator."""
+"""The thermal model in time: many members at once by a Rosenbrock method."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from ...errors import SolveError
 from ...physics.heat import GRIP
-from ...physics.heat_functions import CLAMP, LUMPED
+from ...physics.heat_functions import CLAMP
 from ...typing import Array
 from .rates import State, at_rest, current, imbalance, linearised, rates
 from .thermal import ThermalModel
@@ -21,13 +21,23 @@ GAMMA = 1 + 1 / math.sqrt(2)
 Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999))."""
 
 
-LOOKS = 5
-"""Times within every slot, beside its beginning, at which `integrate` looks for extremes."""
+STEP, LOOK = 1 / 6, 0.1
+"""Greatest step, s, of a simulation in slots of up to half a second, and of one that looks for extremes."""
+
+FORGOTTEN = 0.03 / 255
+"""Duty times s by which the duties of slots that are stepped over together may run away from their mean: what half a
+count does in the shortest of slots."""
+
+REUSED = 10.0
+"""Change of temperature, K, up to which factors of the Jacobian serve again."""
+
+BATCH = 60
+"""States of one member that are looked at together; each holds the model's numbers once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """The extremes within every slot (T-1,) of one member, looked for at its beginning and at `LOOKS` more times.
+    """The extremes within every slot (T-1,) of one member, looked for every `LOOK` seconds at least and at its ends.
 
     Attributes:
         coldest, hottest: (T-1, n) of the tube's cells, K.
@@ -54,7 +64,7 @@ class History:
         resistance: (T, B) of the tube between the clamps, ohm.
         final: the state at the end.
         imbalance: (B,) energy unaccounted for, as a fraction of what the battery gave.
-        within: the extremes within the slots, where `integrate` made the history.
+        within: the extremes within the slots, where `resimulate` made the history.
     """
 
     time: Array
@@ -93,41 +103,37 @@ def _history(model: ThermalModel, slot: float, states: Sequence[State]) -> Histo
 
 
 class _Factor:
-    """Block elimination of heat - gamma h J: blocks of a cell and its shells, coupled along the tube by diagonals."""
+    """Cholesky factors of heat - gamma h J, member by member: banded, since a cell's shells and the next cell are all
+    that it couples."""
 
     def __init__(self, model: ThermalModel, cells: Array, h: float) -> None:
+        self._at, self._h = cells, h
         self.heat, own, inward, along = linearised(model, cells)
         b, n, m = cells.shape
-        block = np.zeros((b, n, m, m))
-        row = np.arange(m)
-        block[:, :, row, row] = self.heat - GAMMA * h * own
-        block[:, :, row[:-1], row[1:]] = block[:, :, row[1:], row[:-1]] = -GAMMA * h * inward[:, :, :-1]
-        self.coupling = GAMMA * h * along
-        self.inverse = np.empty_like(block)
-        for i in range(n):
-            pivot = block[:, i]
-            if i:
-                e = self.coupling[:, i - 1]
-                pivot = pivot - e[:, :, None] * self.inverse[:, i - 1] * e[:, None, :]
-            self.inverse[:, i] = np.linalg.inv(pivot)
+        band = np.zeros((b, m + 1, n * m))
+        band[:, 0] = (self.heat - GAMMA * h * own).reshape(b, -1)
+        band[:, 1] = (-GAMMA * h * inward).reshape(b, -1)
+        band[:, m, : (n - 1) * m] = (-GAMMA * h * along).reshape(b, -1)
+        self._factors = [dpbtrf(one, lower=1)[0] for one in band]
+
+    def serves(self, cells: Array, h: float) -> bool:
+        """Whether these factors are near enough to those at `cells` for steps of `h`."""
+        return h == self._h and bool(np.abs(cells - self._at).max() < REUSED)
 
     def solve(self, rate: Array) -> Array:
         """The stage for the right-hand side `rate` (B, n, m)."""
-        x = self.heat * rate
-        n = x.shape[1]
-        for i in range(1, n):
-            x[:, i] += self.coupling[:, i - 1] * (self.inverse[:, i - 1] @ x[:, i - 1, :, None])[:, :, 0]
-        x[:, -1] = (self.inverse[:, -1] @ x[:, -1, :, None])[:, :, 0]
-        for i in range(n - 2, -1, -1):
-            x[:, i] = (self.inverse[:, i] @ (x[:, i] + self.coupling[:, i] * x[:, i + 1])[:, :, None])[:, :, 0]
-        return x
+        load = (self.heat * rate).reshape(len(rate), -1)
+        found = [dpbtrs(factor, one, lower=1)[0] for factor, one in zip(self._factors, load, strict=True)]
+        return np.reshape(found, rate.shape)
 
 
 def advance(model: ThermalModel, state: State, duty: Array | float, span: float, steps: int = 3) -> State:
     """The state after `span` seconds at constant duty, by ROS2 in equal steps."""
-    h = span / steps
+    return _advance(model, state, duty, span / steps, steps, _Factor(model, state.cells, span / steps))
+
+
+def _advance(model: ThermalModel, state: State, duty: Array | float, h: float, steps: int, factor: _Factor) -> State:
     cells, lumped = state.cells, state.lumped
-    factor = _Factor(model, cells, h)
     for _ in range(steps):
         rate, slow = rates(model, cells, lumped, duty)
         first = factor.solve(rate)
@@ -140,17 +146,87 @@ def advance(model: ThermalModel, state: State, duty: Array | float, span: float,
 
 
 def simulate(
-    model: ThermalModel, slot: float, duty: ArrayLike, *, start: State | None = None, steps: int = 3
+    model: ThermalModel, slot: float, duty: ArrayLike, *, start: State | None = None, steps: int | None = None
 ) -> History:
     """The members under a schedule, in which duty[k] (T,) or (T, B) in [0, 1] holds from k slots to k + 1.
 
     The times of the history are the slots' ends, with the start.
+
+    Args:
+        steps: in every slot; by default as many as `STEP` asks for, at most 3. Without it, slots far shorter than that
+            are stepped over together where their duties hardly differ.
     """
+    return _history(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
+
+
+def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> list[State]:
+    """The states at the slots' ends, with the start."""
+    states = [start]
+    count = min(math.ceil(slot / STEP - 1e-9), 3) if steps is None else steps
+    together = max(int(STEP / slot + 1e-9), 1) if steps is None else 1
+    factor: _Factor | None = None
+    for first, last in _windows(levels, slot, together):
+        state, part = states[-1], levels[first:last]
+        h, mean = slot * (last - first) / count, part.mean(0)
+        if factor is None or not factor.serves(state.cells, h):
+            factor = _Factor(model, state.cells, h)
+        after = _advance(model, state, mean, h, count, factor)
+        states += [*_between(model, state, after, slot * np.cumsum(part - mean, 0)[:-1], part), after]
+    return states
+
+
+def _windows(levels: Array, slot: float, most: int) -> Iterator[tuple[int, int]]:
+    """First and last slot + 1 of those that are stepped over together: at most so many, and of nearly the same duty."""
+    first = 0
+    while first < len(levels):
+        last = first + 1
+        while last < min(first + most, len(levels)):
+            part = levels[first : last + 1]
+            if np.abs(slot * np.cumsum(part - part.mean(0), 0)).max() > FORGOTTEN:
+                break
+            last += 1
+        yield first, last
+        first = last
+
+
+def _between(model: ThermalModel, before: State, after: State, ahead: Array, duty: Array) -> Iterator[State]:
+    """States at the ends of slots within a window: linear in time, and what duty was given `ahead` of the mean (duty
+    times s) has warmed and not yet left."""
+    if not len(ahead):
+        return
+    low, high = duty.min(0), duty.max(0)
+    rows = [rates(model, before.cells, before.lumped, level)[0] for level in (low, high)]
+    response = (rows[1] - rows[0]) / np.maximum(np.reshape(high - low, (-1, 1, 1)), 1e-12)
+    for k, extra in enumerate(ahead, start=1):
+        part = k / len(duty)
+        cells = before.cells + part * (after.cells - before.cells) + response * np.reshape(extra, (-1, 1, 1))
+        yield State(cells, before.lumped + part * (after.lumped - before.lumped))
+
+
+def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
+    """One member under a schedule, in steps of at most `LOOK`; the history knows the extremes within the slots."""
     levels = np.asarray(duty, dtype=float)
-    states = [start or at_rest(model)]
-    for level in levels:
-        states.append(advance(model, states[-1], level, slot, steps))
-    return _history(model, slot, states)
+    looks = math.ceil(slot / LOOK - 1e-9)
+    states = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
+    return replace(_history(model, slot, states[::looks]), within=_extremes(model, states, levels, looks))
+
+
+def _extremes(model: ThermalModel, states: Sequence[State], duty: Array, looks: int) -> Extremes:
+    """Of slots (T-1,) at these duties, from states at `looks` times in every slot and at the start."""
+    at = (looks * np.arange(len(duty))[:, None] + np.arange(looks + 1)).ravel()
+    level = np.repeat(duty, looks + 1)
+    free = model.zone > GRIP
+    rate, ampere = [], []
+    for first in range(0, len(at), BATCH):
+        some = [states[k] for k in at[first : first + BATCH]]
+        cells, lumped = (np.concatenate([getattr(s, name) for s in some]) for name in ("cells", "lumped"))
+        found = rates(model, cells, lumped, level[first : first + BATCH])[0]
+        rate.append(found[:, free, 0].max(1))
+        ampere.append(current(model, cells[:, :, 0], lumped).total)
+    shape = len(duty), looks + 1
+    tube = np.array([s.cells[0, :, 0] for s in states])[at].reshape(*shape, -1)
+    most = np.concatenate(ampere).reshape(shape).max(1)
+    return Extremes(tube.min(1), tube.max(1), np.concatenate(rate).reshape(shape).max(1), most, duty * most)
 
 
 def simulate_feedback(
@@ -162,81 +238,6 @@ def simulate_feedback(
         duties.append(controller(k * slot, states[-1]))
         states.append(advance(model, states[-1], duties[-1], slot))
     return _history(model, slot, states), np.array(duties)
-
-
-# --- SciPy --------------------------------------------------------------------------------------------------------
-
-
-def runs(duty: NDArray[np.float64]) -> Iterator[tuple[int, int]]:
-    """First and last slot + 1 of every run of equal duties."""
-    edges = np.flatnonzero(np.diff(duty)) + 1
-    yield from zip([0, *edges.tolist()], [*edges.tolist(), len(duty)], strict=True)
-
-
-def integrate(
-    model: ThermalModel,
-    slot: float,
-    duty: ArrayLike,
-    *,
-    method: str = "LSODA",
-    rtol: float = 1e-6,
-    atol: float = 1e-3,
-) -> History:
-    """One member under a schedule with an adaptive, stiff integrator of SciPy, started anew where the duty changes.
-
-    The history is at the slots' ends; it knows the extremes within them.
-
-    Args:
-        slot: s; duty: (T,) in [0, 1].
-        method: "LSODA", "BDF" or "Radau".
-
-    Raises:
-        SolveError: the integrator gave up.
-    """
-    from scipy.integrate import solve_ivp
-
-    levels = np.asarray(duty, dtype=float)
-    initial = at_rest(model)
-    shape = initial.cells.shape
-    size = initial.cells.size
-    y = np.concatenate([initial.cells.ravel(), initial.lumped.ravel()])
-    band = {"lband": shape[2], "uband": shape[2]} if method == "LSODA" else {}
-    trace, within = [y], []
-    for first, last in runs(levels):
-        level = float(levels[first])
-
-        def slope(_: float, y: Array, level: float = level) -> Array:
-            rate, lumped = rates(model, y[:size].reshape(shape), y[size:].reshape(1, LUMPED), level)
-            return np.concatenate([rate.ravel(), lumped.ravel()])
-
-        span = slot * (last - first)
-        at = slot / LOOKS * np.arange(1, LOOKS * (last - first) + 1)
-        at[-1] = span
-        found = solve_ivp(slope, (0.0, span), y, method=method, t_eval=at, rtol=rtol, atol=atol, **band)
-        if not found.success:
-            raise SolveError(
-                f"the re-simulation gave up {slot * first + found.t[-1]:.2f} s into the schedule: {found.message}"
-            )
-        fine = np.vstack([y, found.y.T])
-        within.append(_extremes(model, fine[:, :size].reshape(-1, *shape[1:]), fine[:, size:], level))
-        trace += list(fine[LOOKS::LOOKS])
-        y = trace[-1]
-    states = [State(z[:size].reshape(shape), z[size:].reshape(1, LUMPED)) for z in trace]
-    names = [item.name for item in fields(Extremes)]
-    joined = {name: np.concatenate([getattr(run, name) for run in within]) for name in names}
-    return replace(_history(model, slot, states), within=Extremes(**joined))
-
-
-def _extremes(model: ThermalModel, cells: Array, lumped: Array, duty: float) -> Extremes:
-    """Of a run of slots at one duty, from states at its beginning and `LOOKS` times in every slot."""
-    count = (len(cells) - 1) // LOOKS
-    looks = LOOKS * np.arange(count)[:, None] + np.arange(LOOKS + 1)
-    tube = cells[:, :, 0]
-    free = model.zone > GRIP
-    # Slot by slot: a batch of all would hold the model's numbers once for every state.
-    rate = np.array([rates(model, cells[k], lumped[k], duty)[0][:, free, 0].max() for k in looks])
-    ampere = np.array([current(model, tube[k], lumped[k]).total.max() for k in looks])
-    return Extremes(tube[looks].min(1), tube[looks].max(1), rate, ampere, duty * ampere)
 
 
 def clamp_temperature(history: History) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ...errors import InputError
 from ...robots.tubes import Tube
-from .materials import MoldMaterial
+from ..materials import MoldMaterial
 from .spec import EndMill, MoldSpec
 
 SLACK = 1e-12

@@ -23,7 +23,7 @@ from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from ..heating.rig import MoldBed, gap_conductance
-from .materials import MoldMaterial
+from ..materials import MoldMaterial
 
 AMBIENT = 20.0 + ZERO_CELSIUS
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...robots.tubes import Tube
+from ..materials import MOLD_MATERIALS, MoldMaterial
 from .heat import HeatSpec, heat_drawn, heat_flow, thermal_data
-from .materials import MOLD_MATERIALS, MoldMaterial
 from .spec import PlateSpec
 
 MOST_LEAK = 0.01

@@ -8,8 +8,8 @@ from typing import Annotated
 from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive
 from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, check_fields, key, unit
+from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
-from .materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .springback import Springback
 
 ENDS = ("proximal", "distal")

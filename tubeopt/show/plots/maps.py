@@ -165,24 +165,25 @@ def _filled(stability_map: StabilityMap) -> tuple[Array, Array, Mask]:
     the second tube.
 
     Both sides of the boundary are filled from their own points: before a snap the margin falls to 0 there, behind it
-    the map begins with where the robot lands.
+    the map begins with where the robot lands. Between points its square is linear, as it falls like
+    a root at a fold.
     """
     angles = np.degrees(stability_map.angles)
     fine = np.linspace(angles[0], angles[-1], max(FINE, len(angles)))
     points = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
     grid = np.stack(np.meshgrid(angles, angles, indexing="ij"), axis=-1).reshape(-1, 2)
-    margin, reached = stability_map.margin.ravel(), stability_map.snaps.ravel() > 0
+    square, reached = np.maximum(stability_map.margin.ravel(), 0) ** 2, stability_map.snaps.ravel() > 0
     boundary = np.degrees(stability_map.boundary)
     folds = boundary[np.isfinite(boundary).all(1)]
     behind = _behind(boundary, points)
     values = np.empty(len(points))
     sides = (
-        (~behind, np.vstack([grid[~reached], folds]), np.append(margin[~reached], np.zeros(len(folds)))),
-        (behind, grid[reached], margin[reached]),
+        (~behind, np.vstack([grid[~reached], folds]), np.append(square[~reached], np.zeros(len(folds)))),
+        (behind, grid[reached], square[reached]),
     )
     for part, known, at in sides:
         if part.any():
-            values[part] = _interpolated(known, at, points[part]) if len(known) else np.nan
+            values[part] = np.sqrt(_interpolated(known, at, points[part])) if len(known) else np.nan
     size = len(fine), len(fine)
     return fine, values.reshape(size).T, behind.reshape(size).T
 

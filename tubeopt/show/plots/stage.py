@@ -133,7 +133,9 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
     """Numbers and names along the front edges of the floor and the left upright edge."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     outline = view.project((box.low + corners * (box.high - box.low)) / TO_MM)[:, :2]
-    middle, height = outline.mean(0), float(np.ptp(outline[:, 1]))
+    middle, (width, height) = outline.mean(0), np.ptp(outline, axis=0).tolist()
+    # What fills four inches of paper: the height of the box, or more where the width of the panel is what limits.
+    four_inches = max(height, 4.0 * width * axes.figure.dpi / axes.get_window_extent().width)
     left = min(((front[0], back[1]), (back[0], front[1])), key=lambda xy: view.project(np.array([*xy, 0.0]))[0])
     for axis, name in enumerate("xyz"):
         edge = np.array([front[0], front[1], box.low[2]]) if axis < 2 else np.array([*left, 0.0])
@@ -144,7 +146,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
             continue  # seen end-on
         outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
         outward *= np.sign(outward @ ((start + stop) / 2 - middle))
-        rules = _spaced(box, axis, stop - start, height)
+        rules = _spaced(box, axis, stop - start, four_inches)
         if axis < 2 and view.axes[0, axis] ** 2 < 0.5:
             # The two scales meet at the front corner, where only one of them has room for its number.
             rules = rules[np.abs(rules - front[axis]) > box.step / 2]
@@ -158,13 +160,13 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
             note(axes, f"{name} (mm)", (start + stop) / 2, 28 * outward, size=9, rotation=90)
 
 
-def _spaced(box: Box, axis: int, edge: Array, height: float) -> Array:
+def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
     """The rules along `axis` that may carry numbers without crowding, if its edge is seen as `edge` (2,).
 
-    `height` is that of the whole box as seen, which fills about four inches: numbers are wider than high.
+    `four_inches` of paper are so long in the scene; numbers are wider than high.
     """
     length = float(np.linalg.norm(edge))
-    room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * height
+    room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * four_inches
     gap = length * box.step / (box.high[axis] - box.low[axis])
     every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
     rules = box.rules(axis)

@@ -192,7 +192,7 @@ def _fold(figure: Figure) -> None:
     for axes in figure.axes:
         inside = axes.get_subplotspec()
         columns = 1 if inside is None else inside.get_gridspec().ncols / len(inside.colspan)
-        _fold_lines(axes.title if axes.get_title() else axes._left_title, 0.9 * room / columns)  # type: ignore[attr-defined]
+        _fold_lines(axes.title if axes.get_title() else axes._left_title, 0.9 * room / columns)  # type: ignore[attr-defined]  # noqa: SLF001
     for legend in list(figure.legends):
         entries = [text.get_text() for text in legend.get_texts()]
         columns = int(len(entries) * room / legend.get_window_extent().width)

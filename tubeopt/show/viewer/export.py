@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -111,3 +112,18 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
             scene.layer(name, parts)
         title = escape(f"{session.robot.name or 'robot'}, tubeopt")
         return str(server.scene.as_html()).replace("<title>Viser</title>", f"<title>{title}</title>", 1)
+
+
+def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: bool) -> tuple[str, bytes]:
+    """File name and content of an export: joints, robot, recording, picture, page."""
+    if what == "joints":
+        return "joints.yaml", joints_yaml(session).encode()
+    if what == "robot":
+        return "robot.yaml", robot_yaml(session.robot).encode()
+    if what == "recording":
+        return "trajectory.csv", recording_csv(session).encode()
+    if what == "picture":
+        seen = client.camera
+        height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
+        return "view.png", png(client.get_render(height, width, transport_format="png", timeout=60))
+    return "view.html", scene_html(session, scene.contents, trail=trail).encode()

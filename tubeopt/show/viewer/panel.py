@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -12,19 +13,14 @@ from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .session import Session, joint_names, space_of
 from .view import View
+from .wishes import MIRROR, Wishes
 from .words import log_words, message_words, readout
-
-if TYPE_CHECKING:
-    from .tab import Tab
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
 
 EXACT = 6
 """Digits behind the point in the boxes for exact values, deg or mm."""
-
-MIRROR = -1
-"""Stands for the joint that is dragged where it is the direction or the separation."""
 
 LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
@@ -41,7 +37,7 @@ class Panel:
         view: what there is to show.
     """
 
-    def __init__(self, gui: Any, tab: Tab, view: View) -> None:
+    def __init__(self, gui: Any, tab: Wishes, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
         self._shown: dict[int, float] = {}
         self._aimed: dict[int, str] = {}
@@ -97,11 +93,11 @@ class Panel:
 
     def curve(self, content: str, *, text: bool = False) -> None:
         """The S-curve, or why there is none."""
-        self._curve.content = PAD.format(_escaped(content)) if text else content
+        self._curve.content = PAD.format(escape(content)) if text else content
 
     def map(self, content: str, *, text: bool = False) -> None:
         """The stability map, or why there is none."""
-        self._map.content = PAD.format(_escaped(content)) if text else content
+        self._map.content = PAD.format(escape(content)) if text else content
 
     def sync(self, session: Session, dragged: int | None = None, *, refused: bool = False) -> None:
         """Bring sliders and boxes to where the robot is; not the slider that is being `dragged`.
@@ -343,9 +339,3 @@ def _reach(values: np.ndarray, rotations: int) -> np.ndarray:
 def _typed(value: float, digits: int) -> str:
     """A number as one would type it."""
     return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)

@@ -5,7 +5,7 @@ Lengths are drawn `SCALE` times as large, since the viewer's camera is made for 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -135,6 +135,21 @@ class Scene:
             "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
         )
         self._layers["workspace"] = [cloud]
+
+    def handle(self, equilibrium: Equilibrium, led: Callable[[Array, bool], None]) -> Any:
+        """Arrows at the tip; `led` is told where they are drawn (m), and whether they have been let go."""
+        size = 0.2 * max(tube.curved_length for tube in equilibrium.robot.tubes) * SCALE
+        place = tuple(equilibrium.tip_position * SCALE)
+        arrows = self._api.add_transform_controls(
+            "/target", scale=size, disable_rotations=True, position=place, depth_test=False
+        )
+
+        async def drawn(event: Any) -> None:
+            if event.phase != "start":
+                led(np.array(event.target.position) / SCALE, event.phase == "end")
+
+        arrows.on_update(drawn)
+        return arrows
 
     def _add(self, name: str, part: Part) -> Any:
         # viser wants None for what is opaque: anything else is drawn by depth, back to front.

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...bodies.obstacles import Obstacle
-from ...inverse.answer import DEFAULT_OPTIONS
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal
 from ...inverse.posture import Posture
@@ -49,9 +48,8 @@ def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obsta
     Raises:
         InputError: a target that is not three finite numbers, a margin that is not from 0 to 1.
     """
-    goal = pose_question(
-        session.robot, target, None, (session.equilibrium, None), min_margin, None, None, obstacles, DEFAULT_OPTIONS
-    )
+    places = session.equilibrium, None
+    goal = pose_question(session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles)
     here = seed_posture(goal.space, session.equilibrium)
     for part in _parts(goal, here.tip):
         found = reach(replace(goal, position=part), here, iterations=ITERATIONS)

@@ -21,7 +21,7 @@ from ...workspaces import workspace
 from . import export
 from .designs import Knob, with_knob
 from .insights import Insights
-from .panel import MIRROR, Panel
+from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
 from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
@@ -30,6 +30,7 @@ from .session import Session, clear_trail, go_home, move, move_joint, other_equi
 from .surfaces import between
 from .swept import swept_volume
 from .view import View
+from .wishes import MIRROR, Wishes
 from .worker import Worker
 
 FRAMES, SNAP_SECONDS = 12, 0.36
@@ -47,7 +48,7 @@ UNDONE = 200
 ADVISED = "this tab has a robot of its own"
 
 
-class Tab:
+class Tab(Wishes):
     """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
 
     def __init__(self, client: Any, view: View) -> None:
@@ -73,8 +74,6 @@ class Tab:
     # --- what the page asks for --------------------------------------------------------------------------------------
 
     def slide(self, joint: int, value: float) -> None:
-        """Move one joint to a value (rad or m)."""
-
         def go() -> None:
             if joint < self.session.robot.n_tubes:
                 self._insights.tube = joint
@@ -90,23 +89,18 @@ class Tab:
         self._by_hand(go)
 
     def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
-        """Move to joint values, rad and m."""
         self._by_hand(lambda: self._change(lambda session: move(session, rotations, translations)))
 
     def mirror(self, direction: float, separation: float) -> None:
-        """Turn an eccentric robot's three tubes by the mirror law, rad."""
         rotations = mirror_rotations(direction, separation)
         self._by_hand(
             lambda: self._change(lambda s: move(s, rotations, s.equilibrium.translations), dragged=MIRROR), key="mirror"
         )
 
     def home(self) -> None:
-        """Go home."""
         self._by_hand(lambda: self._change(go_home))
 
     def undo(self) -> None:
-        """Take the last change back: joint values, branch and tubes."""
-
         def go() -> None:
             if not self._past:
                 self._say("nothing was changed")
@@ -119,8 +113,6 @@ class Tab:
         self._by_hand(go)
 
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
-        """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
-
         def go() -> None:
             words = ""
 
@@ -137,43 +129,33 @@ class Tab:
         self._by_hand(go, key=None if done else "lead")
 
     def turn(self, knob: Knob, value: float) -> None:
-        """Change a dimension of a tube, in the knob's unit."""
         self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
 
     def reset_design(self) -> None:
-        """The robot as it was loaded."""
         self._by_hand(lambda: self._change(lambda session: redesign(session, self._view.robot)))
 
     def ghosts(self) -> None:
-        """Show all other equilibria, or hide them."""
         self._do(self._toggle_ghosts)
 
     def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer: trail, workspace, obstacles, swept, target, map."""
         self._do(lambda: self._show(layer, on))
 
     def forget_trail(self) -> None:
-        """Begin the trail anew."""
         self._do(lambda: self._change(clear_trail))
 
     def record(self, on: bool) -> None:
-        """Record from here, or forget what was recorded."""
         self._do(lambda: self._change(lambda session: record(session, on)))
 
     def load(self, name: str, content: bytes) -> None:
-        """Take a trajectory from a CSV file."""
         self._do(lambda: self._load(name, content))
 
     def play(self) -> None:
-        """Play, or pause."""
         self._do(self._toggle_play)
 
     def scrub(self, seconds: float) -> None:
-        """Go to a time of the trajectory."""
         self._by_hand(lambda: self._to_time(seconds, log=False), key="scrub")
 
     def save(self, what: str) -> None:
-        """Send an export to the browser: joints, robot, recording, picture, page."""
         self._do(lambda: self._save(what))
 
     def close(self) -> None:
@@ -329,18 +311,9 @@ class Tab:
             self._target = None
         if not on:
             return
-        tip = self.session.equilibrium.tip_position
-        size = 0.2 * max(tube.curved_length for tube in self.session.robot.tubes) * SCALE
-        self._target = self._client.scene.add_transform_controls(
-            "/target", scale=size, disable_rotations=True, position=tuple(tip * SCALE), depth_test=False
+        self._target = self.scene.handle(
+            self.session.equilibrium, lambda target, done: self.lead(target, self.panel.least_margin, done=done)
         )
-
-        async def led(event: Any) -> None:
-            if event.phase != "start":
-                target = np.array(event.target.position) / SCALE
-                self.lead(target, self.panel.least_margin, done=event.phase == "end")
-
-        self._target.on_update(led)
 
     def _load(self, name: str, content: bytes) -> None:
         with tempfile.TemporaryDirectory() as directory:
@@ -397,7 +370,9 @@ class Tab:
 
     def _save(self, what: str) -> None:
         try:
-            name, content = self._exported(what)
+            if what == "picture":
+                self._say("taking the picture …")
+            name, content = export.exported(what, self.session, self.scene, self._client, trail=self._trail)
             if self._view.out is not None:
                 with atomic_write(self._view.out / name) as temporary:
                     temporary.write_bytes(content)
@@ -406,18 +381,3 @@ class Tab:
             return
         self._client.send_file_download(name, content, save_immediately=True)
         self._say(f"saved {name}")
-
-    def _exported(self, what: str) -> tuple[str, bytes]:
-        """File name and content of an export."""
-        if what == "joints":
-            return "joints.yaml", export.joints_yaml(self.session).encode()
-        if what == "robot":
-            return "robot.yaml", export.robot_yaml(self.session.robot).encode()
-        if what == "recording":
-            return "trajectory.csv", export.recording_csv(self.session).encode()
-        if what == "picture":
-            self._say("taking the picture …")
-            seen = self._client.camera
-            height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
-            return "view.png", export.png(self._client.get_render(height, width, transport_format="png", timeout=60))
-        return "view.html", export.scene_html(self.session, self.scene.contents, trail=self._trail).encode()

@@ -62,7 +62,7 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
 }
 
 /* phi of a tube at fraction x of a piece; `once`, `twice`: the Lagrange basis (degree) there, integrated. */
-static double turned(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
+static double rotation_at(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
                      const double *twice) {
     double h = q->layout->length[p], bent = 0, uneven = 0;
     for (int k = 0; k < q->tableau->degree; k++) {
@@ -81,7 +81,7 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
         int p = fine->piece[x];
         const double *once = bases + (x % k) * degree, *twice = once + k * degree;
         for (int i = 0; i < N; i++)
-            theta[x][i] = turned(coarse, arm, p, i, fine->tableau->nodes[x % k], once, twice);
+            theta[x][i] = rotation_at(coarse, arm, p, i, fine->tableau->nodes[x % k], once, twice);
     }
 }
 #else
@@ -236,7 +236,8 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
             theta[x][i] += g->turn[i];
 #if GENERAL
             double held = fmax(q->tubes->straight[i] - g->shift[i], 0);
-            theta[x][i] -= section_of(q->tubes->pieces, i, q->s[x] + held, q->s[x] + held, 1).wound;
+            int panel = panel_of(q->tubes->pieces, i, q->s[x] + held);
+            theta[x][i] -= section_of(q->tubes->pieces, i, panel, q->s[x] + held, 1).wound;
 #endif
         }
     }

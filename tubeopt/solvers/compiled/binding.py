@@ -64,6 +64,10 @@ def _room(kernel: Library) -> _Room:
     return rooms[kernel]
 
 
+LANES = 8
+"""Numbers per coefficient of a table in the kernel's order: it evaluates four polynomials at once."""
+
+
 class _Pieces(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_longlong) for name in ("most", "width", "most_cuts")),
@@ -82,10 +86,13 @@ def _pieces(table: Lengthwise) -> Any:
     )
     order = np.arange(1, channels.shape[-1] + 1)
     count = np.maximum(1, ((channels != 0) * order).max(-1)).astype(float)
+    count = np.concatenate([count, count[:, :, :4].max(-1, keepdims=True)], axis=-1)
+    lanes = np.zeros((*channels.shape[:2], channels.shape[3], LANES))
+    lanes[..., : channels.shape[2]] = channels.swapaxes(-1, -2)
     cuts = np.full((table.n_tubes, max(len(own) for own in table.cuts)), np.inf)
     for row, own in zip(cuts, table.cuts, strict=True):
         row[: len(own)] = own
-    arrays = [table.breaks, channels, count, direction, table.bent.astype(float), table.detail, table.twist]
+    arrays = [table.breaks, lanes, count, direction, table.bent.astype(float), table.detail, table.twist]
     arrays += [table.compliance[:, :-1], cuts]
     kept = [np.ascontiguousarray(array) for array in arrays]
     sizes = channels.shape[1], channels.shape[3], cuts.shape[1]
@@ -218,9 +225,12 @@ def _carriages(robot: Robot) -> NDArray[np.int64]:
     return out
 
 
-def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Mask] | None:
+def solve_many_compiled(
+    robot: Robot, rotations: Array, translations: Array, arms: Array | None = None
+) -> tuple[Array, Mask] | None:
     """Cold solves of joint values (N, n): a row per configuration with tip position (3), tip frame by rows (9), tip
-    rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined.
+    rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined. `arms`
+    (N, 2, m, n) gets rotations and torsion at the m points of the arms, which all must have.
 
     None where there is no kernel. The interpreter is free while it runs.
     """
@@ -232,5 +242,6 @@ def solve_many_compiled(robot: Robot, rotations: Array, translations: Array) -> 
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
     table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
     places = (_at(a) for a in (alpha, shift, table, declined))
-    kernel.solve_many(tubes, kernel.method, count, *places, *room.at)
+    whole = (0, None) if arms is None else (arms.shape[2], _at(arms))
+    kernel.solve_many(tubes, kernel.method, count, *places, *whole, *room.at)
     return table, declined.astype(bool)

@@ -92,7 +92,8 @@ static void look_along(Unknowns *q) {
             double sum = 0;
             for (int k = 0; k < t->degree; k++) {
                 double place = l->start[p] + h * t->nodes[k] + l->transmission[i];
-                Section here = section_of(q->tubes->pieces, i, place, place, l->present[p][i]);
+                int panel = panel_at(q->tubes, l, p, i, place);
+                Section here = section_of(q->tubes->pieces, i, panel, place, l->present[p][i]);
                 q->rate[p][k][i] = 1 / here.torsional;
                 sum += t->weights[k] * q->rate[p][k][i];
                 if (!l->collocated[p]) continue;

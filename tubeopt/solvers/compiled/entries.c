@@ -18,13 +18,17 @@ int differentiate(const long long *carriage, int side, Workspace *w, const Answe
 #endif
 
 /* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
-   rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over. */
+   rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
+   `arms`, where not NULL, (count, 2, points, N) gets rotations and torsion at the shape points, as many as all have. */
 void solve_many(const Tubes *tubes, const Method *method, long long count, const double *alpha, const double *shift,
-                double *summary, unsigned char *declined, Workspace *w, Answer *one) {
+                double *summary, unsigned char *declined, long long points, double *arms, Workspace *w, Answer *one) {
     for (long long k = 0; k < count; k++, summary += 17 + N) {
         declined[k] = solve_one(tubes, method, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
+        long long tip = one->pieces * STEPS, size = points * N;
+        declined[k] |= arms && tip + 1 != points;
         if (declined[k]) continue;
-        long long tip = one->pieces * STEPS;
+        if (arms) memcpy(arms + 2 * k * size, one->rotation, size * sizeof(double));
+        if (arms) memcpy(arms + (2 * k + 1) * size, one->torsion, size * sizeof(double));
         memcpy(summary, one->position[tip], 3 * sizeof(double));
         memcpy(summary + 3, one->frame[tip], 9 * sizeof(double));
         memcpy(summary + 12, one->tip_rotations, N * sizeof(double));

@@ -6,6 +6,9 @@ typedef struct {
     int section[MOST_PIECES], collocated[MOST_PIECES];
     double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N];
     int present[MOST_PIECES][N], curved[MOST_PIECES][N];
+#if GENERAL
+    int panel[MOST_PIECES][N]; /* of each tube along the piece; -1 where it changes */
+#endif
     double transmission[N], end[N], section_start[MOST_SECTIONS + 1];
 #if GENERAL
     double held[N]; /* int ds / kt of the transmissions */
@@ -69,8 +72,9 @@ static double general_need(const Tubes *t, const Layout *l, double start, double
         double s = start + length * SAMPLES[g], kb[N], m[N], kt[N];
         for (int i = 0; i < N; i++) {
             double place = s + l->transmission[i];
-            size_t panel = i * t->pieces->most + panel_of(t->pieces, i, place);
-            Section here = section_of(t->pieces, i, place, place, present[i]);
+            int own = panel_of(t->pieces, i, place);
+            size_t panel = i * t->pieces->most + own;
+            Section here = section_of(t->pieces, i, own, place, present[i]);
             kb[i] = here.stiffness;
             m[i] = fabs(here.moment);
             kt[i] = here.torsional;
@@ -124,7 +128,12 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
             l->start[p] = cuts[k] + j * l->length[p];
             l->section[p] = k;
             l->collocated[p] = bent >= (t->eccentric ? 1 : 2);
-#if !GENERAL
+#if GENERAL
+            for (int i = 0; i < N; i++) {
+                double held = l->start[p] + l->transmission[i];
+                l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
+            }
+#else
             memcpy(l->stiffness[p], kb, sizeof kb);
             memcpy(l->moment[p], m, sizeof m);
 #endif
@@ -134,3 +143,10 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
     }
     return l->pieces > 0;
 }
+
+#if GENERAL
+/* The panel of a tube at a place of a piece. */
+static int panel_at(const Tubes *t, const Layout *l, int p, int tube, double place) {
+    return l->panel[p][tube] < 0 ? panel_of(t->pieces, tube, place) : l->panel[p][tube];
+}
+#endif

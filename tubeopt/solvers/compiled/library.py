@@ -27,11 +27,11 @@ import numpy as np
 import platformdirs
 
 from ...block.transcription.collocated import ENDS, STEPS
-from ...block.transcription.general_arm import COARSE, FINE
+from ...block.transcription.general_arm import FINE, ROUGHER, SHAPE_RATIO, SUBSTEPS
+from ...block.transcription.green import INWARDS
 from ...block.transcription.linear import hermite
 from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
-from ...block.transcription.reduced import INWARDS
 from ...block.transcription.tableau import tableau
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
@@ -139,7 +139,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
         "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
         "STEPS": STEPS,
-        "SHAPE_RATIO": f"{(STEPS / COARSE_STEPS) ** 6 - 1!r}",
+        "SHAPE_RATIO": SHAPE_RATIO if general else (STEPS / COARSE_STEPS) ** 6 - 1,
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": MOST_PIECES,
         "MOST_UNKNOWNS": MOST_UNKNOWNS,
@@ -258,8 +258,7 @@ def _general_constants() -> str:
         "QUADRATURE_WEIGHTS": weights,
         "FINE_POINTS": FINE,
         "FINE_BASIS": bases(FINE),
-        "COARSE_POINTS": COARSE,
-        "COARSE_BASIS": bases(COARSE),
+        "ROUGHER": ROUGHER,
         "ENDS_BASIS": bases(ENDS),
         "CHECK_NODES": check.nodes,
         "CHECK_WEIGHTS": check.weights,
@@ -268,7 +267,7 @@ def _general_constants() -> str:
     }
     numbers = {
         "QUADRATURE": len(nodes),
-        "COARSE_STEPS": COARSE_STEPS,
+        "SUBSTEPS": SUBSTEPS,
         "EXTRA_POINTS": EXTRA_POINTS,
         "INWARDS": INWARDS,
         "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
@@ -379,7 +378,7 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
     loaded.solve.argtypes = [pointer] * 7
-    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 6]
+    loaded.solve_many.argtypes = [pointer, pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     loaded.solve_many.restype = None
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:

@@ -1,8 +1,8 @@
 /* Forward kinematics under load: what block/transcription/loaded.py states, solved by Newton's method as the load grows.
 
-   Before it stand the functions that CasADi generates: `bending` of a cross-section, `quaternion_product` and
-   `rotation_matrix`, and the tables TANGENT and TURN of the tangent and of turns about world axes by a quaternion. What
-   is not plain sailing is declined, and left to the general solver. */
+   Before it stand the functions that CasADi generates: `bending` of a cross-section and `rotation_matrix`, and the tables
+   TANGENT and TURN of the tangent and of turns about world axes by a quaternion. What is not plain sailing is declined,
+   and left to the general solver. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -45,10 +45,17 @@ typedef struct {
 #include "loaded_newton.c"
 #include "loaded_arm.c"
 
+/* One robot under one load on three rules with the same pieces: that of the answer, few points on which the load grows,
+   and more points, which tell the error. `to_...`: the Lagrange basis of the first, or of the few, at points of others. */
 typedef struct {
-    Stage stage, check;
-    State state, trial, fine;
-    Step step, fine_step;
+    Problem problem, rough, check;
+    const double *to_rough, *to_check, *from_rough;
+} Rules;
+
+typedef struct {
+    Stage stage, rough, check;
+    State state, trial, other, rough_state;
+    Step step, other_step;
     Room room;
 } Workspace;
 
@@ -56,76 +63,37 @@ size_t workspace_size(void) { return sizeof(Workspace); }
 size_t answer_size(void) { return sizeof(Answer); }
 
 /* The margin on a finer rule, by the direction that is softest on the other: off by the square of what that is. */
-static double margin_beside(const Stage *stage, const Stage *check, const double *to_fine, Workspace *w) {
-    const Problem *p = stage->problem, *finer = check->problem;
-    int k = stage->degree, m = check->degree, n = unknowns_of(check);
-    const double *from = w->room.vector;
+static double margin_beside(const Stage *stage, const Stage *check, const double *to_check, Workspace *w) {
+    int n = unknowns_of(check);
     double *to = w->room.basis[0], *image = w->room.basis[1];
-    memcpy(to, from, N * sizeof(double));
-    from += N;
-    to += N;
-    for (int e = 0; e < stage->pieces; e++)
-        for (int i = 0; i < N; i++) {
-            int bent = stage->piece[e].count[i] == k;
-            for (int a = 0; a < m && bent; a++) {
-                to[a] = 0;
-                for (int b = 0; b < k; b++)
-                    to[a] += to_fine[a * k + b] * from[b] * sqrt(p->rate[(e * k + b) * N + i] / p->weights[b]);
-                to[a] *= sqrt(finer->weights[a] / finer->rate[(e * m + a) * N + i]);
-            }
-            if (!bent && stage->piece[e].count[i]) *to = *from;
-            from += stage->piece[e].count[i];
-            to += check->piece[e].count[i];
-        }
-    for (int x = 0; x < check->points; x++, to += 2)
-        for (int j = 0; j < 2; j++) {
-            to[j] = 0;
-            for (int b = 0; b < k; b++) {
-                int y = x / m * k + b;
-                to[j] += to_fine[x % m * k + b] * stage->soft[y] * from[2 * y + j] / check->soft[x];
-            }
-        }
-    to = w->room.basis[0];
+    carry_direction(stage, w->room.vector, check, to_check, to);
     memcpy(image, to, n * sizeof(double));
-    Softness of = {check, &w->fine_step};
-    memset(w->fine_step.by.end, 0, sizeof w->fine_step.by.end);
-    w->fine_step.by.has_orientation = 0;
-    w->fine_step.by.has_twist = 1;
+    Softness of = {check, &w->other_step};
+    memset(w->other_step.by.end, 0, sizeof w->other_step.by.end);
+    w->other_step.by.has_orientation = 0;
+    w->other_step.by.has_twist = 1;
     soften(&of, image);
     return fmin(1, dot(to, to, n) / dot(to, image, n));
 }
 
 /* What a Newton step on a finer rule changes: of theta, of the tip and, where loads hardly soften, of the margin. */
-static int compare_finer(const Problem *fine, const double *to_fine, const double *alpha, Workspace *w, Answer *out) {
+static int compare_finer(const Rules *rules, const double *alpha, Workspace *w, Answer *out) {
     const Stage *stage = &w->stage;
     Stage *check = &w->check;
-    int k = stage->degree, m = (int)fine->degree;
-    prepare(check, fine);
-    for (int x = 0; x < check->points; x++) {
-        const double *row = to_fine + (x % m) * k;
-        int from = x / m * k;
-        for (int i = 0; i < N; i++) {
-            w->fine.theta[x][i] = 0;
-            for (int b = 0; b < k; b++) w->fine.theta[x][i] += row[b] * w->state.theta[from + b][i];
-        }
-        for (int j = 0; j < 2; j++) {
-            double bend = 0;
-            for (int b = 0; b < k; b++) bend += row[b] * stage->soft[from + b] * w->state.q[from + b][j];
-            w->fine.q[x][j] = bend / check->soft[x];
-        }
-    }
-    evaluate(check, &w->fine, 1);
-    if (!factorise(check, &w->fine, 1, 1)) return DECLINED;
-    newton_step(check, &w->fine, alpha, 1, &w->fine_step);
-    out->theta_error = theta_change(check, &w->fine, &w->fine_step);
+    carry_over(stage, &w->state, check, rules->to_check, &w->other);
+    evaluate(check, &w->other, 1);
+    if (!factorise(check, &w->other, 1, 1)) return DECLINED;
+    newton_step(check, &w->other, alpha, 1, &w->other_step, 1);
+    out->theta_error = theta_change(check, &w->other, &w->other_step);
     double tip[3], here[3], gap[3];
     tip_of(stage, &w->state, here);
-    tip_of(check, &w->fine, tip);
-    tip_moved(check, &w->fine, &w->fine_step, gap);
+    tip_of(check, &w->other, tip);
+    tip_moved(check, &w->other, &w->other_step, gap);
     for (int i = 0; i < 3; i++) gap[i] += tip[i] - here[i];
     out->tip_error = sqrt(dot(gap, gap, 3));
     out->margin_error = 0;
-    if (out->margin > HARDLY_SOFTENED) out->margin_error = fabs(margin_beside(stage, check, to_fine, w) - out->margin);
+    if (out->margin > HARDLY_SOFTENED)
+        out->margin_error = fabs(margin_beside(stage, check, rules->to_check, w) - out->margin);
     return SOLVED;
 }
 
@@ -148,21 +116,82 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
     }
 }
 
-/* The stable equilibrium under the whole load from that without load, with a `margin` of NaN, or from one close by of this
-   margin: its theta and curvature at the points. */
-int solve_loaded(const Problem *problem, const Problem *fine, const double *to_fine, const double *alpha,
-                 const double *turn, const double *theta, const double *curvature, double margin, Workspace *w,
-                 Answer *out) {
+/* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
+   what that changes carried over, and settled; the direction that is softest is left in the room. Returns about the margin,
+   NaN where this fails. */
+static double grow_roughly(const Rules *rules, const double *alpha, double margin, Workspace *w, Answer *out) {
+    Stage *stage = &w->stage, *rough = &w->rough;
+    State *here = &w->rough_state;
+    carry_over(stage, &w->state, rough, rules->to_rough, here);
+    for (int x = 0; x < rough->points; x++) memcpy(w->other.theta[x], here->theta[x], sizeof here->theta[x]);
+    if (grow(rough, alpha, margin, &w->room, here, &w->trial, &w->step, out)) return NAN;
+    margin = margin_of(rough, here, NAN, SOFTENING_ERROR, &w->step, &w->room);
+    for (int x = 0; x < rough->points; x++)
+        for (int i = 0; i < N; i++) here->theta[x][i] -= w->other.theta[x][i];
+    carry_over(rough, here, stage, rules->from_rough, &w->trial);
+    for (int x = 0; x < stage->points; x++)
+        for (int i = 0; i < N; i++) w->trial.theta[x][i] += w->state.theta[x][i];
+    w->state = w->trial;
+    if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return NAN;
+    carry_direction(rough, w->room.vector, stage, rules->from_rough, w->room.basis[0]);
+    memcpy(w->room.vector, w->room.basis[0], sizeof w->room.vector);
+    return margin;
+}
+
+static void prepare_all(const Rules *rules, Workspace *w) {
+    prepare(&w->stage, &rules->problem);
+    prepare(&w->rough, &rules->rough);
+    prepare(&w->check, &rules->check);
+}
+
+static int solve_prepared(const Rules *rules, const double *alpha, const double *turn, const double *theta,
+                          const double *curvature, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage;
-    prepare(stage, problem);
+    double near = margin;
     take_up(stage, alpha, theta, turn, curvature, &w->state);
+    anywhere(w->room.vector, unknowns_of(stage));
     out->iterations = 0;
-    int failed = curvature ? settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)
-                           : grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out);
-    if (failed) return DECLINED;
+    if (curvature) {
+        if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return DECLINED;
+    } else if (isnan(near = grow_roughly(rules, alpha, margin, w, out))) {
+        take_up(stage, alpha, theta, turn, curvature, &w->state);
+        if (grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out)) return DECLINED;
+    }
     tip_compliance(stage, &w->state, &w->step, w->room.basis[0], out->compliance);
     lay_arm(stage, &w->state, alpha, out);
-    out->margin = margin_of(stage, &w->state, curvature ? margin : NAN, &w->step, &w->room);
+    out->margin = margin_of(stage, &w->state, near, EIGENVALUE_ERROR, &w->step, &w->room);
     if (!(out->margin > LEAST_STIFFNESS)) return DECLINED;
-    return compare_finer(fine, to_fine, alpha, w, out);
+    return compare_finer(rules, alpha, w, out);
+}
+
+/* The stable equilibrium under the whole load from that without load, without a `curvature`, or from one close by, each of
+   this margin: its theta and curvature at the points. */
+int solve_loaded(const Rules *rules, const double *alpha, const double *turn, const double *theta,
+                 const double *curvature, double margin, Workspace *w, Answer *out) {
+    prepare_all(rules, w);
+    return solve_prepared(rules, alpha, turn, theta, curvature, margin, w, out);
+}
+
+/* Many rotations, each from its equilibrium without load, of `margin` (count) and `theta` (count, points, N). `summary`
+   (count, SUMMARY) gets tip position (3), tip frame by rows (9), rotations of the tubes at their `ends` among the shape
+   points, margin, residual, errors of theta and tip, energy, error of the margin; `compliance` (count, 36) that of the tip;
+   `declined` (count) what is left over. */
+void solve_many_loaded(const Rules *rules, long long count, const double *alpha, const double *theta,
+                       const double *margin, const long long *ends, double *summary, double *compliance,
+                       unsigned char *declined, Workspace *w, Answer *one) {
+    double none[N] = {0};
+    prepare_all(rules, w);
+    for (long long k = 0; k < count; k++, summary += 18 + N, compliance += 36) {
+        declined[k] = solve_prepared(rules, alpha + k * N, none, theta + k * w->stage.points * N, NULL, margin[k], w,
+                                     one) != SOLVED;
+        if (declined[k]) continue;
+        int tip = w->stage.pieces * STEPS;
+        memcpy(summary, one->position[tip], 3 * sizeof(double));
+        memcpy(summary + 3, one->frame[tip], 9 * sizeof(double));
+        for (int i = 0; i < N; i++) summary[12 + i] = one->rotation[ends[i]][i];
+        double rest[6] = {one->margin,    one->residual, one->theta_error,
+                          one->tip_error, one->energy,   one->margin_error};
+        memcpy(summary + 12 + N, rest, sizeof rest);
+        memcpy(compliance, one->compliance, sizeof one->compliance);
+    }
 }

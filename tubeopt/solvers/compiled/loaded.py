@@ -21,18 +21,23 @@ from ...block.transcription.loaded import LoadedProblem, compliances
 from ...block.transcription.loaded_arm import LoadedArm, shape_sections
 from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
-from ...physics.shape import quaternion_product_function, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
-from ...typing import Array
+from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
 from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
 
-DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 9, 24, 6
-"""What the kernel has room for; others go to the general solver."""
+DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
+"""Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
+arms go to the general solver."""
 
-FIRST_LANCZOS, LEAST_SOFTENING = 12, 1e-6
-"""Steps after which Lanczos' method looks for a better place to start from, and the least 1 - margin expected."""
+FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
+"""Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
+times as far below 1 as the margin expected that place is."""
+
+ROUGH_STEP = 1e-2
+"""A step of Newton's method, rad, that is the last on few points, which are no better."""
 
 PREDICTED_PART = 0.9
 """Of the largest change in one step of a load, the part that is gone for by the first derivative."""
@@ -44,11 +49,11 @@ def loaded_source(n: int) -> str:
     """The C text of the kernel for n concentric tubes under load."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["bending"])
-    generator.add(quaternion_product_function())
     generator.add(rotation_matrix_function())
     defines = {
         "N": n,
         "DEGREE": DEGREE,
+        "ROUGH_DEGREE": ROUGH_DEGREE,
         "CHECK_DEGREE": CHECK_DEGREE,
         "MOST_DEGREE": CHECK_DEGREE,
         "MOST_PIECES": MOST_PIECES,
@@ -58,6 +63,8 @@ def loaded_source(n: int) -> str:
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "FIRST_LANCZOS": FIRST_LANCZOS,
         "LEAST_SOFTENING": LEAST_SOFTENING,
+        "BEYOND": BEYOND,
+        "ROUGH_STEP": ROUGH_STEP,
         "PREDICTED_PART": PREDICTED_PART,
         "CHORD_STEP": CHORD_STEP,
         "ROUND_OFF": NEWTON.round_off,
@@ -93,9 +100,27 @@ class _Problem(ctypes.Structure):
     )
 
 
+class _Rules(ctypes.Structure):
+    _fields_ = (
+        *((name, _Problem) for name in ("problem", "rough", "check")),
+        *((name, ctypes.c_void_p) for name in ("to_rough", "to_check", "from_rough")),
+    )
+
+
+@dataclass(frozen=True)
+class LoadedRules:
+    """One problem on three rules with the same pieces: that of the answer, with few points on which the load grows, and
+    with more, which tell the error."""
+
+    problem: LoadedProblem
+    rough: LoadedProblem
+    check: LoadedProblem
+
+
 @dataclass(frozen=True, eq=False)
 class _Kernel:
     solve: Any
+    solve_many: Any
     answer: np.dtype[np.void]
     workspace_size: int
 
@@ -118,11 +143,13 @@ def _kernel(n: int) -> _Kernel | None:
     if loaded is None:
         return None
     pointer = ctypes.c_void_p
-    loaded.solve_loaded.argtypes = [*[pointer] * 7, ctypes.c_double, *[pointer] * 2]
+    loaded.solve_loaded.argtypes = [*[pointer] * 5, ctypes.c_double, *[pointer] * 2]
+    loaded.solve_many_loaded.argtypes = [pointer, ctypes.c_longlong, *[pointer] * 9]
+    loaded.solve_many_loaded.restype = None
     answer = _answer(n)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    return _Kernel(loaded.solve_loaded, answer, loaded.workspace_size())
+    return _Kernel(loaded.solve_loaded, loaded.solve_many_loaded, answer, loaded.workspace_size())
 
 
 @lru_cache(maxsize=64)
@@ -167,10 +194,21 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
     return out
 
 
-def _structure(problem: LoadedProblem) -> Any:
-    """The C struct Problem; the template and the forces must live as long."""
-    out = _Problem.from_buffer_copy(_template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length))
-    out.force, out.base_force = _at(problem.force), _at(problem.base_force)
+@lru_cache(maxsize=64)
+def _structure(rules: LoadedRules) -> Any:
+    """The C struct Rules."""
+    chosen = rules.problem, rules.rough, rules.check
+    whole, few, many = (problem.mesh.tableau.degree for problem in chosen)
+    bases = _between(whole, few), _between(whole, many), _between(few, whole)
+    parts, kept = [], []
+    for problem in chosen:
+        template = _template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length)
+        part = _Problem.from_buffer_copy(template)
+        part.force, part.base_force = _at(problem.force), _at(problem.base_force)
+        parts.append(part)
+        kept.append((template, problem))
+    out: Any = _Rules(*parts, *map(_at, bases))
+    out.keep = kept, bases  # the structure points into them
     return out
 
 
@@ -199,14 +237,18 @@ def _room(kernel: _Kernel) -> _Room:
     return rooms[kernel]
 
 
+def _usable(rules: LoadedRules) -> _Kernel | None:
+    """The kernel for a problem; None where there is none."""
+    problem = rules.problem
+    n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
+    fits = n <= MOST_TUBES and len(mesh.length) <= MOST_PIECES and mesh.tableau.degree == DEGREE
+    return _kernel(n) if fits and problem.load.has_energy and mesh.tableau.family == "gauss" else None
+
+
 def solve_loaded_compiled(
-    problem: LoadedProblem,
-    finer: LoadedProblem,
-    joints: tuple[Array, Array],
-    start: tuple[Array, Array | None],
-    margin: float,
+    rules: LoadedRules, joints: tuple[Array, Array], start: tuple[Array, Array | None], margin: float
 ) -> LoadedAnswer | None:
-    """The stable equilibrium under a dead load; `finer` is the same problem with more points on the same pieces.
+    """The stable equilibrium under a dead load.
 
     `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2)
     at the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to
@@ -214,22 +256,15 @@ def solve_loaded_compiled(
 
     None where there is no kernel, or it declines: nothing stable close by, a branch that ends.
     """
-    n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
-    degrees = mesh.tableau.degree, finer.mesh.tableau.degree
-    fits = n <= MOST_TUBES and len(mesh.length) <= MOST_PIECES and degrees == (DEGREE, CHECK_DEGREE)
-    if not fits or not problem.load.has_energy or mesh.tableau.family != "gauss":
-        return None
-    kernel = _kernel(n)
+    problem, kernel = rules.problem, _usable(rules)
     if kernel is None:
         return None
-    room = _room(kernel)
+    room, n = _room(kernel), problem.torsion.assembly.n_tubes
     theta, curvature = start
     memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
     at = _at(memory)
     status = kernel.solve(
-        ctypes.byref(_structure(problem)),
-        ctypes.byref(_structure(finer)),
-        _at(_between(*degrees)),
+        ctypes.byref(_structure(rules)),
         at,
         at + 8 * n,
         at + 16 * n,
@@ -238,7 +273,33 @@ def solve_loaded_compiled(
         room.at[0],
         room.at[1],
     )
-    return _answered(room.fields, len(problem.softness), STEPS * len(mesh.length) + 1) if status == SOLVED else None
+    return (
+        _answered(room.fields, len(problem.softness), STEPS * len(problem.mesh.length) + 1)
+        if status == SOLVED
+        else None
+    )
+
+
+def solve_many_loaded_compiled(
+    rules: LoadedRules, rotations: Array, starts: tuple[Array, Array], ends: NDArray[np.int64]
+) -> tuple[Array, Array, Mask] | None:
+    """Stable equilibria at rotations (M, n) under a dead load that grows from nothing.
+
+    `starts`: rotations (M, N, n) without load at the points, and margins (M,). `ends`: (n,) where tubes end among the
+    points of the arm. A row for each with tip position (3), tip frame by rows (9), tip rotations (n), margin, residual,
+    errors of theta and of the tip, energy and error of the margin; the compliances (M, 6, 6); (M,) which were declined.
+    None where there is no kernel.
+    """
+    kernel, count = _usable(rules), len(rotations)
+    if kernel is None:
+        return None
+    room = _room(kernel)
+    given = [np.ascontiguousarray(a, dtype=float) for a in (rotations, *starts)]
+    summary, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
+    declined = np.zeros(count, dtype=np.uint8)
+    places = (_at(a) for a in (*given, ends, summary, compliance, declined))
+    kernel.solve_many(ctypes.byref(_structure(rules)), count, *places, *room.at)
+    return summary, compliance, declined.astype(bool)
 
 
 @lru_cache(maxsize=8)

@@ -8,7 +8,7 @@ static double change_of_q(const Stage *s, int x, int j, const double *theta, dou
 }
 
 /* Newton's step: theta - alpha itself is unknown, not its change, so that no twists need be kept; p is a change. */
-static void newton_step(const Stage *s, const State *state, const double *alpha, double factor, Step *step) {
+static void newton_step(const Stage *s, const State *state, const double *alpha, double factor, Step *step, int turned) {
     Functional *by = &step->by;
     memset(by->end, 0, sizeof by->end);
     by->has_orientation = by->has_twist = 0;
@@ -25,7 +25,7 @@ static void newton_step(const Stage *s, const State *state, const double *alpha,
                               dot(s->gain[x][i], pull, 2) - dot(s->stiff[x][i], twist, N);
     }
     sweep_back(s, by, step);
-    sweep_forth(s, step);
+    sweep_forth(s, step, turned);
     for (int x = 0; x < s->points; x++)
         for (int i = 0; i < N; i++) step->theta[x][i] += alpha[i];
 }
@@ -130,11 +130,12 @@ static int newton(Stage *s, State *state, const double *alpha, double factor, do
     for (int n = 0; n < MOST_ITERATIONS; n++) {
         out->iterations++;
         if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
-        newton_step(s, state, alpha, factor, step);
+        newton_step(s, state, alpha, factor, step, 0);
         double size = size_of(s, state, step);
         if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > ratio * last)) return DECLINED;
         take(s, state, step, 1, 1);
         evaluate(s, state, factor);
+        if (size <= s->enough) return SOLVED;
         if (size <= LAST_STEP && (size <= ROUND_OFF || residual_of(s, state, alpha, factor, &torsion) <= ROUND_OFF))
             return SOLVED;
         fresh = size > CHORD_STEP;
@@ -172,7 +173,7 @@ static void soften(const void *of, double *x) {
         }
     }
     sweep_back(s, by, given->step);
-    sweep_forth(s, given->step);
+    sweep_forth(s, given->step, 0);
     at = x;
     for (int i = 0; i < N; i++) *at++ = -given->step->held[i];
     for (int e = 0; e < s->pieces; e++)
@@ -190,6 +191,54 @@ static int unknowns_of(const Stage *s) {
     return n;
 }
 
+/* theta and q at the points of another rule on the same pieces, `basis` being the Lagrange basis of this one there. */
+static void carry_over(const Stage *from, const State *state, const Stage *to, const double *basis, State *out) {
+    int k = from->degree, m = to->degree;
+    for (int x = 0; x < to->points; x++) {
+        const double *row = basis + (x % m) * k;
+        int first = x / m * k;
+        for (int i = 0; i < N; i++) {
+            out->theta[x][i] = 0;
+            for (int b = 0; b < k; b++) out->theta[x][i] += row[b] * state->theta[first + b][i];
+        }
+        for (int j = 0; j < 2; j++) {
+            double bend = 0;
+            for (int b = 0; b < k; b++) bend += row[b] * from->soft[first + b] * state->q[first + b][j];
+            out->q[x][j] = bend / to->soft[x];
+        }
+    }
+}
+
+/* The same of a direction in the whitened unknowns. */
+static void carry_direction(const Stage *stage, const double *from, const Stage *other, const double *basis, double *to) {
+    const Problem *p = stage->problem, *there = other->problem;
+    int k = stage->degree, m = other->degree;
+    memcpy(to, from, N * sizeof(double));
+    from += N;
+    to += N;
+    for (int e = 0; e < stage->pieces; e++)
+        for (int i = 0; i < N; i++) {
+            int bent = stage->piece[e].count[i] == k;
+            for (int a = 0; a < m && bent; a++) {
+                to[a] = 0;
+                for (int b = 0; b < k; b++)
+                    to[a] += basis[a * k + b] * from[b] * sqrt(p->rate[(e * k + b) * N + i] / p->weights[b]);
+                to[a] *= sqrt(there->weights[a] / there->rate[(e * m + a) * N + i]);
+            }
+            if (!bent && stage->piece[e].count[i]) *to = *from;
+            from += stage->piece[e].count[i];
+            to += other->piece[e].count[i];
+        }
+    for (int x = 0; x < other->points; x++, to += 2)
+        for (int j = 0; j < 2; j++) {
+            to[j] = 0;
+            for (int b = 0; b < k; b++) {
+                int y = x / m * k + b;
+                to[j] += basis[x % m * k + b] * stage->soft[y] * from[2 * y + j] / other->soft[x];
+            }
+        }
+}
+
 /* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`. */
 static double least_factorised(const Stage *s, double small, int most, Step *step, Room *room, int *settled) {
     Softness of = {s, step};
@@ -205,24 +254,23 @@ static double least_factorised(const Stage *s, double small, int most, Step *ste
 /* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
 static double rough_margin(const Stage *s, Step *step, Room *room) {
     int settled;
-    anywhere(room->vector, unknowns_of(s));
     return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
 }
 
-/* The margin of a stable state under the whole load, at most 1, with its vector; `near` is about what to expect, NaN if
-   that is not known. Eigenvalues gather at 1, and the least may be close to them: of the second variation less mu, mu
-   not far below the least, it is far away from all others. Takes factors of the second variation, and leaves others. */
-static double margin_of(Stage *s, const State *state, double near, Step *step, Room *room) {
-    double elastic = isnan(near) ? 1 : fmin(1, fmax(2 * (1 - near), LEAST_SOFTENING)), margin = 1;
+/* The margin of a stable state under the whole load, at most 1, with its vector, for which there is a guess; `near` is
+   about what to expect, NaN if that is not known. Eigenvalues gather at 1, and the least may be close to them: of the
+   second variation less mu, mu not far below the least, it is far away from all others. Takes factors of the second
+   variation, and leaves others. */
+static double margin_of(Stage *s, const State *state, double near, double small, Step *step, Room *room) {
+    double elastic = isnan(near) ? 1 : fmin(1, fmax(BEYOND * (1 - near), LEAST_SOFTENING)), margin = 1;
     int settled = 0;
-    anywhere(room->vector, unknowns_of(s));
     for (int tries = 0; tries < 6 && !settled; tries++) {
         while ((tries || elastic < 1) && !factorise(s, state, 1, elastic)) {
             if (elastic == 1) return -1;
-            elastic = fmin(1, 8 * elastic);
+            elastic = fmin(1, 3 * elastic);
         }
-        margin = 1 - elastic + least_factorised(s, EIGENVALUE_ERROR, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
-        elastic = fmin(1, fmax(4 * (1 - margin), LEAST_SOFTENING));
+        margin = 1 - elastic + least_factorised(s, small, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
+        elastic = fmin(1, fmax(BEYOND * (1 - margin), LEAST_SOFTENING));
     }
     return fmin(1, margin);
 }
@@ -236,12 +284,13 @@ static int at_ease(Stage *s, State *state, const double *alpha, double factor, S
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
-   shortened where that fails. */
+   shortened where that fails. Leaves in the room about the softest direction. */
 static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
                 Answer *out) {
     double longest = 1;
-    /* The factors of its last step are close enough to predict by. */
-    if (newton(s, state, alpha, 0, 1, step, out)) return DECLINED;
+    anywhere(room->vector, unknowns_of(s));
+    evaluate(s, state, 0);
+    if (!factorise(s, state, 0, 1)) return DECLINED;
     for (double t = 0; t < 1;) {
         double moved = 0, rate = 0;
         Functional *by = &step->by;
@@ -249,7 +298,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *s
         for (int x = 0; x < s->points; x++)
             for (int j = 0; j < 2; j++) by->bend[x][j] = -s->soft[x] * state->felt[x][j];
         sweep_back(s, by, step);
-        sweep_forth(s, step);
+        sweep_forth(s, step, 1);
         for (int x = 0; x < s->points; x++) {
             rate = fmax(rate, 2 * sqrt(dot(step->orientation[x], step->orientation[x], 4)));
             for (int i = 0; i < N; i++) rate = fmax(rate, s->piece[x / s->degree].count[i] == s->degree ? fabs(step->theta[x][i]) : 0);

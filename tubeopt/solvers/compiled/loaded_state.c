@@ -4,6 +4,8 @@
    Q_c = Q_e o s_c, and a right side g_a of the collocated equations makes sum_a g_a o X_ac, X the inverse of a matrix of
    quaternions. The transpose of multiplying by u from the right is multiplying by its conjugate. */
 
+#define WORK (2 * MOST_DEGREE + 4)
+
 typedef struct {
     double inverse[MOST_DEGREE][MOST_DEGREE][4]; /* X */
     double spread[MOST_DEGREE][4], carried[4];   /* s_c, and Q at the end by Q_e */
@@ -12,12 +14,14 @@ typedef struct {
     double turn[N][MOST_DEGREE][MOST_DEGREE];    /* theta_a by the twist of each tube, whitened */
     double passed[N][MOST_DEGREE];               /* theta at the end */
     int first[N], count[N], bend, rows, whole;   /* twists of each tube, where bending follows, rows to eliminate */
+    double work[WORK][WORK];                         /* its second derivative by bending and Q at the beginning */
     double matrix[WIDTH * WIDTH], map[STATE][WIDTH]; /* eliminated; the state at the end by all of it */
 } Piece;
 
 typedef struct {
     const Problem *problem;
-    int pieces, degree, points;
+    int pieces, degree, points, assembled;
+    double enough; /* a step, rad, below which Newton's method ends here */
     double weight[MOST_POINTS], soft[MOST_POINTS]; /* B, 1 / sqrt(B K) */
     double stiff[MOST_POINTS][N][N], gain[MOST_POINTS][N][2]; /* second derivative by theta, u0' / soft, as factorised */
     double root[N][N], root_spring[N];             /* Cholesky factor where the arm is held; sqrt of `held` */
@@ -36,23 +40,27 @@ typedef struct {
 
 /* Loops of a known length are unrolled: one version of a function for each of the two rules. */
 #define OF_DEGREE static inline __attribute__((always_inline))
-#define BY_DEGREE(of, ...) (s->degree == DEGREE ? of(__VA_ARGS__, DEGREE) : of(__VA_ARGS__, CHECK_DEGREE))
+#define BY_DEGREE(of, ...)                                    \
+    (s->degree == DEGREE         ? of(__VA_ARGS__, DEGREE)       \
+     : s->degree == ROUGH_DEGREE ? of(__VA_ARGS__, ROUGH_DEGREE) \
+                                 : of(__VA_ARGS__, CHECK_DEGREE))
 
-static void product(const double *a, const double *b, double *out) {
-    const double *in[2] = {a, b};
-    double *res[1] = {out};
-    quaternion_product(in, res, 0, 0, 0);
+/* Of quaternions: by the columns of multiplying from the left, which leave a loop over b. */
+static inline __attribute__((always_inline)) void product(const double *a, const double *b, double *out) {
+    Four whole = {a[0], a[1], a[2], a[3]}, x = {-a[1], a[0], a[3], -a[2]};
+    Four y = {-a[2], -a[3], a[0], a[1]}, z = {-a[3], a[2], -a[1], a[0]};
+    FOUR(out) = whole * b[0] + x * b[1] + y * b[2] + z * b[3];
 }
 
 /* out += scale a o b */
-static void add_product(double scale, const double *a, const double *b, double *out) {
+static inline __attribute__((always_inline)) void add_product(double scale, const double *a, const double *b, double *out) {
     double one[4];
     product(a, b, one);
-    for (int r = 0; r < 4; r++) out[r] += scale * one[r];
+    FOUR(out) += scale * FOUR(one);
 }
 
 /* out += scale a o conj(b): the transpose of multiplying by b */
-static void add_transposed(double scale, const double *a, const double *b, double *out) {
+static inline __attribute__((always_inline)) void add_transposed(double scale, const double *a, const double *b, double *out) {
     double other[4] = {b[0], -b[1], -b[2], -b[3]};
     add_product(scale, a, other, out);
 }
@@ -63,6 +71,7 @@ static void prepare(Stage *s, const Problem *p) {
     s->problem = p;
     s->pieces = (int)p->pieces;
     s->points = s->pieces * k;
+    s->enough = k == ROUGH_DEGREE ? ROUGH_STEP : 0;
     for (int x = 0; x < s->points; x++) {
         double total = 0;
         for (int i = 0; i < N; i++) total += p->stiffness[x * N + i];
@@ -186,7 +195,7 @@ static void feel(const Stage *s, State *state) {
 /* All of `state` from its theta and q. */
 static void evaluate(Stage *s, State *state, double factor) {
     const Problem *p = s->problem;
-    state->bending = state->work = 0;
+    state->bending = state->work = s->assembled = 0;
     for (int x = 0; x < s->points; x++) {
         double direction[N], energy, natural[2];
         for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + p->phase[x * N + i];

@@ -24,22 +24,23 @@ typedef struct {
 /* dQ_c / du_b and the same of Q at the end. */
 OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *piece, int k) {
     double half = s->problem->length[e] / 2;
-    memset(piece->leaving, 0, sizeof piece->leaving);
-    for (int b = 0; b < k; b++)
+    const double *matrix = s->problem->matrix, *weights = s->problem->weights;
+    for (int b = 0; b < k; b++) {
+        double through[MOST_DEGREE][4] = {{0}};
+        for (int a = 0; a < k; a++)
+            for (int c = 0; c < k; c++) FOUR(through[c]) += half * matrix[a * k + b] * FOUR(piece->inverse[a][c]);
         for (int j = 0; j < 2; j++) {
-            double axis[4] = {0, j == 0, j == 1, 0}, moved[4];
+            double axis[4] = {0, j == 0, j == 1, 0}, moved[4], *leaving = piece->leaving[b][j];
             product(state->stage[e * k + b], axis, moved);
-            for (int r = 0; r < 4; r++) piece->leaving[b][j][r] += half * s->problem->weights[b] * moved[r];
+            FOUR(leaving) = half * weights[b] * FOUR(moved);
             for (int c = 0; c < k; c++) {
-                double through[4] = {0}, u[2] = {state->curvature[e * k + c][0], state->curvature[e * k + c][1]};
+                const double *u = state->curvature[e * k + c];
                 double rate[4] = {0, u[0], u[1], 0};
-                for (int a = 0; a < k; a++)
-                    for (int r = 0; r < 4; r++) through[r] += s->problem->matrix[a * k + b] * piece->inverse[a][c][r];
-                memset(piece->own[c][b][j], 0, sizeof piece->own[c][b][j]);
-                add_product(half, moved, through, piece->own[c][b][j]);
-                add_product(half * s->problem->weights[c], piece->own[c][b][j], rate, piece->leaving[b][j]);
+                product(moved, through[c], piece->own[c][b][j]);
+                add_product(half * weights[c], piece->own[c][b][j], rate, leaving);
             }
         }
+    }
 }
 
 /* The part of the matrix in twists and rotations, and how bending leans on them. */
@@ -64,12 +65,12 @@ OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double e
             for (int a = 0; a < k; a++)
                 for (int b = 0; b < k; b++) through[b][a] = piece->turn[i][a][b] * stiff[a][i][j];
             for (int b = 0; b < k; b++) {
-                double sum = 0;
+                double sum = 0, pair[MOST_DEGREE] = {0};
                 for (int a = 0; a < k; a++) sum += through[b][a];
                 h[(row + b) * WIDTH + states + j] += sum;
-                for (int c = 0; c < k && j >= i; c++)
-                    for (int a = 0; a < k; a++)
-                        h[(row + b) * WIDTH + piece->first[j] + c] += through[b][a] * piece->turn[j][a][c];
+                for (int a = 0; a < k && j >= i; a++)
+                    for (int c = 0; c < k; c++) pair[c] += through[b][a] * piece->turn[j][a][c];
+                for (int c = 0; c < k && j >= i; c++) h[(row + b) * WIDTH + piece->first[j] + c] += pair[c];
             }
             for (int a = 0; a < k && j >= i; a++) h[(states + i) * WIDTH + states + j] += stiff[a][i][j];
         }
@@ -82,14 +83,14 @@ OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double e
     }
 }
 
-/* The part of the matrix in bending and in Q where the piece begins: minus the second derivative of the work. */
-OF_DEGREE void put_work(const Stage *s, const State *state, double factor, int e, Piece *piece, int k) {
-    enum { MOST = 2 * MOST_DEGREE + 4 };
-    int size = 2 * k + 4, where[MOST];
-    double sum[MOST][MOST] = {{0}};
+/* The second derivative of the work by bending and by Q where the piece begins, upper triangle. */
+OF_DEGREE void find_work(const Stage *s, const State *state, double factor, int e, Piece *piece, int k) {
+    int size = 2 * k + 4;
+    double (*sum)[WORK] = piece->work;
+    memset(sum, 0, sizeof piece->work);
     for (int c = 0; c < k; c++) {
         int x = e * k + c;
-        double moved[4][MOST], pulled[4][MOST];
+        double moved[4][WORK], pulled[4][WORK];
         for (int b = 0; b < k; b++)
             for (int j = 0; j < 2; j++)
                 for (int r = 0; r < 4; r++) moved[r][2 * b + j] = piece->own[c][b][j][r] * s->soft[e * k + b];
@@ -103,24 +104,23 @@ OF_DEGREE void put_work(const Stage *s, const State *state, double factor, int e
                 pulled[r][v] = 0;
                 for (int d = 0; d < 4; d++) pulled[r][v] += factor * state->form[x][r][d] * moved[d][v];
             }
-        for (int u = 0; u < size; u++)
-            for (int r = 0; r < 4; r++)
-                for (int v = 0; v < size; v++) sum[u][v] += moved[r][u] * pulled[r][v];
         for (int j = 0; j < 2; j++) {
             double axis[4] = {0, j == 0, j == 1, 0}, mixed[4] = {0};
-            int row = 2 * c + j;
             add_transposed(factor * s->soft[x], state->multiplier[x], axis, mixed);
-            for (int v = 0; v < size; v++) {
-                double across = 0;
-                for (int r = 0; r < 4; r++) across += mixed[r] * moved[r][v];
-                sum[row][v] += across;
-                sum[v][row] += across;
-            }
+            for (int r = 0; r < 4; r++)
+                for (int v = 0; v < size; v++) {
+                    double across = mixed[r] * moved[r][v];
+                    if (v >= 2 * c + j) sum[2 * c + j][v] += across;
+                    if (v <= 2 * c + j) sum[v][2 * c + j] += across;
+                }
         }
+        for (int u = 0; u < size; u++)
+            for (int v = u / 4 * 4; v < size; v++) {
+                double both = 0;
+                for (int r = 0; r < 4; r++) both += moved[r][u] * pulled[r][v];
+                sum[u][v] += both;
+            }
     }
-    for (int v = 0; v < size; v++) where[v] = v < 2 * k ? piece->bend + v : piece->rows + N + v - 2 * k;
-    for (int u = 0; u < size; u++)
-        for (int v = u; v < size; v++) piece->matrix[where[u] * WIDTH + where[v]] -= sum[u][v];
 }
 
 /* The state at the end by twists, bending and the state at the beginning. */
@@ -142,10 +142,30 @@ static void put_map(const Stage *s, int e, Piece *piece) {
     }
 }
 
+/* What of a state does not depend on how stiff the arm is. */
+static void assemble(Stage *s, const State *state, double factor) {
+    for (int e = 0; e < s->pieces; e++) {
+        Piece *piece = &s->piece[e];
+        BY_DEGREE(spread_bending, s, state, e, piece);
+        BY_DEGREE(find_work, s, state, factor, e, piece);
+        put_map(s, e, piece);
+    }
+    s->assembled = 1;
+}
+
+/* The part of the matrix in bending and in Q where the piece begins: minus the second derivative of the work. */
+OF_DEGREE void put_work(Piece *piece, int k) {
+    int size = 2 * k + 4, where[WORK];
+    for (int v = 0; v < size; v++) where[v] = v < 2 * k ? piece->bend + v : piece->rows + N + v - 2 * k;
+    for (int u = 0; u < size; u++)
+        for (int v = u; v < size; v++) piece->matrix[where[u] * WIDTH + where[v]] -= piece->work[u][v];
+}
+
 /* Factors of the second variation at `state`, its torsional and bending part taken `elastic` times: 1, or 1 - mu to ask
    whether the margin is above mu. 0 where it is not positive definite. */
 static int factorise(Stage *s, const State *state, double factor, double elastic) {
     double ahead[STATE][STATE] = {{0}};
+    if (!s->assembled) assemble(s, state, factor);
     for (int e = s->pieces - 1; e >= 0; e--) {
         Piece *piece = &s->piece[e];
         double *h = piece->matrix;
@@ -154,10 +174,8 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
             memset(h + r * WIDTH, 0, whole * sizeof(double));
             h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
-        BY_DEGREE(spread_bending, s, state, e, piece);
         BY_DEGREE(put_torsion, s, state, factor, elastic, e, piece);
-        BY_DEGREE(put_work, s, state, factor, e, piece);
-        put_map(s, e, piece);
+        BY_DEGREE(put_work, piece);
         for (int m = 0; m < STATE && e + 1 < s->pieces; m++) {
             double pulled[WIDTH] = {0};
             for (int d = 0; d < STATE; d++)
@@ -190,9 +208,11 @@ static void sweep_back(const Stage *s, const Functional *by, Step *step) {
     for (int e = s->pieces - 1; e >= 0; e--) {
         const Piece *piece = &s->piece[e];
         double *x = step->local[e];
-        memset(x, 0, piece->whole * sizeof(double));
-        for (int m = 0; m < STATE; m++)
-            for (int c = 0; c < piece->whole; c++) x[c] += ahead[m] * piece->map[m][c];
+        for (int c = 0; c < piece->whole; c += 4) {
+            Four sum = {0};
+            for (int m = 0; m < STATE; m++) sum += ahead[m] * FOUR(piece->map[m] + c);
+            FOUR(x + c) = sum;
+        }
         for (int i = 0; i < N; i++) {
             for (int b = 0; b < piece->count[i] && by->has_twist; b++)
                 x[piece->first[i] + b] += by->twist[e][i * MOST_DEGREE + b];
@@ -218,8 +238,8 @@ static void sweep_back(const Stage *s, const Functional *by, Step *step) {
     }
 }
 
-/* From the plate to the tip: minus H^-1 by, and the change of theta and Q that it makes. */
-static void sweep_forth(const Stage *s, Step *step) {
+/* From the plate to the tip: minus H^-1 by, and the change of theta and, if `turned`, of Q that it makes. */
+static void sweep_forth(const Stage *s, Step *step, int turned) {
     int k = s->degree;
     double here[STATE] = {0};
     for (int i = N - 1; i >= 0; i--) {
@@ -242,12 +262,11 @@ static void sweep_forth(const Stage *s, Step *step) {
                     here[i] + (piece->count[i] == k ? dot(piece->turn[i][a], x + piece->first[i], k) : 0);
         }
         memcpy(step->bend[e * k], x + piece->bend, 2 * k * sizeof(double));
-        for (int c = 0; c < k; c++) {
+        for (int c = 0; c < k && turned; c++) {
             double *moved = step->orientation[e * k + c];
             product(here + N, piece->spread[c], moved);
             for (int b = 0; b < 2 * k; b++)
-                for (int r = 0; r < 4; r++)
-                    moved[r] += piece->own[c][b / 2][b % 2][r] * s->soft[e * k + b / 2] * x[piece->bend + b];
+                FOUR(moved) += s->soft[e * k + b / 2] * x[piece->bend + b] * FOUR(piece->own[c][b / 2][b % 2]);
         }
         for (int m = 0; m < STATE; m++) next[m] = dot(piece->map[m], x, piece->whole);
         memcpy(here, next, sizeof here);

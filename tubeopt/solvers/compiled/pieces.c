@@ -2,11 +2,14 @@
 
 #define CHANNELS 5 /* EI, GJ, u*_x or the signed bend in one plane, u*_y, integral of u*_z */
 
+/* Four of them side by side, then the last alone: LANES numbers per degree. */
+#define LANES 8
+
 typedef struct {
     long long most, width, most_cuts;  /* panels and coefficients per tube, cuts per tube */
     const double *breaks;              /* (N, most + 1), from the held end, infinite behind the last */
-    const double *coefficients;        /* (N, most, CHANNELS, width) */
-    const double *count;               /* (N, most, CHANNELS) of coefficients that are not 0 */
+    const double *coefficients;        /* (N, most, width, LANES) */
+    const double *count;               /* (N, most, CHANNELS + 1) of coefficients that are not 0; of any of the first four */
     const double *direction;           /* (N, most) of the bend where it stays in one plane of the tube, else infinite */
     const double *bent, *detail, *twist; /* (N, most) */
     const double *compliance;          /* (N, most) int ds / GJ up to where a panel begins */
@@ -17,14 +20,28 @@ typedef struct {
     double stiffness, moment, phase, torsional, wound;
 } Section;
 
+typedef double Lanes __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+/* A polynomial of n coefficients, LANES apart, by Clenshaw's recurrence. */
 static double chebyshev(const double *c, int n, double x) {
     double b = 0, before = 0;
     for (int k = n - 1; k > 0; k--) {
-        double next = 2 * x * b - before + c[k];
+        double next = 2 * x * b - before + c[k * LANES];
         before = b;
         b = next;
     }
     return c[0] + x * b - before;
+}
+
+/* Four polynomials at once. */
+static Lanes chebyshev_of_four(const double *c, int n, double x) {
+    Lanes b = {0}, before = {0};
+    for (int k = n - 1; k > 0; k--) {
+        Lanes next = 2 * x * b - before + *(const Lanes *)(c + k * LANES);
+        before = b;
+        b = next;
+    }
+    return *(const Lanes *)c + x * b - before;
 }
 
 static int panel_of(const Pieces *t, int tube, double place) {
@@ -34,30 +51,36 @@ static int panel_of(const Pieces *t, int tube, double place) {
     return k;
 }
 
-/* One quantity of a tube at an arc length from its held end, on a panel. */
-static double channel(const Pieces *t, int tube, int panel, int which, double x) {
-    size_t at = (tube * t->most + panel) * CHANNELS + which;
-    return chebyshev(t->coefficients + at * t->width, (int)t->count[at], x);
+/* The panel between two places of a tube; -1 where there are several. */
+static int panel_between(const Pieces *t, int tube, double low, double high) {
+    int panel = panel_of(t, tube, low + INWARDS * (high - low));
+    return panel == panel_of(t, tube, high - INWARDS * (high - low)) ? panel : -1;
+}
+
+static const double *coefficients_of(const Pieces *t, int tube, int panel) {
+    return t->coefficients + (tube * t->most + panel) * t->width * LANES;
+}
+
+/* How many coefficients a channel has on a panel; that of number CHANNELS is the most of the first four. */
+static int count_of(const Pieces *t, int tube, int panel, int which) {
+    return (int)t->count[(tube * t->most + panel) * (CHANNELS + 1) + which];
 }
 
 static double fraction(const Pieces *t, int tube, int panel, double place) {
     const double *breaks = t->breaks + tube * (t->most + 1) + panel;
-    return fmin(fmax((2 * place - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]), -1), 1);
+    double x = (2 * place - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
+    return x < -1 ? -1 : x > 1 ? 1 : x;
 }
 
-/* A tube at `place` from its held end; `inside` tells on which side where it jumps. */
-static Section section_of(const Pieces *t, int tube, double place, double inside, int present) {
-    int panel = panel_of(t, tube, inside);
+/* A tube at `place` from its held end, on a panel. */
+static Section section_of(const Pieces *t, int tube, int panel, double place, int present) {
     double x = fraction(t, tube, panel, place), direction = t->direction[tube * t->most + panel];
-    Section s;
-    s.torsional = channel(t, tube, panel, 1, x);
-    s.wound = channel(t, tube, panel, 4, x);
-    s.stiffness = present ? channel(t, tube, panel, 0, x) : 0;
-    s.moment = channel(t, tube, panel, 2, x);
+    const double *c = coefficients_of(t, tube, panel);
+    Lanes here = chebyshev_of_four(c, count_of(t, tube, panel, CHANNELS), x);
+    Section s = {present ? here[0] : 0, here[2], 0, here[1], chebyshev(c + 4, count_of(t, tube, panel, 4), x)};
     if (isinf(direction)) {
-        double y = channel(t, tube, panel, 3, x);
-        direction = atan2(y, s.moment);
-        s.moment = sqrt(s.moment * s.moment + y * y);
+        direction = atan2(here[3], here[2]);
+        s.moment = sqrt(here[2] * here[2] + here[3] * here[3]);
     }
     s.moment *= s.stiffness;
     s.phase = s.wound + direction;
@@ -68,21 +91,23 @@ static Section section_of(const Pieces *t, int tube, double place, double inside
 static double compliant(const Pieces *t, int tube, double place) {
     int panel = panel_of(t, tube, place);
     const double *breaks = t->breaks + tube * (t->most + 1) + panel;
+    const double *c = coefficients_of(t, tube, panel) + 1;
     double low = breaks[0], step = fmax(fmin(place, breaks[1]) - low, 0), sum = 0;
-    for (int k = 0; k < QUADRATURE; k++)
-        sum += QUADRATURE_WEIGHTS[k] / channel(t, tube, panel, 1, fraction(t, tube, panel, low + step * QUADRATURE_NODES[k]));
+    int count = count_of(t, tube, panel, 1);
+    for (int k = 0; k < QUADRATURE && count > 1; k++)
+        sum += QUADRATURE_WEIGHTS[k] / chebyshev(c, count, fraction(t, tube, panel, low + step * QUADRATURE_NODES[k]));
+    if (count == 1) sum = 1 / c[0];
     return t->compliance[tube * t->most + panel] + step * sum;
 }
 
 /* u*_z of a tube: the slope of the integral. */
-static double twist_of(const Pieces *t, int tube, double place, double inside) {
-    int panel = panel_of(t, tube, inside);
+static double twist_of(const Pieces *t, int tube, int panel, double place) {
     const double *breaks = t->breaks + tube * (t->most + 1) + panel;
-    size_t at = (tube * t->most + panel) * CHANNELS + 4;
-    const double *c = t->coefficients + at * t->width;
+    const double *c = coefficients_of(t, tube, panel) + 4;
     double x = fraction(t, tube, panel, place), sum = 0, one = 1, second = 2 * x;
-    for (int k = 1; k < (int)t->count[at]; k++) { /* T_k' = k U_k-1 */
-        sum += k * c[k] * one;
+    int count = count_of(t, tube, panel, 4);
+    for (int k = 1; k < count; k++) { /* T_k' = k U_k-1 */
+        sum += k * c[k * LANES] * one;
         double next = 2 * x * second - one;
         one = second;
         second = next;

@@ -9,42 +9,52 @@ static void look(const Unknowns *q, const Profile *arm, int p, double x, const d
     const Layout *l = q->layout;
     double inwards = x + INWARDS * (0.5 - x);
     for (int i = 0; i < N; i++) {
-        double held = l->transmission[i];
-        all[i] = section_of(q->tubes->pieces, i, l->start[p] + x * l->length[p] + held,
-                            l->start[p] + inwards * l->length[p] + held, l->present[p][i]);
-        phi[i] = turned(q, arm, p, i, x, basis, basis + MOST_DEGREE);
+        double held = l->start[p] + l->transmission[i];
+        int panel = panel_at(q->tubes, l, p, i, held + inwards * l->length[p]);
+        all[i] = section_of(q->tubes->pieces, i, panel, held + x * l->length[p], l->present[p][i]);
+        phi[i] = rotation_at(q, arm, p, i, x, basis, basis + MOST_DEGREE);
         direction[i] = phi[i] + all[i].phase;
         kb[i] = all[i].stiffness;
         m[i] = all[i].moment;
     }
 }
 
-/* Poses carried over a piece by steps of the shape with `points` at three places each. */
-static void carry_pose(const Unknowns *q, const Profile *arm, int p, int steps, const double *points,
-                       const double *basis, double *pose, double *each) {
-    double phi[N], direction[N], kb[N], m[N], u[6], turn[9], shift[3], length = q->layout->length[p] / steps;
+/* A pose, R by columns and p, carried over a step of a length with u at its three points. */
+static void carry_step(const double *u, double length, double *pose) {
+    double turn[9], shift[3], next[12];
+    const double *in[2] = {u, &length};
+    double *out[2] = {turn, shift};
+    step_of_shape(in, out, 0, 0, 0);
+    for (int c = 0; c < 3; c++)
+        for (int r = 0; r < 3; r++) {
+            next[3 * c + r] = 0;
+            for (int j = 0; j < 3; j++) next[3 * c + r] += pose[3 * j + r] * turn[3 * c + j];
+        }
+    for (int r = 0; r < 3; r++) {
+        next[9 + r] = pose[9 + r];
+        for (int j = 0; j < 3; j++) next[9 + r] += pose[3 * j + r] * shift[j];
+    }
+    memcpy(pose, next, sizeof next);
+}
+
+/* Two poses carried over a piece: the first by SUBSTEPS steps between its shape points, where `each` gets it, the other
+   by one, whose curvature lies on the polynomial through that of the others. */
+static void carry_poses(const Unknowns *q, const Profile *arm, int p, double *poses, double *each) {
+    double phi[N], direction[N], kb[N], m[N], u[3 * SUBSTEPS * 2], rougher[6], length = q->layout->length[p] / STEPS;
     Section all[N];
-    for (int k = 0; k < steps; k++) {
-        for (int g = 0; g < 3; g++) {
+    for (int k = 0; k < STEPS; k++, each += 12) {
+        memset(rougher, 0, sizeof rougher);
+        for (int g = 0; g < 3 * SUBSTEPS; g++) {
             const double *in[3] = {direction, kb, m};
             double *out[1] = {u + 2 * g};
-            look(q, arm, p, points[3 * k + g], basis + (3 * k + g) * 2 * MOST_DEGREE, phi, direction, kb, m, all);
+            int at = 3 * SUBSTEPS * k + g;
+            look(q, arm, p, FINE_POINTS[at], FINE_BASIS + at * 2 * MOST_DEGREE, phi, direction, kb, m, all);
             section_curvature(in, out, 0, 0, 0);
+            for (int j = 0; j < 6; j++) rougher[j] += ROUGHER[j / 2 * 3 * SUBSTEPS + g] * u[2 * g + j % 2];
         }
-        const double *in[2] = {u, &length};
-        double *out[2] = {turn, shift}, next[12];
-        step_of_shape(in, out, 0, 0, 0);
-        for (int c = 0; c < 3; c++)
-            for (int r = 0; r < 3; r++) {
-                next[3 * c + r] = 0;
-                for (int j = 0; j < 3; j++) next[3 * c + r] += pose[3 * j + r] * turn[3 * c + j];
-            }
-        for (int r = 0; r < 3; r++) {
-            next[9 + r] = pose[9 + r];
-            for (int j = 0; j < 3; j++) next[9 + r] += pose[3 * j + r] * shift[j];
-        }
-        memcpy(pose, next, sizeof next);
-        if (each) memcpy(each + 12 * k, next, sizeof next);
+        for (int j = 0; j < SUBSTEPS; j++) carry_step(u + 6 * j, length / SUBSTEPS, poses);
+        carry_step(rougher, length, poses + 12);
+        memcpy(each, poses, 12 * sizeof(double));
     }
 }
 
@@ -90,8 +100,7 @@ static double check_piece(const Unknowns *q, const Profile *arm, int p, double *
 static double add_general(const Unknowns *q, const Profile *arm, int p, double *poses, Answer *out) {
     const Layout *l = q->layout;
     double each[STEPS * 12], pull = 0, phi[N], direction[N], kb[N], m[N];
-    carry_pose(q, arm, p, STEPS, FINE_POINTS, FINE_BASIS, poses, each);
-    carry_pose(q, arm, p, COARSE_STEPS, COARSE_POINTS, COARSE_BASIS, poses + 12, NULL);
+    carry_poses(q, arm, p, poses, each);
     for (int k = 0; k <= STEPS; k++) {
         Section all[N];
         int at = p * STEPS + k;
@@ -114,12 +123,13 @@ static double add_general(const Unknowns *q, const Profile *arm, int p, double *
                 torque += l->length[p] * ENDS_BASIS[k * 2 * MOST_DEGREE + j] * arm->moment[p][j * N + i];
             out->rotation[at][i] = phi[i] + all[i].wound;
             out->torsion[at][i] = torque / all[i].torsional;
-            if (l->present[p][i])
-                out->torsion[at][i] += twist_of(q->tubes->pieces, i, place, l->start[p] + inwards * l->length[p] + l->transmission[i]);
+            int panel = panel_at(q->tubes, l, p, i, l->start[p] + inwards * l->length[p] + l->transmission[i]);
+            if (l->present[p][i]) out->torsion[at][i] += twist_of(q->tubes->pieces, i, panel, place);
         }
         if (!k) continue;
-        for (int r = 0; r < 9; r++) out->frame[at][r] = each[(k - 1) * 12 + 3 * (r % 3) + r / 3];
-        memcpy(out->position[at], each + (k - 1) * 12 + 9, sizeof out->position[at]);
+        const double *here = each + (k - 1) * 12;
+        for (int r = 0; r < 9; r++) out->frame[at][r] = here[3 * (r % 3) + r / 3];
+        memcpy(out->position[at], here + 9, sizeof out->position[at]);
     }
     return pull;
 }

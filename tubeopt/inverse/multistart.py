@@ -79,7 +79,7 @@ def known_home(space: JointSpace) -> Posture | None:
 
 
 @dataclass
-class Hunt:
+class Multistart:
     """One search: the question, and what came of it so far.
 
     More starts only add to what fewer do, so that they never give a worse answer: starts come in a sequence that does

@@ -1,28 +1,24 @@
-"""A heating that a sensor leads: gains and set-point from the model, and how likely uncertain rigs keep the window."""
+"""The law by which a sensor leads a heating: gains and set-point from the model, chosen on uncertain rigs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
-import scipy
 
-from ...display import Displayed
 from ...errors import InputError, instance
 from ...typing import Array
-from ..heating.rig import COUNTS
-from ..heating.robust import ENSEMBLE, assess
-from ..heating.thermal import FINE, thermal_model
-from ..heating.uncertainty import Uncertainty
+from .feedback import Contribution, Feedback
 from .gains import readings, regulator, response
 from .law import HeatingLaw, shifted
 from .loop import Fleet, LoopHistory, run_loop
+from .plan import HeatingPlan
+from .rig import COUNTS
+from .robust import ENSEMBLE, assess
 from .sensors import Sensor
-
-if TYPE_CHECKING:
-    from ..heating.plan import HeatingPlan
+from .thermal import FINE, thermal_model
+from .uncertainty import Uncertainty
 
 SHARES = (0.002, 0.005, 0.01, 0.02, 0.04)
 """Shares per K that the regulator is tried with, from gentle to quick."""
@@ -32,75 +28,6 @@ SHIFTS = np.linspace(-15.0, 15.0, 121)
 
 TUNING = 48
 """Rigs on which gains and set-point are chosen; others tell how well they do."""
-
-CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Contribution:
-    """How much one thing that is not known moves the temperature of the hold: its name, and a standard deviation, K."""
-
-    name: str
-    deviation: float
-
-
-@dataclass(frozen=True, eq=False)
-class Feedback(Displayed):
-    """A heating in a closed loop, and what becomes of it on rigs that are not quite the one that it was planned for.
-
-    Attributes:
-        sensor, law: what reads, and what answers.
-        uncertainty: of the rigs. history: of the rig itself (first) and of S others.
-        lowest, highest: (S,) of the curved part in the hold, degC; top: (S,) of any point ever, degC.
-        kept: (S,) whether the window was kept through a whole hold, and the limit always.
-        open_loop: share of rigs that keep it with the schedule alone.
-        contributions: of what is not known, largest first; "sensor" is its bias.
-        window: degC. limit: degC.
-    """
-
-    sensor: Sensor
-    law: HeatingLaw
-    uncertainty: Uncertainty
-    history: LoopHistory
-    lowest: Array
-    highest: Array
-    top: Array
-    kept: Array
-    open_loop: float
-    contributions: tuple[Contribution, ...]
-    window: tuple[float, float]
-    limit: float
-
-    @property
-    def samples(self) -> int:
-        """S."""
-        return len(self.kept)
-
-    @property
-    def probability(self) -> float:
-        """Share of the rigs that keep the window."""
-        return float(self.kept.mean())
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Of the probability, 95 % (Wilson's)."""
-        return wilson(int(self.kept.sum()), self.samples)
-
-    @property
-    def too_cold(self) -> float:
-        """Share that falls below the window, or never holds it."""
-        return float((self.lowest < self.window[0]).mean())
-
-    @property
-    def too_hot(self) -> float:
-        """Share that rises above the window's end in the hold, or above the limit at any time."""
-        return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
-
-
-def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Interval of a probability (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927))."""
-    found = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
-    return float(found.low), float(found.high)
 
 
 def lead_by(

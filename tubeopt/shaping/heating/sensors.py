@@ -17,8 +17,8 @@ from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from ..heating.rates import State, current
-from ..heating.thermal import ThermalModel
+from .rates import State, current
+from .thermal import ThermalModel
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...typing import Array
-from ..heating.rig import COUNTS
+from .rig import COUNTS
 
 
 @dataclass(frozen=True, eq=False)

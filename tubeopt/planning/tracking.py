@@ -21,7 +21,7 @@ lies between them can be off. It falls with the square of their distance."""
 
 
 @dataclass(frozen=True, eq=False)
-class Walked:
+class Tracked:
     """Equilibria in the order of the table; `lost` where the branch ended early, or time did."""
 
     equilibria: tuple[Equilibrium, ...]
@@ -51,7 +51,7 @@ class Walked:
         return out
 
 
-def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -> Walked:
+def track(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -> Tracked:
     """Follow the branch of `start` through joint values q (T, m), until the clock is over."""
     space = task.chart.space
     here = start
@@ -65,7 +65,7 @@ def walk(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) -
         if not here.stable or (clock is not None and clock.over):
             break
         found.append(here)
-    return Walked(tuple(found), len(found) < len(q))
+    return Tracked(tuple(found), len(found) < len(q))
 
 
 def clearance_of(task: Task, equilibrium: Equilibrium, enough: float = np.inf) -> float:

@@ -8,10 +8,10 @@ import numpy as np
 import scipy
 
 from ...typing import Array
-from ..heating.rates import at_rest
-from ..heating.simulation import advance
-from ..heating.thermal import ThermalModel
+from .rates import at_rest
 from .sensors import Sensor
+from .simulation import advance
+from .thermal import ThermalModel
 
 PROBE = 0.02
 """Share by which the planned duties are raised to see what the reading does."""

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from ...robots.materials import ZERO_CELSIUS
 from ...typing import Array
-from ..heating.ideal import joined
-from ..heating.rates import State, at_rest
-from ..heating.rig import COUNTS
-from ..heating.simulation import advance
-from ..heating.thermal import ThermalModel
+from .ideal import joined
 from .law import HeatingLaw, begin, decide
+from .rates import State, at_rest
+from .rig import COUNTS
 from .sensors import Sensor
+from .simulation import advance
+from .thermal import ThermalModel
 
 
 @dataclass(frozen=True, eq=False)

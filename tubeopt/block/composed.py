@@ -1,0 +1,158 @@
+"""The unknowns and equations of one equilibrium in a program, to which demands may be added."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Generic
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+from ..physics.shape import rotation_matrix
+from ..robots.breakpoints import order_of, where_of
+from ..typing import Array
+from .given import LENGTHS, assembly_at, given_of
+from .guess import Shape, points_of, poses_of, torsion_of_equilibrium
+from .near import N
+from .outputs import Outputs
+from .program import as_program
+from .transcription.collocated import Grid
+from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout
+from .transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
+
+CLOSED = 1e-6
+"""Breakpoints closer than this part of the arm's length meet."""
+
+JOINTS = ("rotations", "translations")
+
+
+class ComposedBlock(Outputs, Generic[N]):
+    """An arm in a program; see `EquilibriumBlock` for what it is given and tells."""
+
+    def __init__(
+        self,
+        opti: Any,
+        near: N,
+        *,
+        rotations: Any = None,
+        translations: Any = None,
+        tubes: Mapping[str, Any] | None = None,
+        side: int = -1,
+        refinement: int | None = None,
+        name: str = "",
+    ) -> None:
+        if not hasattr(near, "robot"):
+            raise InputError(
+                f"near is a {type(near).__name__}; it must be an Equilibrium, solved by forward_kinematics"
+            )
+        self.near, self.robot, self.program = near, near.robot, as_program(opti)
+        self._given = given_of(near, rotations, translations, tubes or {})
+        self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
+        self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
+        self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
+        self.chain = chain = self._given.chain
+        self._grid = Grid(
+            self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
+        )
+        self.fittings = {"place": placed(self._bundle), "chain": chain}
+        """What `model_of` needs beside joint values and dimensions."""
+        self._moving = self._given.free(*LENGTHS)
+        self._fixed = not self._given.free("translations", *self.dimensions)
+        self._side, self.layout = side, self._lay_out(side, refinement)
+        self.reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
+        """Length of the arm where the solve begins, m: what everything is scaled by."""
+        called = self.program.enter(self)
+        self.name = name or called
+        self.label = f"{self.name}: " if self.name else ""
+        """With which the names of all that it adds begin."""
+        self._words: dict[str, list[str]] = {}
+        self._checked: list[tuple[Any, ...]] = []
+        self.margins: list[tuple[tuple[Any, ...], Any]] = []
+        """Unknowns of every margin that is demanded, and how much it is."""
+        self.answers: list[tuple[Any, Any, dict[str, Any]]] = []
+        """Unknowns of every Jacobian, its equations, and its seeds."""
+        self._add_unknowns()
+        self._add_equations()
+
+    def _lay_out(self, side: int, refinement: int | None) -> Layout:
+        if side not in (-1, 1):
+            raise InputError(f"side is {side}; it must be -1 (behind the plate) or 1 (in front of it)")
+        if refinement is not None and refinement < 0:
+            raise InputError(f"refinement is {refinement}; it must be at least 0")
+        halvings = (0 if self._fixed else FREE_REFINEMENT) if refinement is None else refinement
+        order = order_of(self._bundle, self.robot.moving_together, side=side)
+        if not order.front:
+            raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
+        # Where breakpoints may change places every one of them may come to the front.
+        least = len(order.front) + len(order.behind) if self._moving else 0
+        return layout(self._bundle, order, refinement=halvings, least=least)
+
+    def _add_unknowns(self) -> None:
+        """Unknowns in columns, and the arm that they make."""
+        n, pieces, degree, reach = self.robot.n_tubes, self.layout.n_pieces, self._grid.degree, self.reach
+        scale = {"torsion": 1 / reach, "position": reach}
+        shapes = sizes(n, pieces, degree)
+        self.columns = [
+            self.program.variable(self.label + name, rows * columns, scale=scale.get(name, 1.0))
+            for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=True)
+        ]
+        self.numbers = None
+        if self._moving:
+            self.numbers = self.program.parameter(self.label + "layout", self.layout.numbers())
+        unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self.columns, shapes, strict=True))
+        values = {**self._given.values, **self.fittings}
+        self.model = model_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
+        begin = self._start_model(self._given.start)
+        self._set_guess(begin, torsion_of_equilibrium(self.near, *points_of(begin)))
+
+    def _start_model(self, numbers: Mapping[str, Array]) -> Model:
+        """The arm at joint values and dimensions in numbers, its unknowns nought."""
+        self.begin_numbers = dict(numbers)
+        shapes = sizes(self.robot.n_tubes, self.layout.n_pieces, self._grid.degree)
+        values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.fittings}
+        zero = tuple(ca.DM.zeros(*shape) for shape in shapes)
+        return model_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
+
+    def _set_guess(self, model: Model, shape: Shape) -> None:
+        """Start from these rotations and torsions on the pieces of `model`."""
+        model = replace(model, theta=shape[0], twist=shape[1], inner=shape[2])
+        for column, value in zip(self.columns, (*shape, *poses_of(model)), strict=True):
+            self.program.set_guess(column, np.asarray(value).ravel(order="F"))
+        self.begin = model
+
+    def demand(
+        self,
+        name: str,
+        expression: Any,
+        *,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+        entries: Sequence[str] = (),
+    ) -> None:
+        """0 <= expression <= upper, with words for its entries."""
+        name, words = self.label + name, [self.label + entry for entry in (entries or (name,))]
+        self.program.subject_to(name, expression, upper=upper, scale=scale, entries=words)
+        size = expression.numel()
+        self._words[name] = words
+        self._checked.append((name, expression, *(np.broadcast_to(v, size).astype(float) for v in (upper, scale))))
+
+    def _add_equations(self) -> None:
+        model, reach = self.model, self.reach
+        for each in model.equations(self.rotations, reach):
+            self.demand(each.name, each.expression, upper=0.0, scale=each.scale, entries=each.entries)
+        q, p = model.pose_ends
+        self.tip_position, self.tip_rotation = p[:, -1], rotation_matrix(q[:, -1])
+        self.tip_rotations = model.ends[1][:, -1] + self._natural_turn()
+        self.energy, self.length = model.energy, ca.sum1(model.lengths)
+        if self._moving:
+            self.demand("order of breakpoints", model.gaps, scale=reach, entries=gap_names(self.layout.order))
+        if self._given.free("translations", "straight_length"):
+            held = [f"tube {i + 1} is not pulled out of its actuator" for i in range(self.robot.n_tubes)]
+            self.demand("transmissions", model.held, scale=reach, entries=held)
+        if not self._moving:
+            gaps = self.layout.gap @ where_of(self._bundle)
+            if gaps.min(initial=0.0) < -CLOSED * reach:
+                raise InputError(f"{gap_names(self.layout.order)[int(np.argmin(gaps))]}, at the numbers given")

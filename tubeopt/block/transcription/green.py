@@ -1,0 +1,102 @@
+"""What a couple on a tube at one place of an arm turns at another: integrals over a mesh, collocated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...robots.assembly import Assembly
+from ...robots.lengthwise import CrossSections
+from ...typing import Array, Index
+from .mesh import Mesh
+
+INWARDS = 1e-6
+"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compliant:
+    """Tubes made of pieces on a mesh.
+
+    Attributes:
+        sections: (P K, n) the cross-sections at the points that all pieces would have.
+        rate: (P, K, n) 1 / kt there.
+        transmission: (n,) int ds / kt from where each tube is held to the plate.
+    """
+
+    sections: CrossSections
+    rate: Array
+    transmission: Array
+
+
+def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
+    """The tubes of an assembly with pieces on a mesh."""
+    assert assembly.lengthwise is not None
+    sections = sections_at(assembly, mesh, mesh.tableau.nodes)
+    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
+    return Compliant(sections, rate, assembly.lengthwise.compliant(assembly.transmission))
+
+
+def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
+    """(P X, n) cross-sections of tubes made of pieces at fractions x (X,) of every piece of a mesh."""
+    s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
+    return assembly.cross_sections(s.ravel(), inside.ravel())
+
+
+def reach(mesh: Mesh, here: Compliant) -> Array:
+    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
+    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
+    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
+
+
+def ahead(mesh: Mesh, here: Compliant) -> Array:
+    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    chosen = mesh.collocated
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
+    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    return np.asarray(out.reshape(-1, out.shape[-1]))
+
+
+def green_of_pieces(mesh: Mesh, elements: Index, here: Compliant, tube: int) -> Array:
+    """(N, N) of a tube: int ds / kt from where it is held to the nearer of two points, collocated."""
+    t, begin = mesh.tableau, reach(mesh, here)[elements, tube]
+    rate, length = here.rate[elements, :, tube], mesh.length[elements]
+    near = ahead(mesh, here)[:, tube]
+    first = np.arange(len(near)) // t.degree
+    green: Array = np.where(first[:, None] < first, near[:, None], near)
+    for e in range(len(elements)):
+        block = slice(e * t.degree, (e + 1) * t.degree)
+        green[block, block] = begin[e] + length[e] * (t.matrix * (rate[e] / t.weights)) @ t.matrix.T
+    return green
+
+
+def point_places(mesh: Mesh, elements: Index) -> Array:
+    """(N,) arc length of the collocation points, m."""
+    s: Array = mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes
+    return s.ravel()
+
+
+def green_of(mesh: Mesh, elements: Index) -> Array:
+    """(N, N) collocated min(s, r): S without the transmissions; exact between elements, h A diag(1/b) A' within."""
+    tableau = mesh.tableau
+    start, length = mesh.start[elements], mesh.length[elements]
+    s = point_places(mesh, elements)
+    green = np.minimum(s[:, None], s)
+    k = tableau.degree
+    for e in range(len(elements)):
+        block = slice(e * k, (e + 1) * k)
+        green[block, block] = start[e] + length[e] * tableau.compliance
+    return green
+
+
+def integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
+    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
+    k, count = mesh.tableau.degree, len(elements)
+    length = np.repeat(mesh.length[elements], k)
+    whole = np.tile(mesh.tableau.weights, count) * length
+    element = np.repeat(np.arange(count), k)
+    before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
+    within = np.tile(mesh.tableau.matrix, (count, count)) * length
+    up_to = np.where(same, within, before * whole)
+    return up_to, whole - up_to

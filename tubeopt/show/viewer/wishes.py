@@ -1,0 +1,65 @@
+"""What the hand may want of a tab: the panel passes it on and does not know who does it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from .designs import Knob
+
+MIRROR = -1
+"""Stands for the joint that is dragged where it is the direction or the separation."""
+
+
+class Wishes(Protocol):
+    """Every method returns at once."""
+
+    def slide(self, joint: int, value: float) -> None:
+        """Move one joint to a value (rad or m)."""
+
+    def go_to(self, rotations: Sequence[float], translations: Sequence[float]) -> None:
+        """Move to joint values, rad and m."""
+
+    def mirror(self, direction: float, separation: float) -> None:
+        """Turn an eccentric robot's three tubes by the mirror law, rad."""
+
+    def home(self) -> None:
+        """Go home."""
+
+    def undo(self) -> None:
+        """Take the last change back: joint values, branch and tubes."""
+
+    def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
+        """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
+
+    def turn(self, knob: Knob, value: float) -> None:
+        """Change a dimension of a tube, in the knob's unit."""
+
+    def reset_design(self) -> None:
+        """The robot as it was loaded."""
+
+    def ghosts(self) -> None:
+        """Show all other equilibria, or hide them."""
+
+    def show(self, layer: str, on: bool) -> None:
+        """Show or hide a layer: trail, workspace, obstacles, swept, target, map."""
+
+    def forget_trail(self) -> None:
+        """Begin the trail anew."""
+
+    def record(self, on: bool) -> None:
+        """Record from here, or forget what was recorded."""
+
+    def load(self, name: str, content: bytes) -> None:
+        """Take a trajectory from a CSV file."""
+
+    def play(self) -> None:
+        """Play, or pause."""
+
+    def scrub(self, seconds: float) -> None:
+        """Go to a time of the trajectory."""
+
+    def save(self, what: str) -> None:
+        """Send an export to the browser: joints, robot, recording, picture, page."""

@@ -1,0 +1,321 @@
+"""A nonlinear program in which everything has a name: what is composed from blocks, and how it is solved."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..block.violation import violations_of, worst
+from ..errors import InputError, nearest
+from ..typing import Array
+from .closing import Closed, Stacked, function_of, ipopt_function
+from .problem_solution import ProblemSolution, ProblemStatistics
+from .problem_status import ProblemStatus
+from .settings import Ipopt
+
+MENTIONED = 3
+"""Constraints that the message of a failed solve names."""
+
+
+@dataclass(eq=False)
+class _Variable:
+    symbol: Any
+    scale: Array
+    lower: Array
+    upper: Array
+    guess: Array
+
+
+@dataclass(eq=False)
+class _Constraint:
+    expression: Any
+    scale: Array
+    lower: Array
+    upper: Array
+    entries: tuple[str, ...]
+
+
+class NamedProgram:
+    """Variables, constraints and parameters of a nonlinear program, by name, and one solve of it."""
+
+    def __init__(self, name: str = "problem") -> None:
+        self.name = name
+        self.blocks: list[Any] = []
+        self.variables: dict[str, _Variable] = {}
+        self._constraints: dict[str, _Constraint] = {}
+        self._parameters: dict[str, tuple[Any, Array]] = {}
+        self._objective: Any = ca.MX(0.0)
+        self._solvers: dict[tuple[Ipopt, bool], Any] = {}
+
+    # --- composition --------------------------------------------------------------------------------------------------
+
+    def variable(
+        self,
+        name: str,
+        size: int = 1,
+        *,
+        guess: ArrayLike = 0.0,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+    ) -> Any:
+        """A column of `size` unknowns.
+
+        Args:
+            guess, lower, upper, scale: a number for all, or one each, in the variable's own units.
+
+        Raises:
+            InputError: a name that is taken, a wrong size, bounds in the wrong order, or a scale that is not positive.
+        """
+        self._free(name)
+        if size < 0:
+            raise InputError(f"size of {name!r} is {size}; it must be at least 0")
+        numbers = {"scale": scale, "lower": lower, "upper": upper, "guess": guess}
+        table = {key: _table(f"{key} of {name!r}", value, size) for key, value in numbers.items()}
+        _ordered(name, table)
+        self.variables[name] = _Variable(ca.MX.sym(name, size), **table)
+        self._solvers.clear()
+        return self.variables[name].symbol
+
+    def parameter(self, name: str, value: ArrayLike) -> Any:
+        """A column of numbers that may be changed between solves by `set_value`.
+
+        Raises:
+            InputError: a name that is taken, or a value that is not finite numbers.
+        """
+        self._free(name)
+        numbers = np.asarray(value, dtype=float).ravel()
+        self._parameters[name] = ca.MX.sym(name, len(numbers)), _table(f"value of {name!r}", numbers, len(numbers))
+        self._solvers.clear()
+        return self._parameters[name][0]
+
+    def subject_to(
+        self,
+        name: str,
+        expression: Any,
+        *,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        scale: ArrayLike = 1.0,
+        entries: Sequence[str] | None = None,
+    ) -> None:
+        """Demand lower <= expression <= upper, or a comparison: `a == b`, `a >= b`, `a <= b`.
+
+        Args:
+            expression: of any shape; by default it must be at least 0.
+            scale: its typical size, by which violations are judged.
+            entries: words for each of its rows; by default the name and a number.
+
+        Raises:
+            InputError: a name that is taken, a wrong size, or an expression without symbols.
+        """
+        self._free(name)
+        if not isinstance(expression, ca.MX):
+            raise InputError(f"constraint {name!r} is no expression of the problem's variables: {expression!r}")
+        if expression.is_op(ca.OP_EQ) or expression.is_op(ca.OP_LE) or expression.is_op(ca.OP_LT):
+            equal = expression.is_op(ca.OP_EQ)
+            expression, lower, upper = expression.dep(1) - expression.dep(0), 0.0, 0.0 if equal else np.inf
+        size = expression.numel()
+        numbers = {"scale": scale, "lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, size) for key, value in numbers.items()}
+        _ordered(name, table)
+        words = entries or ([name] if size == 1 else [f"{name}, entry {k + 1}" for k in range(size)])
+        if len(words) != size:
+            raise InputError(f"entries of {name!r} are {len(words)} words; the constraint has {size} rows")
+        self._constraints[name] = _Constraint(ca.vec(expression), **table, entries=tuple(words))
+        self._solvers.clear()
+
+    def minimize(self, expression: Any) -> None:
+        """Make `expression` the objective."""
+        if ca.MX(expression).numel() != 1:
+            raise InputError(f"the objective has shape {ca.MX(expression).shape}; it must be one number")
+        self._objective = ca.MX(expression)
+        self._solvers.clear()
+
+    def maximize(self, expression: Any) -> None:
+        """Make minus `expression` the objective."""
+        self.minimize(-expression)
+
+    def set_value(self, parameter: Any, value: ArrayLike) -> None:
+        """Give a parameter, by its symbol or its name, other numbers."""
+        name = self._name_of(parameter, {key: symbol for key, (symbol, _) in self._parameters.items()}, "parameter")
+        symbol, old = self._parameters[name]
+        self._parameters[name] = symbol, _table(f"value of {name!r}", value, len(old))
+
+    def set_guess(self, variable: Any, value: ArrayLike) -> None:
+        """Start the next solve with these numbers of a variable, given by its symbol or its name."""
+        name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
+        self.variables[name].guess = _table(f"guess of {name!r}", value, len(self.variables[name].guess))
+
+    def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Give a variable, by its symbol or its name, other bounds."""
+        name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
+        own, given = self.variables[name], {"lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in given.items()}
+        _ordered(name, {**table, "scale": own.scale})
+        own.lower, own.upper = table["lower"], table["upper"]
+
+    def rename(self, name: str, entries: Sequence[str]) -> None:
+        """Give the rows of a constraint other words."""
+        self._constraints[name].entries = tuple(entries)
+
+    def enter(self, block: Any) -> str:
+        """Take note of a block; returns what it is called."""
+        self.blocks.append(block)
+        return f"equilibrium {len(self.blocks)}"
+
+    def symbol(self, name: str) -> Any:
+        """The symbol of a variable, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self.variables[self._name_of(name, self.variables, "variable")].symbol
+
+    def constraint(self, name: str) -> Any:
+        """The expression of a constraint, a column.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].expression
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """The words for the rows of a constraint.
+
+        Raises:
+            InputError: an unknown name.
+        """
+        return self._constraints[self._name_of(name, self._constraints, "constraint")].entries
+
+    # --- solution -----------------------------------------------------------------------------------------------------
+
+    def attempt(self, solver: Ipopt, *, start: ProblemSolution | None = None) -> ProblemSolution:
+        """One solve, whatever comes of it; breakpoints keep their order."""
+        began = time.perf_counter()
+        function = self._solver(solver, warm=start is not None)
+        variables, constraints = self.variables.values(), self._constraints.values()
+        x, g = (Stacked(list(part)) for part in (variables, constraints))
+        guess = {name: each.guess for name, each in self.variables.items()}
+        given: dict[str, Any] = {}
+        if start is not None:
+            guess |= {name: v for name, v in start.values.items() if name in guess and v.shape == guess[name].shape}
+            given["lam_x0"] = -self._known(start.bound_multipliers, self.variables) * x.scale
+            given["lam_g0"] = -self._known(start.multipliers, self._constraints) * g.scale
+        given["x0"] = np.concatenate([*guess.values(), np.zeros(0)]) / x.scale
+        p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
+        bounds = {"lbx": x.lower, "ubx": x.upper, "lbg": g.lower, "ubg": g.upper}
+        bounds = {key: value / (x if key.endswith("x") else g).scale for key, value in bounds.items()}
+        result = function(p=p, **given, **bounds)
+        stats = function.stats()
+        found = {key: np.array(result[key]).ravel() for key in ("x", "g", "lam_x", "lam_g")}
+        names = [word for each in constraints for word in each.entries]
+        missed = violations_of(names, found["g"] * g.scale, (g.lower, g.upper), g.scale, 10 * solver.tolerance)
+        return ProblemSolution(
+            status=ProblemStatus.of(stats["return_status"]),
+            objective=float(result["f"]),
+            values=self._split(found["x"] * x.scale, self.variables),
+            multipliers=self._split(-found["lam_g"] / g.scale, self._constraints),
+            bound_multipliers=self._split(-found["lam_x"] / x.scale, self.variables),
+            parameters={name: numbers.copy() for name, (_, numbers) in self._parameters.items()},
+            violations=worst(missed, 10),
+            statistics=ProblemStatistics(
+                verdict=stats["return_status"],
+                iterations=int(stats["iter_count"]),
+                seconds=time.perf_counter() - began,
+                unknowns=len(x.scale),
+                constraints=len(g.scale),
+            ),
+            program=self,
+        )
+
+    def failure(self, solution: ProblemSolution) -> str:
+        """In words, why a solve is no success."""
+        missed = "; ".join(str(each) for each in solution.violations[:MENTIONED]) or "all constraints hold"
+        verdict = solution.statistics.verdict.replace("_", " ").lower()
+        return (
+            f"{self.name}: {solution.status} (IPOPT: {verdict}, {solution.statistics.iterations} iterations): {missed}"
+        )
+
+    def evaluate(self, expression: Any, values: dict[str, Array], parameters: dict[str, Array]) -> Array:
+        """An expression at numbers of the variables and parameters.
+
+        Raises:
+            InputError: it has symbols of another program.
+        """
+        symbols = [each.symbol for each in self.variables.values()] + [p for p, _ in self._parameters.values()]
+        names = [*self.variables, *self._parameters]
+        known = {name: each.guess for name, each in self.variables.items()}
+        known |= {name: numbers for name, (_, numbers) in self._parameters.items()} | values | parameters
+        return np.array(function_of(symbols, [expression])(*(known[name] for name in names)))
+
+    # --- within -------------------------------------------------------------------------------------------------------
+
+    def _free(self, name: str) -> None:
+        if name in self.variables or name in self._parameters or name in self._constraints:
+            raise InputError(f"the name {name!r} is taken; variables, parameters and constraints have a name each")
+
+    def _name_of(self, what: Any, table: dict[str, Any], kind: str) -> str:
+        if isinstance(what, str):
+            if what in table:
+                return what
+            raise InputError(f"no {kind} is called {what!r}{nearest(what, table)}")
+        for name, symbol in table.items():
+            if isinstance(what, ca.MX) and symbol.__hash__() == what.__hash__():
+                return name
+        raise InputError(f"{what} is no {kind} of {self.name}; it must be one of its symbols or their name")
+
+    def _known(self, numbers: dict[str, Array], table: dict[str, Any]) -> Array:
+        """What an earlier solution knows of these, 0 of the others."""
+        sizes = {name: len(each.scale) for name, each in table.items()}
+        parts = [
+            numbers[k] if k in numbers and len(numbers[k]) == size else np.zeros(size) for k, size in sizes.items()
+        ]
+        return np.concatenate([*parts, np.zeros(0)])
+
+    def _split(self, column: Array, table: dict[str, Any]) -> dict[str, Array]:
+        stops = np.cumsum([len(each.scale) for each in table.values()])[:-1]
+        return dict(zip(table, np.split(column, stops), strict=True)) if table else {}
+
+    def _solver(self, solver: Ipopt, *, warm: bool) -> ca.Function:
+        key = solver, warm
+        if key not in self._solvers:
+            if not self.variables:
+                raise InputError(f"{self.name} has no variables")
+            variables, constraints = list(self.variables.values()), list(self._constraints.values())
+            program = Closed(
+                variables=[each.symbol for each in variables],
+                scale=Stacked(variables).scale,
+                parameters=[symbol for symbol, _ in self._parameters.values()],
+                objective=self._objective,
+                constraints=[each.expression / ca.DM(each.scale) for each in constraints],
+            )
+            self._solvers[key] = ipopt_function(program, solver, warm=warm)
+        function: ca.Function = self._solvers[key]
+        return function
+
+
+def _table(what: str, value: ArrayLike, size: int) -> Array:
+    """(size,) numbers, infinite ones allowed as bounds."""
+    try:
+        numbers = np.asarray(value, dtype=float)
+        table = np.broadcast_to(numbers.ravel() if numbers.ndim else numbers, (size,)).copy()
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {value!r}; it must be one number or {size}") from None
+    bound = what.startswith(("lower", "upper"))
+    if np.isnan(table).any() or (not bound and not np.isfinite(table).all()):
+        raise InputError(f"{what} is {table.tolist()}; every number must be finite")
+    return table
+
+
+def _ordered(name: str, table: dict[str, Array]) -> None:
+    if (table["lower"] > table["upper"]).any():
+        raise InputError(f"bounds of {name!r} are {table['lower'].tolist()} to {table['upper'].tolist()}: out of order")
+    if (table["scale"] <= 0).any():
+        raise InputError(f"scale of {name!r} is {table['scale'].tolist()}; it must be greater than 0")
