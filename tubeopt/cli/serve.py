@@ -15,6 +15,7 @@ from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..control.servo import OBJECTIVES, Servo, ServoOptions
 from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.units import DEG, MM, to_si
 from ..robots.readings import to_model
 from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
 from ..runs.obstacle_file import Bodies
@@ -23,8 +24,6 @@ from .flags import asks
 from .interruption import left_alone
 from .messages import warnings
 from .output import Output, can_be_saved
-
-MM = 1e-3
 
 
 class ServeEntry(Entry):
@@ -89,10 +88,10 @@ def serve(study: ServeEntry, output: Output) -> None:
 def _options(study: ServeEntry) -> ServoOptions:
     """How it may move, in SI units."""
     return ServoOptions(
-        speed=float(study.speed_mm_per_s) * MM,
-        turn_rate=float(np.radians(float(study.turn_rate_deg_per_s))),
-        shift_rate=float(study.shift_rate_mm_per_s) * MM,
+        speed=to_si(study.speed_mm_per_s, MM),
+        turn_rate=to_si(study.turn_rate_deg_per_s, DEG),
+        shift_rate=to_si(study.shift_rate_mm_per_s, MM),
         min_margin=float(study.min_margin),
-        clearance=float(study.clearance_mm) * MM,
+        clearance=to_si(study.clearance_mm, MM),
         objective=study.objective,
     )
