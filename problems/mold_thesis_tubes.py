@@ -13,7 +13,7 @@ from pathlib import Path
 
 import tubeopt
 from tubeopt.shaping import rank_mold_materials
-from tubeopt.show.plots.mold import plot_materials, plot_mold, plot_setup_sheet
+from tubeopt.show.plots.mold import plot_materials, plot_milled, plot_mold, plot_setup_sheet
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = ROOT / "configs" / "robots"
@@ -37,8 +37,9 @@ def main(out: Path) -> list[Path]:
     ratings = rank_mold_materials(eccentric)
     for rating in ratings:
         print(f"{rating.material.name}: {', '.join(rating.reasons)}")
-    pictures += [out / "mold_materials.png", out / "mold_setup_sheet.png"]
-    plot_materials(ratings, pictures[-2])
+    pictures += [out / "mold_materials.png", out / "mold_milled.png", out / "mold_setup_sheet.png"]
+    plot_materials(ratings, pictures[-3])
+    plot_milled(tubeopt.plan_mold(eccentric), pictures[-2])
     plot_setup_sheet(tubeopt.plan_mold(eccentric), pictures[-1], title="eccentric tube of the thesis")
     return pictures
 

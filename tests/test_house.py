@@ -74,6 +74,7 @@ def test_millimetres_are_typed_where_units_are() -> None:
         ("physics/strain.py", "from ..solvers import newton", "packages know only those below them"),
         ("robots/tubes.py", "from .assembly import Assembly", "no circles, of packages or of files"),
         ("planning/motion.py", "from ..design import task", "questions do not know each other"),
+        ("equilibrium/along.py", "import casadi", "CasADi is used where programs are stated"),
     ],
 )
 def test_a_forbidden_import_breaks_the_contract(file: str, line: str, broken: str, tmp_path: Path) -> None:

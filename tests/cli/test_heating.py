@@ -145,7 +145,7 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     assert 1e3 * rig.mold.lead == pytest.approx(plan["lead_mm"])
     mold = {path.name for path in (tmp_path / "tube_1" / "mold").iterdir()}
     heating = {path.name for path in (tmp_path / "tube_1" / "heating").iterdir()}
-    assert {"base.dxf", "base.stl", "grooves.nc"} <= mold
+    assert {"base.dxf", "base.stl", "base_1.nc"} <= mold
     assert {"schedule.csv", "schedule.h", "heating.png", "plan.json"} <= heating
     assert (tmp_path / "robot.yaml").exists()
 

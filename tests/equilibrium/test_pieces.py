@@ -29,7 +29,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.general_motion import GeneralMotion
 from tubeopt.inverse.answer import InverseOptions
-from tubeopt.robots.tubes import with_stiffness
+from tubeopt.robots.series import times
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
 
@@ -213,6 +213,22 @@ def test_all_equilibria_are_found_and_the_certificate_bounds_their_margins() -> 
 
 
 NAMES = ("rotations", "translations", "curvature", "straight_length", "bending_stiffness", "torsional_stiffness")
+
+
+def with_stiffness(tube: Tube, *, bending: float = 1.0, torsional: float = 1.0) -> Tube:
+    """The tube with its stiffnesses, those of its pieces too, multiplied by numbers."""
+
+    def changed(piece: Piece) -> Piece:
+        own = piece.bending_stiffness, piece.torsional_stiffness
+        new = [None if q is None else times(q, f) for q, f in zip(own, (bending, torsional), strict=True)]
+        return replace(piece, bending_stiffness=new[0], torsional_stiffness=new[1])
+
+    return replace(
+        tube,
+        bending_stiffness=float(tube.bending_stiffness) * bending,
+        torsional_stiffness=float(tube.torsional_stiffness) * torsional,
+        pieces=tuple(changed(piece) for piece in tube.pieces),
+    )
 
 
 def moved(robot: ConcentricRobot, name: str, tube: int, by: float) -> tuple[ConcentricRobot, Array]:

@@ -150,3 +150,27 @@ def test_the_schema_says_what_the_field_says() -> None:
     assert schema["description"] == "A rack for tubes."
     assert schema["properties"]["width_mm"]["description"] == "of the board"
     assert schema["required"] == ["first"]
+
+
+@dataclass(frozen=True)
+class Pace:
+    speed: Annotated[float | tuple[float, ...], unit("mm_per_s"), POSITIVE, "of all, or of each"] = 0.02
+    rest: Annotated[float | tuple[float, ...] | None, unit("s"), "between steps"] = None
+
+
+@pytest.mark.parametrize(
+    ("data", "made"),
+    [
+        ({}, Pace()),
+        ({"speed_mm_per_s": 5}, Pace(0.005)),
+        ({"speed_mm_per_s": [5, 7.5], "rest_s": [1]}, Pace((0.005, 0.0075), (1.0,))),
+    ],
+)
+def test_a_number_or_several(data: dict[str, object], made: Pace) -> None:
+    assert check(entry_of(Pace), data, "").build() == made
+    assert check(entry_of(Pace), to_data(made), "").build() == made
+
+
+def test_what_is_wrong_with_one_of_several_is_said() -> None:
+    with pytest.raises(InputError, match=r"speed_mm_per_s\[1\] is -2; it must be greater than 0"):
+        check(entry_of(Pace), {"speed_mm_per_s": [5, -2]}, "")

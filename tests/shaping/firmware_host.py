@@ -20,9 +20,15 @@ COMPILER = shutil.which("g++") or shutil.which("clang++")
 TICK = 0.1
 
 
-def built(folder: Path) -> Path:
-    """The heater of a sketch with host.cpp for a board."""
+CORE = Path(__file__).parent / "arduino_core"
+
+
+def built(folder: Path, core: str = "") -> Path:
+    """The heater of a sketch with host.cpp for a board; or with that of an Arduino core, as much as it takes."""
     out = folder / "host"
+    board = [
+        f"-DARDUINO_ARCH_{core}", "-DARDUINO=1", f"-I{CORE}", "-I.", "hardware_arduino.cpp", str(CORE / "core.cpp"),
+    ]  # fmt: skip
     command = [
         str(COMPILER),
         "-std=c++11",
@@ -31,7 +37,7 @@ def built(folder: Path) -> Path:
         "-Werror",
         "-O1",
         "heater.cpp",
-        "host.cpp",
+        *(board if core else ["host.cpp"]),
         "-o",
         str(out),
     ]

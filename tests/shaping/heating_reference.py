@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
+from tubeopt.physics.heat_functions import LUMPED
 from tubeopt.robots.materials import NITINOL
+from tubeopt.shaping.heating.rates import State, at_rest, rates
+from tubeopt.shaping.heating.simulation import History, history_of
+from tubeopt.shaping.heating.thermal import ThermalModel
 from tubeopt.shaping.materials import MoldMaterial
+from tubeopt.typing import Array
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 THESIS_RIG = CONFIGS / "rigs" / "thesis_calcium_silicate.yaml"
@@ -46,3 +56,26 @@ def thesis_plan() -> HeatingPlan:
 
 def section(tube: Tube) -> float:
     return math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+
+
+def integrate(
+    model: ThermalModel, slot: float, duty: ArrayLike, *, method: str = "LSODA", rtol: float = 1e-6, atol: float = 1e-3
+) -> History:
+    """One member by an adaptive, stiff integrator of SciPy, started anew wherever the duty changes."""
+    levels = np.asarray(duty, dtype=float)
+    start = at_rest(model)
+    shape, size = start.cells.shape, start.cells.size
+    trace = [np.concatenate([start.cells.ravel(), start.lumped.ravel()])]
+    band = {"lband": shape[2], "uband": shape[2]} if method == "LSODA" else {}
+    edges = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
+    for first, last in pairwise(edges):
+
+        def slope(_: float, y: Array, level: float = float(levels[first])) -> Array:
+            rate, lumped = rates(model, y[:size].reshape(shape), y[size:].reshape(1, LUMPED), level)
+            return np.concatenate([rate.ravel(), lumped.ravel()])
+
+        at = slot * np.arange(1, last - first + 1)
+        found = solve_ivp(slope, (0.0, at[-1]), trace[-1], method=method, t_eval=at, rtol=rtol, atol=atol, **band)
+        assert found.success, found.message
+        trace += list(found.y.T)
+    return history_of(model, slot, [State(z[:size].reshape(shape), z[size:].reshape(1, LUMPED)) for z in trace])

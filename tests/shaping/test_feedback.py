@@ -21,11 +21,10 @@ from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest
 from tubeopt.shaping.heating.robust import ENSEMBLE
-from tubeopt.shaping.heating.simulation import integrate
 from tubeopt.shaping.heating.thermal import stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 
-from .heating_reference import TUBE, thesis_rig
+from .heating_reference import TUBE, integrate, thesis_rig
 
 
 @functools.lru_cache(maxsize=1)

@@ -145,6 +145,28 @@ def test_the_sketch_compiles_for_an_uno(tmp_path: Path, converter: str) -> None:
     assert data + zero < 1_400  # of 2,048 bytes of memory, the rest for the stack
 
 
+@needs_a_compiler
+@pytest.mark.parametrize(("board", "core"), [("esp32", "ESP32"), ("pico", "RP2040")])
+def test_the_sketch_heats_on_other_boards(tmp_path: Path, board: str, core: str) -> None:
+    wiring = Wiring(board=board)
+    circuit = replace(plan().rig.circuit, pwm_frequency=pwm_frequency(wiring, plan().rig))
+    asked = replace(plan(), rig=replace(plan().rig, circuit=circuit))
+    write_sketch(asked, led(), wiring, tmp_path)
+    other = built(tmp_path / "tube_heater", core)
+    rig = SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple())
+    found = run(other, rig)
+    assert found.reason == "done"
+    low, high = plan().spec.window_degC
+    states = [line["state"] for line in found.lines if line["event"] == "status"]
+    assert "holding" in states
+    hottest = found.columns[4]
+    assert low < hottest.max() < high
+    fault = run(other, SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple()), Fault("open", 5.03))
+    assert fault.reason == "thermometer broken"
+    assert fault.columns[1, -1] == 0
+    assert fault.columns[0, -1] < 5.53
+
+
 def test_boards_have_the_frequencies_that_their_timers_have() -> None:
     assert pwm_frequency(Wiring(), thesis_rig()) == pytest.approx(30.64, abs=0.01)
     assert pwm_frequency(Wiring(), thesis_rig(), 100.0) == pytest.approx(122.55, abs=0.01)

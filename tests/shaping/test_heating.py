@@ -18,11 +18,11 @@ from tubeopt.shaping.heating.outcome import outcome_of
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charge_tables, most_likely
 from tubeopt.shaping.heating.schedule import sum_up_rounding
-from tubeopt.shaping.heating.simulation import integrate
+from tubeopt.shaping.heating.simulation import resimulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF, STEEL
 
-from .heating_reference import TUBE, thesis_plan, thesis_rig, with_mold
+from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
 ZERO = 273.15
 
@@ -174,6 +174,20 @@ def test_the_ramp_is_kept_by_whole_counts() -> None:
     assert not plan.problems
 
 
+def test_no_other_counts_are_sooner() -> None:
+    plan = thesis_plan()
+    first = round(plan.hold_start / plan.spec.slot)
+    model = thermal_model(TUBE, thesis_rig(), FINE)
+    # More power never makes anything colder: one more count in any slot breaks the ramp, so that no schedule is more
+    # than a slot sooner, but for what is kept below the ramp and above the window's low end.
+    for k in range(0, first, 7):
+        more = plan.duty[:-1] / 255
+        more[k] += 1 / 255
+        assert resimulate(model, plan.spec.slot, more[:first]).within.rate[k] > 0.97 * plan.spec.ramp  # type: ignore[union-attr]
+    before = plan.temperature[first - 2][plan.curved]
+    assert before.min() < plan.spec.window_degC[0]
+
+
 def test_counts_too_coarse_for_the_ramp_are_told() -> None:
     """At 24 V a count is worth four times the power: the window is kept, but nobody may call that held."""
     rig = thesis_rig()
@@ -202,7 +216,7 @@ def test_what_the_circuit_does_not_bear_is_not_held(limit: str, value: float) ->
         thermal_model(TUBE, rig, FINE),
         strained.rig,
         strained.spec,
-        integrate(thermal_model(TUBE, rig, FINE), 0.5, strained.duty[:-1] / 255),
+        resimulate(thermal_model(TUBE, rig, FINE), 0.5, strained.duty[:-1] / 255),
         strained.hold_start,
     )
     assert outcome.shortfall == 0

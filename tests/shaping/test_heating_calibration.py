@@ -10,11 +10,10 @@ import pytest
 
 from tubeopt import InputError, Rig
 from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate, predict
-from tubeopt.shaping.heating.simulation import integrate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.heating.trials import SPREAD, Trial, calibrate_from_trials
 
-from .heating_reference import TUBE, thesis_rig
+from .heating_reference import TUBE, integrate, thesis_rig
 
 TIME = np.arange(0.0, 61.0, 2.0)
 DUTY = np.interp(TIME, [0, 24, 26, 61], [3, 16, 11, 9]).round()

@@ -13,7 +13,8 @@ from tubeopt import Tube
 from tubeopt.shaping.heating.instant import AMPERE, CHARGE, DRIVE, LENGTH, OHM, RISE, SAG, VENTS, instant, physics
 from tubeopt.shaping.heating.rates import CLAMP, DRAWN, State, at_rest, current, rates, stored
 from tubeopt.shaping.heating.rig import Rig, air_conductivity, natural_convection
-from tubeopt.shaping.heating.simulation import advance, integrate, simulate
+from tubeopt.shaping.heating.schedule import sum_up_rounding
+from tubeopt.shaping.heating.simulation import advance, resimulate, simulate
 from tubeopt.shaping.heating.thermal import (
     COARSE,
     FINE,
@@ -27,7 +28,7 @@ from tubeopt.shaping.heating.thermal import (
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.shaping.mold.heat import HeatSpec, heat_flow
 
-from .heating_reference import TUBE, ideal_tube, mold_of, section, thesis_rig, with_mold
+from .heating_reference import TUBE, ideal_tube, integrate, mold_of, section, thesis_rig, with_mold
 
 SCHEDULE = np.concatenate([np.linspace(3, 16, 40).round(), np.full(60, 10.0)]) / 255
 
@@ -152,6 +153,17 @@ def test_the_integrators_agree() -> None:
     found = integrate(model, 0.5, SCHEDULE)
     np.testing.assert_allclose(simulate(model, 0.5, SCHEDULE, steps=4).tube, found.tube, atol=0.6)
     np.testing.assert_allclose(integrate(model, 0.5, SCHEDULE, method="BDF").tube, found.tube, atol=0.05)
+
+
+def test_slots_that_are_stepped_over_together_are_as_good_as_alone() -> None:
+    model = thermal_model(TUBE, thesis_rig(), COARSE)
+    duty = sum_up_rounding(np.repeat(SCHEDULE[:60], 10)) / 255
+    exact = integrate(model, 0.05, duty).tube
+    np.testing.assert_allclose(simulate(model, 0.05, duty).tube, exact, atol=0.4)
+    found = resimulate(model, 0.05, duty)
+    np.testing.assert_allclose(found.tube, exact, atol=0.3)
+    assert found.within is not None
+    assert (found.within.hottest >= found.tube[:-1, 0]).all()
 
 
 def test_members_do_not_see_one_another() -> None:

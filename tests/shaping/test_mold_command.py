@@ -24,9 +24,15 @@ def test_plan_saves_all_files(run: Run, tmp_path: Path) -> None:
     out = answer(run("mold", ETR, "--mold", MOLD, "--out", str(tmp_path), "--json"))
     names = {Path(path).name for path in out["files"]}
     assert names == {path.name for path in tmp_path.iterdir()}
-    assert names == {"mold.json", "grooves.nc", "setup.pdf", "mold.png"} | {
-        f"{part}.{kind}" for part in ("base", "lid") for kind in ("dxf", "svg", "stl")
+    assert names == {"mold.json", "setup.pdf", "mold.png", "milled.png"} | {
+        f"{part}{kind}"
+        for part in ("base", "lid")
+        for kind in (".dxf", ".svg", ".stl", "_1.nc", "_2.nc", "_3.nc", "_4.nc")
     }
+    assert [program["tool"] for program in out["programs"]] == [
+        *("end mill 2 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
+        *("drill 1.5 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
+    ]
     (groove,) = out["grooves"]
     assert groove["mold_radius_mm"] == pytest.approx(120)
     assert groove["bend_length_mm"] == pytest.approx(94)
@@ -95,12 +101,14 @@ def test_every_key_of_a_mold_file() -> None:
             "most_strain_percent": 5,
             "plate": {"size_mm": [200, 80], "thickness_mm": 15},
             "milling": {"end_mills": [{"diameter_mm": 2, "flute_length_mm": 8}], "feed_mm_per_min": 600},
+            "workshop": {"dialect": "mach", "touch_plate_mm": 12, "outline_diameter_mm": 6, "cut_out": False},
             "clamps": {"sliding_end": "proximal", "travel_factor": 2},
             "vents": {"open_percent": [10, 0, 20]},
             "heat": {"set_degC": 510, "clamp_degC": 60, "contact_conductance_W_per_m2_K": 500},
         }
     )
     assert spec.material.name == "board"
+    assert (spec.workshop.touch_plate, spec.workshop.outline_diameter, spec.workshop.cut_out) == (12e-3, 6e-3, False)
     assert spec.material.limit_temperature == pytest.approx(1073.15)
     assert (spec.springback.fraction, spec.springback.slope) == (0.08, 1e-3)
     assert spec.springback.curvature_range == pytest.approx((1 / 0.12, 1 / 0.06))

@@ -26,7 +26,8 @@ from tubeopt import (
     predict_tube,
 )
 from tubeopt.shaping import Springback, write_mold
-from tubeopt.shaping.mold.gcode import gcode, toolpath_deviation
+from tubeopt.shaping.mold.gcode import groove_gcode
+from tubeopt.shaping.mold.gcode_reader import toolpath_deviation
 from tubeopt.show.plots.mold import plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")
@@ -149,7 +150,7 @@ def test_the_walls_of_the_solid_stand_beside_the_curve(made: tuple[str, Mold, Pa
 def test_the_cutter_follows_the_curve(made: tuple[str, Mold, Path]) -> None:
     name, mold, out = made
     (groove,) = mold.grooves
-    text = (out / "grooves.nc").read_text()
+    text = (out / "base_1.nc").read_text()
     assert toolpath_deviation(mold, text) < 1e-6
     # By another reader: the two outermost ways stand half the room beside the curve.
     start, towards = np.asarray(groove.centreline.lead_in.end), groove.centreline.lead_in.tangent(np.zeros(1))[0]
@@ -202,7 +203,7 @@ def test_stiffnesses_stay_with_their_pieces() -> None:
 
 def test_a_mold_of_pieces_beside_ordinary_ones(tmp_path: Path) -> None:
     mold = plan_mold([S_SHAPE, VARIABLE, Tube(1.6e-3, 1.2e-3, 0.0, 60e-3, 15.0)], MoldSpec(springback=BACK))
-    assert toolpath_deviation(mold, gcode(mold)) < 1e-6
+    assert toolpath_deviation(mold, groove_gcode(mold)) < 1e-6
     plot_setup_sheet(mold, tmp_path / "sheet.pdf")
     alone = plan_mold(Tube(1.6e-3, 1.2e-3, 0.0, 60e-3, 15.0), MoldSpec(springback=BACK)).grooves[0]
     assert mold.grooves[2].curvature == alone.curvature

@@ -15,7 +15,8 @@ from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping import EndMill, MillingSpec, Springback, write_mold
 from tubeopt.shaping.mold import stl
 from tubeopt.shaping.mold.dxf import dxf_deviation, write_dxf
-from tubeopt.shaping.mold.gcode import gcode, read_gcode, toolpath_deviation, write_gcode
+from tubeopt.shaping.mold.gcode import groove_gcode, write_gcode
+from tubeopt.shaping.mold.gcode_reader import read_gcode, toolpath_deviation
 from tubeopt.show.plots.mold import plot_mold, plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")
@@ -36,7 +37,10 @@ def mold() -> Mold:
 def files(mold: Mold, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("mold")
     paths = write_mold(mold, out)
-    expected = {f"{part}.{kind}" for part in ("base", "lid") for kind in ("dxf", "svg", "stl")} | {"grooves.nc"}
+    expected = {f"{part}.{kind}" for part in ("base", "lid") for kind in ("dxf", "svg", "stl")} | {
+        *(f"base_{k}.nc" for k in range(1, 6)),
+        *(f"lid_{k}.nc" for k in range(1, 5)),
+    }
     assert {path.name for path in paths} == expected == {path.name for path in out.iterdir()}
     return out
 
@@ -133,7 +137,7 @@ def test_gcode_follows_the_centreline() -> None:
     x = y = z = 0.0
     radius, centre = groove.radius * 1e3, np.asarray(bend.centre) * 1e3  # type: ignore[union-attr]
     deepest, arcs, depths = 0.0, 0, []
-    for word, to in moves(gcode(mold)):
+    for word, to in moves(groove_gcode(mold)):
         end = (to.get("X", x), to.get("Y", y))
         if word == "G2":
             arcs += 1
@@ -155,14 +159,16 @@ def test_gcode_follows_the_centreline() -> None:
     assert deepest == pytest.approx(-groove.depth * 1e3, abs=1e-4)
     assert depths == pytest.approx([-0.5, -1.0, -1.5, -2.0])
     assert arcs == 4
-    assert toolpath_deviation(mold, gcode(mold)) < 1e-6
+    assert toolpath_deviation(mold, groove_gcode(mold)) < 1e-6
 
 
 def test_gcode_of_a_groove_wider_than_its_cutter() -> None:
     spec = MoldSpec(milling=MillingSpec(end_mills=(EndMill(1.2e-3),), step_down=1e-3))
     mold = plan_mold(THESIS, spec)
     groove = mold.grooves[0]
-    deep = [cut.piece for cut in read_gcode(gcode(mold)) if abs(cut.z + groove.depth) < 1e-7]
+    deep = [
+        cut.piece for cut in read_gcode(groove_gcode(mold)) if cut.piece.length and abs(cut.end + groove.depth) < 1e-7
+    ]
     # Every point of the groove is within the cutter's radius of some way, and no way leaves the groove.
     for offset in np.linspace(-groove.width / 2, groove.width / 2, 9):
         points = groove.centreline.offset(float(offset)).sample(1e-3)
@@ -170,12 +176,12 @@ def test_gcode_of_a_groove_wider_than_its_cutter() -> None:
         assert near.max() <= groove.mill.diameter / 2 + 1e-6
     outermost = max(abs(offset) for offset in groove.cutter_offsets) + groove.mill.diameter / 2
     assert outermost == pytest.approx(groove.width / 2, abs=1e-9)
-    assert toolpath_deviation(mold, gcode(mold)) < 1e-6
+    assert toolpath_deviation(mold, groove_gcode(mold)) < 1e-6
 
 
 def test_gcode_that_strays_is_seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     mold = plan_mold(THESIS)
-    good = gcode(mold)
+    good = groove_gcode(mold)
     arc = next(line for line in good.splitlines() if line.startswith("G2 X"))
     strayed = re.sub(r"X([\d.]+)", lambda m: f"X{float(m[1]) + 0.1:.4f}", arc)
     shifted = re.sub(r" X(-?[\d.]+)", lambda m: f" X{float(m[1]) + 0.02:.4f}", good)
@@ -186,9 +192,9 @@ def test_gcode_that_strays_is_seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert toolpath_deviation(mold, shallow) == math.inf
     with pytest.raises(InputError, match="must be words of a letter and a number"):
         read_gcode("G1 X1 Y@\n")
-    monkeypatch.setattr("tubeopt.shaping.mold.gcode.gcode", lambda _: shifted)
-    with pytest.raises(SolveError, match="um from the groove's"):
-        write_gcode(mold, tmp_path / "x.nc")
+    monkeypatch.setattr("tubeopt.shaping.mold.gcode.groove_gcode", lambda _: shifted)
+    with pytest.raises(SolveError, match="um from its groove's"):
+        write_gcode(mold, tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -10,14 +10,13 @@ import pytest
 from tubeopt import HeatingPlan, HeatingSpec, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
 from tubeopt.shaping.heating.ideal import joined
-from tubeopt.shaping.heating.simulation import integrate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.mold.holes import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
 
-from .heating_reference import TUBE, thesis_plan, thesis_rig, with_mold
+from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
 SHORT = HeatingSpec(hold_time=5)
 
@@ -68,9 +67,9 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
 
     def cold(tube: Tube, rig: Rig, spec: HeatingSpec) -> HeatingPlan:
         plan = thesis_plan()
-        course = replace(plan.course, temperature=plan.temperature - 30.0)
+        course = replace(plan.course, temperature=plan.temperature - 18.0)
         return replace(
-            plan, tube=tube, rig=rig, spec=spec, course=course, outcome=replace(plan.outcome, shortfall=30.0)
+            plan, tube=tube, rig=rig, spec=spec, course=course, outcome=replace(plan.outcome, shortfall=18.0)
         )
 
     monkeypatch.setattr(tube_fabrication, "plan_heating", cold)

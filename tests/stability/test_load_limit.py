@@ -30,7 +30,7 @@ from tubeopt.equilibrium.load_continuation import LoadFamily, Member, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
-from tubeopt.stability.loaded_certificate import cells_of, largest_eigenvalue
+from tubeopt.stability.loaded_certificate import bundle_of, cells_of, largest_eigenvalue
 from tubeopt.stability.loaded_events import slide
 from tubeopt.typing import Array
 
@@ -202,7 +202,7 @@ def test_certificate_is_below_every_loaded_margin() -> None:
 
 def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     robot, force = slender(0.5), 0.01
-    cells = cells_of(robot.assembly(np.zeros(3)), force, pairs=True)
+    cells = cells_of(bundle_of(robot.assembly(np.zeros(3))), force, pairs=True)
     # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
     n, count = 3, len(cells.length)
     h = cells.length

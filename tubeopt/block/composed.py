@@ -57,23 +57,23 @@ class ComposedBlock(Outputs, Generic[N]):
         self._grid = Grid(
             self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
         )
+        # What `model_of` needs beside joint values and dimensions.
         self.fittings = {"place": placed(self._bundle), "chain": chain}
-        """What `model_of` needs beside joint values and dimensions."""
         self._moving = self._given.free(*LENGTHS)
         self._fixed = not self._given.free("translations", *self.dimensions)
         self._side, self.layout = side, self._lay_out(side, refinement)
+        # Length of the arm where the solve begins, m: what everything is scaled by.
         self.reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
-        """Length of the arm where the solve begins, m: what everything is scaled by."""
         called = self.program.enter(self)
         self.name = name or called
+        # With which the names of all that it adds begin.
         self.label = f"{self.name}: " if self.name else ""
-        """With which the names of all that it adds begin."""
         self._words: dict[str, list[str]] = {}
         self._checked: list[tuple[Any, ...]] = []
+        # Unknowns of every margin that is demanded, and how much it is.
         self.margins: list[tuple[tuple[Any, ...], Any]] = []
-        """Unknowns of every margin that is demanded, and how much it is."""
+        # Unknowns of every Jacobian, its equations, and its seeds.
         self.answers: list[tuple[Any, Any, dict[str, Any]]] = []
-        """Unknowns of every Jacobian, its equations, and its seeds."""
         self._add_unknowns()
         self._add_equations()
 
@@ -132,7 +132,10 @@ class ComposedBlock(Outputs, Generic[N]):
         scale: ArrayLike = 1.0,
         entries: Sequence[str] = (),
     ) -> None:
-        """0 <= expression <= upper, with words for its entries."""
+        """Demand 0 <= expression <= upper of the program, in words of the block: `entries` for its rows.
+
+        What does not hold of it `violations` tells, whatever the program; `scale` is its typical size.
+        """
         name, words = self.label + name, [self.label + entry for entry in (entries or (name,))]
         self.program.subject_to(name, expression, upper=upper, scale=scale, entries=words)
         size = expression.numel()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -10,13 +10,11 @@ import numpy as np
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..physics.strain import surface_strain
+from ..robots.assembly import Assembly
+from ..robots.robot import Robot
 from .transcription import functions
-
-if TYPE_CHECKING:
-    from ..robots.assembly import Assembly
-    from ..robots.robot import Robot
-    from .transcription.layout import Layout
-    from .transcription.model import Model
+from .transcription.layout import Layout
+from .transcription.model import Model
 
 POINT = 1e-12
 """A piece shorter than this (m) is a point."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..runs.inverse_study import InverseStudy
+from ..stability import ASSUMING
 from .flags import answer, asks
 from .output import Output
 
@@ -11,6 +12,7 @@ from .output import Output
     InverseStudy,
     flags={"start": "--from"},
     example="tubeopt ik configs/robots/thesis_ctr.yaml --target-mm 50,30,150 --all --out results",
+    note=f"What is said of ways without a snap is said {ASSUMING}.",
 )
 def ik(study: InverseStudy, output: Output) -> None:
     """Inverse kinematics: stable joint values that bring the tip to a target, and point it there.

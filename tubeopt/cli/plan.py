@@ -14,7 +14,11 @@ TRAJECTORY = (
 )
 
 
-@asks_file(PlanStudy, example="tubeopt plan configs/studies/plan_thesis_turn.yaml --out results")
+@asks_file(
+    PlanStudy,
+    example="tubeopt plan configs/studies/plan_thesis_turn.yaml --out results",
+    note=f"All is said {ASSUMING}.",
+)
 def plan(study: PlanStudy, output: Output) -> None:
     """Plan a motion that stays on one stable branch, around obstacles and within rates, and prove it.
 

@@ -53,7 +53,11 @@ def certify(study: CertifyStudy, output: Output, robot: str) -> None:
     present(report(replace(ask(study, output), robot_file=robot)), output)
 
 
-@asks(StabilityMapStudy, example="tubeopt stability-map configs/robots/crl_ctr.yaml --out results")
+@asks(
+    StabilityMapStudy,
+    example="tubeopt stability-map configs/robots/crl_ctr.yaml --out results",
+    note=f"All is said {ASSUMING}.",
+)
 def stability_map(study: StabilityMapStudy, output: Output) -> None:
     """The margin over the rotations of two tubes turned together from home, and where the robot snaps."""
     answer(study, output)

@@ -68,7 +68,7 @@ def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Ar
 
     Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
     """
-    pose, n = state.pose(index), state.layout.n
+    pose, n = state.shaped(index, "clearance"), state.layout.n
     radii = np.array([tube.outer_diameter / 2 for tube in state.tubes])
     arc = pose.shape_slopes[2][-1]
     beyond = (share[:, None] * pose.arc_length[-1] - pose.problem.assembly.end) / RAMP
@@ -93,7 +93,7 @@ SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 def arm_clearance(state: State, index: int, body: Any) -> tuple[Array, Array]:
     """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
     the arm is held off, and its change (.., X)."""
-    pose, radii = state.pose(index), 0.5 * state.slopes["outer_diameter"]
+    pose, radii = state.shaped(index, "clearance"), 0.5 * state.slopes["outer_diameter"]
     radius, thinner, by_radius = arm_radius(state, index, SHARES)
     points = arm_points(pose, SHARES)
     room = body.signed_distance(points) - radius - HELD_OFF

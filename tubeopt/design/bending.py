@@ -24,7 +24,7 @@ def _strain() -> ca.Function:
 
 def pose_strain(state: State, index: int, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
-    pose, shape = state.pose(index), state.tubes[tube]
+    pose, shape = state.shaped(index, "strain"), state.tubes[tube]
     assembly, mesh = pose.problem.assembly, pose.problem.mesh
     section = np.repeat(mesh.section, len(pose.bend) // max(len(mesh.length), 1))
     there, curved = np.flatnonzero(assembly.present[section, tube]), assembly.curved[section, tube]

@@ -62,7 +62,9 @@ OPTIONS: dict[str, Any] = {
 
 
 def check_collocation(task: DesignTask) -> None:
-    """Raise InputError where a task holds a requirement that no block expresses."""
+    """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
+    if task.space.spots:
+        raise InputError("method is 'collocation'; pieces of tubes are designed by method 'reduced'")
     for one in task.requirements:
         if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):
             what = "Strain in poses" if isinstance(one, Strain) else type(one).__name__

@@ -49,10 +49,10 @@ def _of_pose(state: State, one: Quantity, index: int) -> tuple[Array, Array]:
     pose = state.pose(index)
     match one.name:
         case "tip_position":
-            return pose.position[-1], pose.shape_slopes[0][-1]
+            return pose.position[-1], pose.tip_slopes[0]
         case "tip_direction":
             heading = pose.frame[-1][:, 2]
-            return heading, np.cross(pose.shape_slopes[1][-1], heading[:, None], axis=0)
+            return heading, np.cross(pose.tip_slopes[1], heading[:, None], axis=0)
         case "margin":
             return np.array([pose.margin]), pose.margin_slope[None]
         case "position":

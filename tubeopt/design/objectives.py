@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ..block.own import OwnObjective
 from ..errors import InputError, choice, finite, positive
+from ..files.marks import POSITIVE, OneOf, unit
 from .checks import row
 
 KINDS = {
@@ -35,10 +37,12 @@ class Objective:
     weight: where there are several objectives, what they are multiplied by before they are added, in SI.
     """
 
-    kind: str
-    weight: float = 1.0
-    depth: float | None = None
-    translations: tuple[float, ...] | None = None
+    kind: Annotated[str, OneOf(tuple(KINDS))]
+    weight: Annotated[float, POSITIVE, "of the value in SI, where there are several"] = 1.0
+    depth: Annotated[float | None, unit("mm"), "for reach_radius: height of the tip"] = None
+    translations: Annotated[
+        tuple[float, ...] | None, unit("mm"), "for tip_curvature and turning_radius; home if not given"
+    ] = None
 
     def __post_init__(self) -> None:
         choice("objective", self.kind, KINDS)

@@ -19,6 +19,7 @@ from .exchange import carry, certified_at, check_rounds, robot_at, violations
 from .force import Loaded, forced, raised, under_force, without_force
 from .multistart import Ranking, multistart, rank
 from .objectives import key_of
+from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
@@ -284,14 +285,15 @@ def _solution(
 
 def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
-    from .parameters import NAMES, UNITS
-
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
     out = []
-    for k, (field, chosen, _) in enumerate(space.unknowns):
+    for k, ((field, chosen, _), name) in enumerate(zip(space.unknowns, space.names, strict=True)):
         unit, factor = UNITS[field]
         gap = 1e-5 * space.scale[k]
         bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
+        if space.spots:
+            out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
+            continue
         for i in chosen:
             before, after = (getattr(some[i], field) * factor for some in (space.robot_tubes, tubes))
             out.append(Dimension(f"{NAMES[field]} of tube {i + 1}", unit, before, after, bound))

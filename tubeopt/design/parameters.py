@@ -13,21 +13,31 @@ from ..errors import InputError, choice, finite
 from ..robots.tubes import Tube, second_moment
 from ..typing import Array
 from .checks import items, whole
+from .pieces import PIECE_FIELDS, Spot, as_pieces, changed_tubes, given_of, largest_bend_slope, start_of
 
-FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
-"""Dimensions of a tube that may be free."""
+TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
+
+FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS)
+"""Dimensions of a tube, or of its pieces, that may be free."""
 
 TIES = ("each", "equal", "scaled")
 
-NAMES = {field: field.replace("_", " ") for field in FIELDS}
+NAMES = {
+    **{field: field.replace("_", " ") for field in TUBE_FIELDS},
+    **{field: words for field, (words, _, _) in PIECE_FIELDS.items()},
+}
 
 UNITS = {
     "curvature": ("1/m", 1.0),
-    **dict.fromkeys(FIELDS[1:], ("mm", 1000.0)),
+    **dict.fromkeys(TUBE_FIELDS[1:], ("mm", 1000.0)),
+    **{field: (unit, factor) for field, (_, unit, factor) in PIECE_FIELDS.items()},
 }
 """How a dimension is shown: its unit, and what turns SI into it."""
 
-GRADED = (*FIELDS, "bending_stiffness", "torsional_stiffness")
+MOST_COEFFICIENTS = 12
+"""Of the curvature along a piece."""
+
+GRADED = (*TUBE_FIELDS, "bending_stiffness", "torsional_stiffness")
 """What a design is differentiated into, n each."""
 
 
@@ -38,6 +48,16 @@ class Free:
     field: one of `FIELDS`.  tubes: from 0, inner to outer.  lower, upper: SI; for "scaled", factors.
     tie: "each" gives every tube its own value, "equal" one value to all, "scaled" multiplies all by one factor.
 
+    Of the fields that begin with "piece_" every piece has its own value, or with "equal" all of them one; the lengths
+    of the pieces stay, and a tube of one curvature is one piece. The curvature bends what a piece has in proportion; a
+    shape is a polynomial, the sum of c_k T_k(x) with Chebyshev's T_k and x = -1 .. 1 along the piece, of curvature
+    about its x axis; the turn of the bend plane is counted from the direction that the piece has, and the factors of
+    its stiffnesses from those that it has.
+
+    pieces: from 0, from the straight part to the tip; () are all.  coefficients: of a shape.
+    torsion_share: with a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured
+        on its slots. None leaves the torsional stiffness as it is.
+
     Raises:
         InputError: unknown field or tie, no tube, bounds that are not finite or crossed.
     """
@@ -47,6 +67,9 @@ class Free:
     lower: float
     upper: float
     tie: str = "each"
+    pieces: tuple[int, ...] = ()
+    coefficients: int = 1
+    torsion_share: float | None = None
 
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)
@@ -62,14 +85,38 @@ class Free:
         low, high = (finite(f"{name} bound of {NAMES[self.field]}", getattr(self, name)) for name in ("lower", "upper"))
         if low > high:
             raise InputError(f"bounds of {NAMES[self.field]} are {low:g} and {high:g}; the lower must not be greater")
-        if low < 0 and (self.field != "curvature" or self.tie == "scaled"):
+        signed = ("curvature", "piece_curvature", "piece_shape", "piece_plane", "piece_twist")
+        if low < 0 and (self.field not in signed or self.tie == "scaled"):
             raise InputError(f"lower bound of {NAMES[self.field]} is {low:g}; it must be at least 0")
+        self._check_pieces()
+
+    def _check_pieces(self) -> None:
+        object.__setattr__(self, "pieces", tuple(whole("one of the pieces", j, 0) for j in self.pieces))
+        whole("coefficients", self.coefficients, 1)
+        name, of_piece = NAMES[self.field], self.field in PIECE_FIELDS
+        if of_piece and self.tie == "scaled":
+            raise InputError(f"tie of the {name} is 'scaled'; for pieces it must be 'each' or 'equal'")
+        if not of_piece and self.pieces:
+            raise InputError(f"pieces are named for the {name}; it is a dimension of whole tubes")
+        if self.coefficients > 1 and self.field != "piece_shape":
+            raise InputError(f"coefficients is {self.coefficients} for the {name}; only a piece_shape has them")
+        if self.coefficients > MOST_COEFFICIENTS:
+            raise InputError(f"coefficients is {self.coefficients}; it must be at most {MOST_COEFFICIENTS}")
+        if self.field.endswith("_factor") and not 0 < self.lower <= self.upper <= 1:
+            raise InputError(f"bounds of the {name} are {self.lower:g} and {self.upper:g}; they must be in (0, 1]")
+        if self.torsion_share is None:
+            return
+        if self.field != "piece_bending_factor":
+            raise InputError(f"torsion_share is given for the {name}; it belongs to a piece_bending_factor")
+        if not 0 <= finite("torsion_share", self.torsion_share) <= 1:
+            raise InputError(f"torsion_share is {self.torsion_share:g}; it must be 0 to 1")
 
 
 @dataclass(frozen=True, eq=False)
 class DesignSpace:
     """The D unknowns of a design, one per free value; `unknowns` name the dimension and the tubes of each.
 
+    spots: of which pieces each unknown is, if of any; `robot_tubes` are then all made of such.
     start, lower, upper, scale: (D,) in SI (factors where scaled); scale is the size of a change that matters.
     """
 
@@ -79,10 +126,18 @@ class DesignSpace:
     lower: Array
     upper: Array
     scale: Array
+    spots: tuple[Spot, ...] = ()
+
+    @property
+    def of_pieces(self) -> tuple[tuple[str, Spot], ...]:
+        """Field and pieces of every unknown; () where they are dimensions of whole tubes."""
+        return tuple((field, spot) for (field, _, _), spot in zip(self.unknowns, self.spots, strict=False))
 
     @property
     def names(self) -> tuple[str, ...]:
         """What each unknown is, in words."""
+        if self.spots:
+            return tuple(_piece_words(field, spot) for field, spot in self.of_pieces)
         return tuple(
             f"{'factor of ' if scaled else ''}{NAMES[field]} of tube{'s' * (len(tubes) > 1)} "
             f"{', '.join(str(i + 1) for i in tubes)}"
@@ -91,6 +146,8 @@ class DesignSpace:
 
     def tubes(self, x: Array) -> tuple[Tube, ...]:
         """The tubes at x (D,); raises InputError where they are no tubes."""
+        if self.spots:
+            return changed_tubes(self.robot_tubes, given_of(self.of_pieces, x.tolist()))
         values: list[dict[str, float]] = [{} for _ in self.robot_tubes]
         for (field, tubes, scaled), value in zip(self.unknowns, x, strict=True):
             for i in tubes:
@@ -116,10 +173,21 @@ class DesignSpace:
             out["torsional_stiffness"] = ca.DM([2 * tube.material.shear_modulus for tube in tubes]) * second
         return out
 
+    def bend_slopes(self, tubes: Sequence[Tube], x: Array) -> Array:
+        """(n, D) change of the largest curvature of tubes made of pieces."""
+        out = np.zeros((len(tubes), len(self.unknowns)))
+        for column, ((field, spot), value) in enumerate(zip(self.of_pieces, x.tolist(), strict=True)):
+            for i, j in spot.pieces:
+                slope = largest_bend_slope(tubes[i], j, (field, spot.order, value))
+                out[i, column] = slope if abs(slope) > abs(out[i, column]) else out[i, column]
+        return out
+
     def slopes(self, tubes: Sequence[Tube]) -> dict[str, Array]:
         """Change (n, D) of every one of GRADED with x, at these tubes."""
         n, count = len(tubes), len(self.unknowns)
         out = {name: np.zeros((n, count)) for name in GRADED}
+        if self.spots:
+            return out
         for column, (field, chosen, scaled) in enumerate(self.unknowns):
             for i in chosen:
                 out[field][i, column] = getattr(self.robot_tubes[i], field) if scaled else 1.0
@@ -154,6 +222,8 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     Raises:
         InputError: a tube that is not there, a dimension that is free twice, none that is free.
     """
+    if any(one.field in PIECE_FIELDS for one in free):
+        return _piece_space(tuple(as_pieces(tube) for tube in tubes), free)
     entries = list(_entries(free, len(tubes)))
     if not entries:
         raise InputError("free is empty; a design needs at least one free dimension")
@@ -163,8 +233,59 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
         1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
         for one, group in entries
     ]
-    begin = np.clip(start, lower, upper)
-    span = np.where(upper > lower, upper - lower, 1.0)
-    scale = np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
+    begin, scale = _begin(start, lower, upper)
     unknowns = tuple((one.field, group, one.tie == "scaled") for one, group in entries)
     return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale)
+
+
+def _begin(start: Sequence[float], lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Where to begin within the bounds, and the sizes of changes that matter."""
+    begin = np.clip(start, lower, upper)
+    span = np.where(upper > lower, upper - lower, 1.0)
+    return begin, np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
+
+
+def _piece_words(field: str, spot: Spot) -> str:
+    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in spot.pieces)
+    order = f"{spot.order + 1}. " if field == "piece_shape" else ""
+    return f"{order}{NAMES[field]} of piece{'s' * (len(spot.pieces) > 1)} {places}"
+
+
+def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
+    """The unknowns of a design of pieces."""
+    found: list[tuple[Free, Spot]] = []
+    for one in free:
+        if one.field not in PIECE_FIELDS:
+            raise InputError(
+                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only pieces are free"
+            )
+        places = [place for i in one.tubes for place in _places(one, i, tubes)]
+        taken = {(other.field, place) for other, spot in found for place in spot.pieces}
+        for i, j in places:
+            if (one.field, (i, j)) in taken:
+                raise InputError(f"{NAMES[one.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once")
+            other = {"piece_shape": "piece_curvature", "piece_curvature": "piece_shape"}.get(one.field)
+            if (other, (i, j)) in taken:
+                raise InputError(
+                    f"piece {j + 1} of tube {i + 1} has a free curvature and a free shape; it has one of them"
+                )
+        for group in [(place,) for place in places] if one.tie == "each" else [tuple(places)]:
+            found += [(one, Spot(group, k, one.torsion_share)) for k in range(one.coefficients)]
+    lower, upper = (np.array([getattr(one, side) for one, _ in found]) for side in ("lower", "upper"))
+    start = [
+        float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces])) for one, spot in found
+    ]
+    begin, scale = _begin(start, lower, upper)
+    unknowns = tuple((one.field, tuple(sorted({i for i, _ in spot.pieces})), False) for one, spot in found)
+    return DesignSpace(tubes, unknowns, begin, lower, upper, scale, tuple(spot for _, spot in found))
+
+
+def _places(one: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:
+    """The pieces of a tube that are meant."""
+    if not 0 <= i < len(tubes):
+        raise InputError(f"free {NAMES[one.field]} names tube {i + 1}; the robot has tubes 1 to {len(tubes)}")
+    count = len(tubes[i].pieces)
+    for j in one.pieces:
+        if j >= count:
+            raise InputError(f"free {NAMES[one.field]} names piece {j + 1} of tube {i + 1}; it has {count} pieces")
+    return [(i, j) for j in (one.pieces or range(count))]

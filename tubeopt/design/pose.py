@@ -92,6 +92,12 @@ class Pose:
         turn[1:] = of.turn_ahead[1:] + rate[..., None] * arc[1:, None]
         return position, turn, arc
 
+    @property
+    def tip_slopes(self) -> tuple[Array, Array]:
+        """(3, L) change of the tip's position and of its frame (turn vector)."""
+        position, turn, _ = self.shape_slopes
+        return position[-1], turn[-1]
+
     @cached_property
     def margin_slope(self) -> Array:
         """(L,) change of the margin; of a double eigenvalue, that of one mode."""

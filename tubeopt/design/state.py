@@ -7,12 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
+from ..equilibrium.general_derivatives import Change, Linearised
+from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.tubes import Tube
 from ..typing import Array
 from .parameters import DesignSpace
+from .piece_pose import PiecePose
+from .pieces import change_of, given_of
 from .pose import Pose
-from .solved import Twist, solve_pose, without_solving
+from .solved import Solved, Twist, solve_pose, without_solving
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,8 @@ class State:
         self.layout = layout
         self.x = x
         self._guesses = {} if guesses is None else guesses
-        self._poses: dict[int, Pose] = {}
-        self._certified: dict[tuple[float, ...], Pose] = {}
+        self._poses: dict[int, Pose | PiecePose] = {}
+        self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:
@@ -110,7 +114,10 @@ class State:
     @cached_property
     def slopes(self) -> dict[str, Array]:
         """(n, X) change of every dimension and stiffness."""
-        designs = self.layout.space.slopes(self.tubes)
+        space = self.layout.space
+        designs = space.slopes(self.tubes)
+        if space.spots:
+            designs["curvature"] = space.bend_slopes(self.tubes, self.x[: self.layout.designs])
         return {name: np.pad(part, ((0, 0), (0, self.layout.size - part.shape[1]))) for name, part in designs.items()}
 
     def _straight(self) -> Array:
@@ -144,27 +151,52 @@ class State:
             translations = (1 - t) * first[1] + t * second[1]
         return rotations, translations
 
-    def pose(self, index: int) -> Pose:
+    def pose(self, index: int) -> Pose | PiecePose:
         """The equilibrium of a pose."""
         if index not in self._poses:
             solved = solve_pose(self.tubes, *self.joint_values(index), self._guesses.get(index))
             self._guesses[index] = solved.twist
-            self._poses[index] = Pose(solved)
+            self._poses[index] = self._pose(solved)
         return self._poses[index]
 
+    def shaped(self, index: int, what: str) -> Pose:
+        """The equilibrium of a pose, for what is told along the arm.
+
+        Raises:
+            InputError: of a design of pieces, which has no `what`.
+        """
+        pose = self.pose(index)
+        if isinstance(pose, PiecePose):
+            raise InputError(f"an expression speaks of the {what} in a pose; a design of pieces has none for it")
+        return pose
+
+    def _pose(self, solved: Solved) -> Pose | PiecePose:
+        space = self.layout.space
+        return PiecePose(solved, self.tubes, self._piece_changes) if space.spots else Pose(solved)
+
+    def _piece_changes(self, here: Linearised) -> list[Change]:
+        """What every unknown piece changes along a solved arm."""
+        parts = self.layout.space.of_pieces
+        given = given_of(parts, self.x[: self.layout.designs].tolist())
+        return [change_of(here, field, spot, given) for field, spot in parts]
+
+    @cached_property
+    def _reshaped(self) -> Array:
+        """(L - 2 n, X) change of what a pose is differentiated by beside its joint values."""
+        if self.layout.space.spots:
+            return np.eye(self.layout.designs, self.layout.size)
+        return np.concatenate([self.slopes[name] for name in DIMENSIONS])
+
     def chain(self, index: int) -> Array:
-        """(7 n, X) change of what a pose is differentiated by."""
-        rotations, translations = self.joint_slopes(index)
-        return np.concatenate([rotations, translations, *(self.slopes[name] for name in DIMENSIONS)])
+        """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
+        return np.concatenate([*self.joint_slopes(index), self._reshaped])
 
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""
         if translations not in self._certified:
-            self._certified[translations] = Pose(without_solving(self.tubes, np.array(translations)))
+            self._certified[translations] = self._pose(without_solving(self.tubes, np.array(translations)))
         value, slope = self._certified[translations].certificate
-        n = self.layout.n
-        still = np.zeros((2 * n, self.layout.size))
-        return value, slope @ np.concatenate([still, *(self.slopes[name] for name in DIMENSIONS)])
+        return value, slope[2 * self.layout.n :] @ self._reshaped
 
     @property
     def guesses(self) -> dict[int, Twist]:

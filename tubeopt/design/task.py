@@ -17,6 +17,7 @@ from .checks import items
 from .objectives import KINDS, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
+from .pieces import PIECE_FIELDS
 from .requirements import (
     Avoid,
     Corridor,
@@ -59,8 +60,9 @@ class DesignTask(Displayed):
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
-        must_follow_section(self.robot.tubes, "a design")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
+        if not any(one.field in PIECE_FIELDS for one in self.free):
+            must_follow_section(self.robot.tubes, "a design whose pieces are not free")
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):
             object.__setattr__(self, "objective", items("objective", self.objective, AnyObjective, "Objective"))
@@ -75,6 +77,7 @@ class DesignTask(Displayed):
             raise InputError("objective is empty; a design needs at least one")
         _check_requirements(self)
         _check_objectives(self)
+        _check_pieces(self)
         check_order(self.places, *(extreme_lengths(self, side) for side in ("lower", "upper")))
 
     @property
@@ -162,6 +165,22 @@ def _check_requirements(task: DesignTask) -> None:
     for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, Corridor):
         if len(of_kind(task.requirements, kind)) > 1:
             raise InputError(f"{kind.__name__} is required twice; it must be given once")
+
+
+def _check_pieces(task: DesignTask) -> None:
+    """What a design of pieces cannot ask for: what is told along the arm, or by one curvature of a tube."""
+    if not task.space.spots:
+        return
+    for one in task.requirements:
+        posed = isinstance(one, Strain) and one.in_poses and task.has_poses
+        if isinstance(one, Corridor | Avoid | Coverage) or posed:
+            what = "strain in poses" if posed else type(one).__name__
+            raise InputError(f"{what} is required; a design of pieces does not take it")
+        if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
+            raise InputError("snap_free names a box or a force; a design of pieces takes translations only")
+    for wanted in task.objectives:
+        if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
+            raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")
 
 
 def _check_objectives(task: DesignTask) -> None:

@@ -20,14 +20,16 @@ import numpy as np
 import scipy
 
 from ..block.transcription.arm import Profile, integrate_torque
-from ..block.transcription.buffered import section_function
+from ..block.transcription.buffered import mapped, section_function
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import poses_at_points
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.whole_arm import evaluate_arm
 from ..errors import InputError, SolveError
+from ..physics.certificate import worst_function
 from ..robots.breakpoints import DIMENSIONS
 from ..typing import Array
+from .kinematics import forward_kinematics
 from .result import Equilibrium
 from .solving import Solution, discretisation_of, polish
 
@@ -138,8 +140,6 @@ def _breakpoints(problem: ReducedProblem, tube: int) -> list[float]:
 
 def nudged(equilibrium: Equilibrium, tube: int, side: int) -> Linearised:
     """The equilibrium with a tube moved a little."""
-    from .kinematics import forward_kinematics
-
     shift = equilibrium.translations.copy()
     shift[tube] += side * NUDGE
     moved = forward_kinematics(equilibrium.robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
@@ -195,6 +195,7 @@ class Linearised:
         dkb, dkt, dx, dy, _ = (v.reshape(self.shape) for v in rates[:5])
         there = sections.stiffness.reshape(self.shape) > 0
         size = np.hypot(x, y)
+        self.place, self.values = s.reshape(self.shape), values.reshape(-1, *self.shape)
         solid = np.where(size > 0, size, 1.0)
         # Per length of the tube, of what moves past a point.
         self.passing = (
@@ -341,12 +342,28 @@ class Linearised:
 
     def _margin(self, whole: Change) -> Array:
         """(Q,) of the margin, with phase + phi the change of the direction of the pulls; NaN of a double eigenvalue."""
-        problem, chosen, count = self.problem, self.problem.mesh.collocated, len(whole.base)
-        if not problem.size or self.solution.margin >= FLAT:
-            return np.zeros(count)
+        if not self.problem.size or self.solution.margin >= FLAT:
+            return np.zeros(len(whole.base))
         if self._mode is None:
-            return np.full(count, np.nan)
-        value, form, gradient, by = self._mode
+            return np.full(len(whole.base), np.nan)
+        return self._quotient(self._mode, whole)
+
+    def certificate(self, value: float, y: Array, change: Change) -> Array:
+        """(Q,) of the certificate that is `value` at its mode y (N, n), `stability.certificate.worst_case`: what
+        bends further off does not matter to it."""
+        problem, n = self.problem, self.n
+        if not problem.size or value >= FLAT:
+            return np.zeros(len(change.base))
+        _, form, slope, _ = mapped(worst_function(n), len(y))(problem.stiffness, problem.moment, y)
+        gradient = np.concatenate([np.zeros((len(y), n)), slope.reshape(len(y), 2 * n)], axis=1)
+        whitened = scipy.linalg.lapack.dtrtrs(problem.factor, y.ravel()[problem.flat], lower=1)[0]
+        mode = value, form[:, 0].copy(), gradient, self._forces(whitened)
+        return self._quotient(mode, change)
+
+    def _quotient(self, mode: tuple[float, Array, Array, Wound], whole: Change) -> Array:
+        """(Q,) change of a least eigenvalue with its `_mode`."""
+        problem, chosen, count = self.problem, self.problem.mesh.collocated, len(whole.base)
+        value, form, gradient, by = mode
         changed = whole.columns[:, chosen].reshape(count, *gradient.shape)
         scale = np.repeat((whole.length / self.length)[:, chosen], self.shape[1], axis=1)
         out = (problem.weight * scale) @ form + (gradient * changed).sum(2) @ problem.weight
@@ -364,12 +381,16 @@ class Linearised:
         y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
         args = self.direction[collocated].reshape(-1, self.n), problem.stiffness, problem.moment, y
         form, gradient = (part.copy() for part in section_function("variation", len(y), self.n, False)(*args))
-        # f = S^-1 y, by the triangular factor of S.
-        force = np.zeros_like(y)
-        force.ravel()[problem.flat] = scipy.linalg.lapack.dtrtrs(problem.factor, vectors[:, 0], lower=1, trans=1)[0]
+        return float(values[0]), form[:, 0], gradient.reshape(len(y), -1), self._forces(vectors[:, 0])
+
+    def _forces(self, whitened: Array) -> Wound:
+        """The forces f = S^-1 y that turn the tubes by the mode y, by the triangular factor of S."""
+        problem, collocated = self.problem, self.problem.mesh.collocated
+        force = np.zeros(problem.moment.shape)
+        force.ravel()[problem.flat] = scipy.linalg.lapack.dtrtrs(problem.factor, whitened, lower=1, trans=1)[0]
         moments = np.zeros(self.shape)
         moments[collocated] = (force / problem.weight[:, None]).reshape(-1, *self.shape[1:])
-        return float(values[0]), form[:, 0], gradient.reshape(len(y), -1), self._wound(moments)
+        return self._wound(moments)
 
 
 def together(changes: Sequence[Change]) -> Change:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,10 +31,16 @@ class Line:
 
 
 class GeneralMotion:
-    """Derivatives by the rotations and translations of the n tubes, Q = 2 n columns, as those of `Derivatives`."""
+    """Derivatives by the rotations and translations of the n tubes, Q = 2 n columns, as those of `Derivatives`; behind
+    them those by what `more` says that changes."""
 
-    def __init__(self, equilibrium: Equilibrium, side: int = 1) -> None:
-        self.equilibrium, self.side = equilibrium, side
+    def __init__(
+        self,
+        equilibrium: Equilibrium,
+        side: int = 1,
+        more: Callable[[Linearised], Sequence[Change]] | None = None,
+    ) -> None:
+        self.equilibrium, self.side, self._more = equilibrium, side, more
         self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
         s = equilibrium.arc_length
         steps = len(ENDS) - 1
@@ -43,7 +50,9 @@ class GeneralMotion:
     @cached_property
     def _changes(self) -> list[tuple[Linearised, Change]]:
         """What every joint changes, and of which equilibrium."""
-        return changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
+        own = () if self._more is None else self._more(self.here)
+        joints = changes_of(self.here, self.equilibrium, ("rotations", "translations"), self.side)
+        return [*joints, *((self.here, change) for change in own)]
 
     @cached_property
     def _columns(self) -> Array:

@@ -188,6 +188,8 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
             return _by_name(kind, mark.known)
         if isinstance(mark, OneOf) and kind is str:
             return Literal[mark.words], lambda word: word, lambda word: word
+    if isinstance(kind, tuple):
+        return _one_or_several(kind, marks, suffix)
     if kind is float:
         return _number(marks, suffix)
     if kind is int:
@@ -228,6 +230,20 @@ def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tup
     )
 
 
+def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+    one, several = (_kind(kind, marks, suffix) for kind in kinds)
+    number: Any = Annotated[one[0], Tag("<number>")]
+    listed: Any = Annotated[several[0], Tag("<list>")]
+    either = Annotated[
+        number | listed, Discriminator(lambda value: "<list>" if isinstance(value, list) else "<number>")
+    ]
+    return (
+        either,
+        lambda given: (several if isinstance(given, list) else one)[1](given),
+        lambda value: (several if isinstance(value, tuple) else one)[2](value),
+    )
+
+
 def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
     entry = entry_of(kind)
     lower = BeforeValidator(lambda name: name.lower())
@@ -238,6 +254,6 @@ def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
     ]
 
     def write(thing: Any) -> Any:
-        return thing.name if known.get(thing.name) == thing else to_data(thing)
+        return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
     return either, lambda given: known[given] if isinstance(given, str) else given.build(), write

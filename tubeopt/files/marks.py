@@ -105,7 +105,8 @@ class Written:
 
 @dataclass(frozen=True)
 class Marked:
-    """A field that says something about itself.   kind: of its value, besides None where it is optional."""
+    """A field that says something about itself.   kind: of its value, besides None where it is optional; a tuple of
+    both kinds where that is a number or several."""
 
     field: dataclasses.Field[Any]
     kind: Any
@@ -142,7 +143,8 @@ def _read(field: dataclasses.Field[Any], hint: Any) -> Marked:
     kind = hint.__origin__
     optional = get_origin(kind) in (Union, types.UnionType)
     if optional:
-        (kind,) = (part for part in get_args(kind) if part is not types.NoneType)
+        parts = tuple(part for part in get_args(kind) if part is not types.NoneType)
+        kind, optional = (parts[0], True) if len(parts) == 1 else (parts, len(parts) < len(get_args(kind)))
     return Marked(field, kind, optional, tuple(hint.__metadata__))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from typing import Any, Protocol
@@ -179,29 +179,13 @@ def by_sampling(
     util.RNG.setSeed(seed + 1)
     scale, count = task.scale, [tried]
 
-    class Motions(base.MotionValidator):  # type: ignore[misc]
-        def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:
-            if clock.over:
-                return False
-            count[0] += 1
-            return task.motion(*(np.array([state[i] for i in range(len(start))]) * scale for state in (one, other)))
+    def moves(one: Array, other: Array) -> bool:
+        if clock.over:
+            return False
+        count[0] += 1
+        return task.motion(one * scale, other * scale)
 
-    space = base.RealVectorStateSpace(len(start))
-    bounds = base.RealVectorBounds(len(start))
-    for i, (low, high) in enumerate(zip(*_bounds(task, [start, *goals]), strict=True)):
-        bounds.setLow(i, float(low))
-        bounds.setHigh(i, float(high))
-    space.setBounds(bounds)
-    information = base.SpaceInformation(space)
-    information.setMotionValidator(Motions(information))
-    information.setStateValidityChecker(lambda state: True)  # motions check their ends
-    information.setup()
-    problem = base.ProblemDefinition(information)
-    problem.addStartState(_state(space, start / scale))
-    wanted = base.GoalStates(information)
-    for goal in goals:
-        wanted.addState(_state(space, goal / scale))
-    problem.setGoal(wanted)
+    information, problem = _posed(base, task, start, goals, moves)
     if search.search == "optimal":
         clock = Clock(min(search.search_seconds, clock.left))
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
@@ -223,6 +207,34 @@ def by_sampling(
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     return replace(_way(problem, scale, (start, goals), count[0]), why=_trees(data))
+
+
+def _posed(
+    base: Any, task: Task, start: Array, goals: Sequence[Array], moves: Callable[[Array, Array], bool]
+) -> tuple[Any, Any]:
+    """The way from a point to goals as a problem of OMPL, in units of the joints' scales; `moves` checks a motion."""
+
+    class Motions(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:
+            return moves(*(np.array([state[i] for i in range(len(start))]) for state in (one, other)))
+
+    space = base.RealVectorStateSpace(len(start))
+    bounds = base.RealVectorBounds(len(start))
+    for i, (low, high) in enumerate(zip(*_bounds(task, [start, *goals]), strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    information.setMotionValidator(Motions(information))
+    information.setStateValidityChecker(lambda state: True)  # motions check their ends
+    information.setup()
+    problem = base.ProblemDefinition(information)
+    problem.addStartState(_state(space, start / task.scale))
+    wanted = base.GoalStates(information)
+    for goal in goals:
+        wanted.addState(_state(space, goal / task.scale))
+    problem.setGoal(wanted)
+    return information, problem
 
 
 def _trees(data: Any) -> str:

@@ -49,6 +49,7 @@ class Task:
 
     `floor`: clearance (m) to spare at least, but for the neighbourhood of `ends`, points (k, m) of the chart that were
     found to be allowed by other code.
+    `max_force`: on the tip, N, up to which margin and clearance shall hold; `reserve`: part of `clearance` for it, m.
     `clock`: when it is over, looking at points raises LateError, and no further motion is found to hold.
     """
 
@@ -60,6 +61,8 @@ class Task:
     clearance_room: float = 3e-4
     floor: float = 3e-5
     ends: Array | None = None
+    max_force: float = 0.0
+    reserve: float = 0.0
     clock: Clock | None = None
 
     @cached_property

@@ -40,6 +40,15 @@ def laplacian(stiffness: Any, moment: Any) -> Any:
 
 
 @lru_cache(maxsize=16)
+def bend_rate_function(n: int) -> ca.Function:
+    """(kb, m (n,)) -> |m_i| / sum kb (n,): how much curvature (1/m) a turn of a tube can change; 0 where none is."""
+    stiffness, moment = (ca.SX.sym(s, n) for s in ("kb", "m"))
+    total = ca.sum1(stiffness)
+    rate = ca.if_else(total > 0, ca.fabs(moment) / ca.if_else(total > 0, total, 1), ca.DM.zeros(n))
+    return ca.Function("bend_rate", [stiffness, moment], [rate], {"cse": True})
+
+
+@lru_cache(maxsize=16)
 def coupling_rate_function(n: int) -> ca.Function:
     """(kb, m, kt (n,)) -> bound sqrt(c) of the fastest growth or oscillation of torsion, 1/m; 0 where no tube is.
 

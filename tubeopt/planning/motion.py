@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, positive
+from ..files.marks import POSITIVE, key
 from ..inverse.joints import JointSpace
 from ..typing import Array
 
@@ -27,6 +29,10 @@ OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_ac
 """Limits that are one number for all tubes, or one per tube."""
 
 
+Rates = float | tuple[float, ...]
+EACH = "for all tubes, or one per tube"
+
+
 @dataclass(frozen=True)
 class RateLimits(Displayed):
     """How fast the actuators are.
@@ -41,11 +47,11 @@ class RateLimits(Displayed):
         InputError: a limit that is not a finite number greater than 0.
     """
 
-    rotation: float | tuple[float, ...] = np.pi / 2
-    translation: float | tuple[float, ...] = 0.02
-    rotation_acceleration: float | tuple[float, ...] = np.pi
-    translation_acceleration: float | tuple[float, ...] = 0.04
-    tip: float | None = None
+    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, EACH] = np.pi / 2
+    translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, EACH] = 0.02
+    rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, EACH] = np.pi
+    translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, EACH] = 0.04
+    tip: Annotated[float | None, key("tip_mm_per_s"), POSITIVE, "greatest speed of the tip; by default any"] = None
 
     def __post_init__(self) -> None:
         if self.tip is not None:

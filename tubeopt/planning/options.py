@@ -27,6 +27,7 @@ class PlanOptions(Displayed):
             the way that was found, as 1.
         time_limit: s, for everything.   search_seconds: of "optimal", s.
         clearance: least distance of the surface of the arm from obstacles, m.
+        max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction.
         carriage_gap, section_length: as in `InverseOptions`, m.
         modulo_turns: a goal rotation may be reached with any number of whole turns; the plan tells how many.
         seed: of the random numbers.
@@ -40,6 +41,7 @@ class PlanOptions(Displayed):
     time_limit: float = 60.0
     search_seconds: float = 5.0
     clearance: float = 0.0
+    max_force: float = 0.0
     carriage_gap: float = 0.0
     section_length: float = 0.0
     modulo_turns: bool = False
@@ -56,7 +58,7 @@ class PlanOptions(Displayed):
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         positive("time_limit", self.time_limit)
         positive("search_seconds", self.search_seconds)
-        for name in ("clearance", "carriage_gap", "section_length"):
+        for name in ("clearance", "max_force", "carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
         turns: object = self.modulo_turns
         if not isinstance(turns, bool):

@@ -15,12 +15,13 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
+from ..equilibrium.continuation import JointPath
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..robots.robot import Robot
-from ..stability.snapping import find_snap
+from ..stability.following import Event, walk
 from ..typing import Array
 from .branch import branch
 from .clearing import Wanted, cleared
@@ -140,16 +141,13 @@ class Follower:
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
+        begin = np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])
+        points = walk(JointPath(self.robot, begin, joints), polish(here.equilibrium))
         try:
-            snap = find_snap(
-                self.robot,
-                _pair(np.concatenate([here.equilibrium.rotations, here.equilibrium.translations])),
-                _pair(joints),
-                equilibrium=here.equilibrium,
-            )
+            snap = next((point for point in points if isinstance(point, Event)), None)
         except SolveError:
             snap = None
-        return None if snap is None else here.at + snap.fraction * (at - here.at)
+        return None if snap is None else here.at + snap.fold.t * (at - here.at)
 
 
 def _pair(joints: Array) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, ot
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
 from .proof import Proof, verify_trajectory
-from .question import asked, in_time
+from .question import asked, bearing, in_time
 from .smooth import joint_curves, smooth, violated
 from .timing import Limits, at_full_speed, stopping_at, through
 from .tracking import track
@@ -116,8 +116,11 @@ def _planned(
 ) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
     first = start_equilibrium(task.chart.space, start)
+    task = bearing(task, first.translations)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
+    n = len(first.translations)
+    task = bearing(task, first.translations, *(task.chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
     for attempt in range(ATTEMPTS):
@@ -303,7 +306,7 @@ class Built:
             turns=end.turns,
             obstacles=task.obstacles,
             min_margin=task.min_margin,
-            min_clearance=task.clearance,
+            min_clearance=task.clearance - task.reserve,
             rate_limits=rates,
             proof=self.proof,
             statistics=statistics,
@@ -337,10 +340,11 @@ def build(
         start=first,
         obstacles=task.obstacles,
         min_margin=task.min_margin - 1e-6,
-        clearance=task.clearance,
+        clearance=task.clearance - task.reserve,
         rate_limits=rates,
         limits=None if space.robot.limits is None else limits_of(space),
         clock=clock,
+        max_force=task.max_force,
     )
     if not (proof.holds or proof.open):
         return proof.faults

@@ -30,6 +30,7 @@ from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
+from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array
 from .clearing import Wanted
@@ -63,6 +64,8 @@ class Proof(Displayed):
         faults: in words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved.
         followed: share of the time up to `end`.
         open: whether a time limit ended the proof before anything was refuted.
+        forced: what holds for all rotations and the translations of the trajectory, whatever pushes on the tip with up
+            to `max_force`; None without that. Margin, faults and clearance are then those under any such force.
     """
 
     snap: float | None
@@ -82,6 +85,7 @@ class Proof(Displayed):
     faults: tuple[str, ...]
     followed: float = 1.0
     open: bool = False
+    forced: ForceBound | None = None
 
     @property
     def holds(self) -> bool:
@@ -108,6 +112,7 @@ def verify_trajectory(  # noqa: PLR0913
     rate_limits: RateLimits | None = None,
     limits: JointLimits | None = None,
     clock: Clock | None = None,
+    max_force: float = 0.0,
 ) -> Proof:
     """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
 
@@ -117,10 +122,12 @@ def verify_trajectory(  # noqa: PLR0913
         obstacles, min_margin, clearance (m), rate_limits, limits: what must be kept. Rates are not limited by default;
             joint limits are those that the robot was given, else those of its lengths: rotations are then free.
         clock: when it is over, what is not shown yet is left so, which is a fault: `.open`, `.followed`.
+        max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction,
+            as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
-            start or one at other joint values.
+            start or one at other joint values, a force on a robot for which nothing is proved.
         SolveError: there is no stable equilibrium at the first sample.
 
     Examples:
@@ -150,13 +157,42 @@ def verify_trajectory(  # noqa: PLR0913
     if own.any():  # within round-off of a file
         first = forward_kinematics(robot, alpha[0], shift[0], guess=first)
     longest = max(tube.length for tube in robot.tubes)
+    forced = under_any_force(robot, shift, max_force) if positive("max_force", max_force, zero=True) else None
+    moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     until = math.inf if clock is None else time_now() + clock.left
-    follower = Follower(robot, scene_of(bodies), Wanted(clearance, TOLERANCE), longest, until, Constants.of(robot))
+    wanted = Wanted(clearance + moved, TOLERANCE)
+    follower = Follower(robot, scene_of(bodies), wanted, longest, until, Constants.of(robot))
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
+    if forced is not None:
+        unproved += _force_faults(forced, min_margin)
     late = bool(unproved) and clock is not None and clock.over
     proof = _judge(follower, passage, refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
-    return replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
+    proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
+    return proof if forced is None else _under_force(proof, forced)
+
+
+def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
+    """What is not shown for all forces."""
+    size = f"{forced.max_force * 1e3:g} mN"
+    if forced.margin <= 0:
+        return [f"not proved: nothing shows that no force of up to {size} on the tip snaps or buckles the robot"]
+    if forced.margin < min_margin:
+        shown = f"{forced.margin:.4g} is shown under any force of up to {size} on the tip"
+        return [f"not proved: of the margin of {min_margin:g} only {shown}"]
+    return []
+
+
+def _under_force(proof: Proof, forced: ForceBound) -> Proof:
+    """The same with what is left under any force."""
+    shown = forced.margin > 0
+    return replace(
+        proof,
+        forced=forced,
+        least_margin=min(proof.least_margin, forced.margin),
+        least_clearance=proof.least_clearance - forced.deflection if shown else -math.inf,
+        measured_clearance=proof.measured_clearance - forced.deflection if shown else -math.inf,
+    )
 
 
 def _times(time: ArrayLike, count: int) -> Array:
@@ -198,10 +234,10 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
     if passage.measured < wanted:
         shown = passage.measured * 1e3
-        faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:g} mm")
+        faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:.6g} mm")
     elif -math.inf < passage.clearance < wanted:
         shown = passage.clearance * 1e3
-        unproved.append(f"not proved: of the clearance of {wanted * 1e3:g} mm only {shown:.4g} mm are shown")
+        unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
 
 

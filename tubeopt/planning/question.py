@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, finite
@@ -14,6 +17,8 @@ from ..inverse.question import prepared
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
+from ..stability.deflection import under_any_force
+from ..typing import Array
 from .motion import RateLimits
 from .options import PlanOptions
 from .smooth import path_cost
@@ -54,4 +59,33 @@ def asked(
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
-    return Task(Chart(space), bodies, floor, options.clearance, clock=clock), clock
+    task = Task(Chart(space), bodies, floor, options.clearance, max_force=options.max_force, clock=clock)
+    return task, clock
+
+
+FARTHER = 1.05
+"""What is kept for how far a force moves the arm, over what is known of the ends of a motion."""
+
+
+def bearing(task: Task, *translations: Array) -> Task:
+    """The task with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
+
+    Raises:
+        SolveError: at one of them it is not shown that every such force leaves the margin.
+    """
+    if not task.max_force:
+        return task
+    robot, alone = task.chart.space.robot, []
+    for each in translations:
+        bound = under_any_force(robot, each, task.max_force)
+        if bound.margin <= 0 or bound.margin < task.min_margin:
+            where = ", ".join(f"{x * 1e3:.4g}" for x in each)
+            raise SolveError(
+                f"no plan can be proved: with translations of {where} mm the margin is only shown to be at least "
+                f"{bound.margin:.3g} under any force of up to {task.max_force * 1e3:g} mN on the tip; "
+                f"it must be {max(task.min_margin, 0.0):g}"
+            )
+        alone.append(bound.deflection)
+    between = under_any_force(robot, np.array(translations), task.max_force).deflection
+    reserve = FARTHER * (between if np.isfinite(between) else max(alone))
+    return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)

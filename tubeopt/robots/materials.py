@@ -7,7 +7,7 @@ from typing import Annotated
 
 from ..display import Displayed
 from ..errors import InputError
-from ..files.marks import POSITIVE, Range, Usual, check_fields, key, unit
+from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
 
 ZERO_CELSIUS = 273.15
 """0 degC in K."""
@@ -40,6 +40,43 @@ class ThermalData:
         check_fields(self)
 
 
+THERMAL_DATA = {
+    "nitinol": ThermalData(
+        density=6450.0,
+        heat_capacity=470.0,
+        heat_capacity_slope=2.5e-4,
+        conductivity=18.0,
+        resistivity=0.82e-6,
+        resistivity_slope=5e-4,
+        expansion=11e-6,
+        emissivity=0.5,
+    ),
+    "stainless_steel": ThermalData(
+        density=8000.0,
+        heat_capacity=500.0,
+        heat_capacity_slope=2.5e-4,
+        conductivity=16.2,
+        conductivity_slope=7e-4,
+        resistivity=0.72e-6,
+        resistivity_slope=9e-4,
+        expansion=17.2e-6,
+        emissivity=0.5,
+    ),
+}
+"""Of metals, by names that a material in a file may give in place of its own data.
+
+Nitinol (austenite): density, conductivity and expansion from SMA Inc., Selected Properties of NiTi. Resistivity:
+suppliers give 0.82 (austenite, the usual data sheet) to 1.0 micro-ohm m (SMA Inc.); the slope is assumed, calibrate:
+with it the lower value at 25 degC becomes 1.03 at 525 degC. Heat capacity: 3R per mole of atoms (Dulong and Petit) is
+468 J/(kg K); the slope is assumed. The 837 J/(kg K) (0.20 cal/(g K)) of many data sheets is 1.8 times that of a solid
+of these atoms. Emissivity of the oxidised surface: assumed, calibrate.
+
+Stainless steel 304: AK Steel, 304/304L Stainless Steel Product Data Bulletin: density 8.03 g/cm3, heat capacity 500
+J/(kg K) from 0 to 100 degC, conductivity 16.2 W/(m K) at 100 and 21.5 at 500 degC, resistivity 0.72 micro-ohm m at
+20 degC, expansion 16.9 to 18.7e-6; slopes of heat capacity and resistivity (1.0 micro-ohm m near 500 degC) and the
+emissivity: assumed, calibrate."""
+
+
 @dataclass(frozen=True)
 class Material(Displayed):
     """An isotropic, linear-elastic tube material.
@@ -59,7 +96,11 @@ class Material(Displayed):
     superelastic_strain: Annotated[
         float, unit("percent"), POSITIVE, "strain beyond which a tube does not spring back"
     ] = 0.06
-    thermal: Annotated[ThermalData | None, "constants for heating; by default known only of nitinol"] = None
+    thermal: Annotated[
+        ThermalData | None,
+        Named(THERMAL_DATA),
+        "constants for heating, or the name of the metal whose they are",
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, f"material {self.name!r}")
@@ -87,28 +128,13 @@ NITINOL = Material(
     "nitinol",
     youngs_modulus=58e9,
     shear_modulus=21.5e9,
-    thermal=ThermalData(
-        density=6450.0,
-        heat_capacity=470.0,
-        heat_capacity_slope=2.5e-4,
-        conductivity=18.0,
-        resistivity=0.82e-6,
-        resistivity_slope=5e-4,
-        expansion=11e-6,
-        emissivity=0.5,
-    ),
+    thermal=THERMAL_DATA["nitinol"],
 )
 """Superelastic nitinol with the moduli of the thesis' Tables 2.1 and 3.1 (nu = 0.3488).
 
 The working strain of 1 % and the recoverable strain of 6 % are the usual figures for superelastic nitinol in fatigue
 and in a single loading (Pelton et al., J. Mech. Behav. Biomed. Mater. 1 (2008); Duerig et al., Mater. Sci. Eng. A
-273-275 (1999)).
-
-Thermal data of austenite: density, conductivity and expansion from SMA Inc., Selected Properties of NiTi. Resistivity:
-suppliers give 0.82 (austenite, the usual data sheet) to 1.0 micro-ohm m (SMA Inc.); the slope is assumed, calibrate:
-with it the lower value at 25 degC becomes 1.03 at 525 degC. Heat capacity: 3R per mole of atoms (Dulong and Petit) is
-468 J/(kg K); the slope is assumed. The 837 J/(kg K) (0.20 cal/(g K)) of many data sheets is 1.8 times that of a solid
-of these atoms. Emissivity of the oxidised surface: assumed, calibrate."""
+273-275 (1999))."""
 
 MATERIALS = {NITINOL.name: NITINOL}
 """Materials that a file may name."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from decimal import Decimal
 from typing import Annotated, Any, Literal
 
@@ -15,7 +14,7 @@ from ..files.csv_file import read_csv
 from ..files.units import DEG, MM, PER_M, in_unit, shown, to_si
 from ..typing import Array
 from .pieces import Piece, check_table
-from .series import Quantity, Series, spline, times
+from .series import Quantity, Series, spline, turned
 
 DEG_PER_MM = DEG / MM
 N_MM2 = Decimal("1e-6")
@@ -136,7 +135,7 @@ class PieceEntry(Entry):
         length = self._length()
         x, y, z = self._precurvature()
         if self.plane_deg is not None:
-            x, y = _turned(x, y, to_si(self.plane_deg, DEG))
+            x, y = turned(x, y, to_si(self.plane_deg, DEG))
         bending, torsional = self._stiffness(own)
         return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional)
 
@@ -190,29 +189,6 @@ class PieceEntry(Entry):
 
 def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:
     return entry.series(unit) if isinstance(entry, SeriesEntry) else to_si(entry, unit)
-
-
-def _turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
-    """A bend direction turned about z."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    if not isinstance(x, Series) and not isinstance(y, Series):
-        return cos * x - sin * y, sin * x + cos * y
-    return _sum(times(x, cos), times(y, -sin)), _sum(times(x, sin), times(y, cos))
-
-
-def _sum(a: Quantity, b: Quantity) -> Quantity:
-    """The sum of two quantities on the same panels, or of one and a number."""
-    if not isinstance(a, Series):
-        a, b = b, a
-    assert isinstance(a, Series)
-    other = b.coefficients if isinstance(b, Series) else ((b,),) * len(a.coefficients)
-    table = []
-    for one, more in zip(a.coefficients, other, strict=True):
-        row = np.zeros(max(len(one), len(more)))
-        row[: len(one)] += one
-        row[: len(more)] += more
-        table.append(tuple(row.tolist()))
-    return Series(a.breaks, tuple(table))
 
 
 def check_stiffness(name: str, value: float, of_section: float) -> None:

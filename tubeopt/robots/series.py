@@ -7,6 +7,7 @@ is plain data: it is compared, hashed, pickled and saved, and evaluated alike by
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -98,6 +99,29 @@ def padded(coefficients: Sequence[Sequence[float]], width: int = 1) -> Array:
 def times(quantity: Quantity, factor: float) -> Quantity:
     """A quantity multiplied by a number."""
     return quantity.times(factor) if isinstance(quantity, Series) else quantity * factor
+
+
+def turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
+    """A bend direction turned about z."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    if not isinstance(x, Series) and not isinstance(y, Series):
+        return cos * x - sin * y, sin * x + cos * y
+    return plus(times(x, cos), times(y, -sin)), plus(times(x, sin), times(y, cos))
+
+
+def plus(a: Quantity, b: Quantity) -> Quantity:
+    """The sum of two quantities on the same panels, or of one and a number."""
+    if not isinstance(a, Series):
+        a, b = b, a
+    assert isinstance(a, Series)
+    other = b.coefficients if isinstance(b, Series) else ((b,),) * len(a.coefficients)
+    table = []
+    for one, more in zip(a.coefficients, other, strict=True):
+        row = np.zeros(max(len(one), len(more)))
+        row[: len(one)] += one
+        row[: len(more)] += more
+        table.append(tuple(row.tolist()))
+    return Series(a.breaks, tuple(table))
 
 
 def breaks_of(quantities: Sequence[Quantity], length: float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from ..display import Displayed
@@ -13,7 +13,7 @@ from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material
 from .pieces import Piece
-from .series import Quantity, times
+from .series import Quantity
 
 
 def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
@@ -217,19 +217,3 @@ def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantit
         bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
         out.append((piece.length, piece.precurvature, bending, torsional))
     return out
-
-
-def with_stiffness(tube: Tube, *, bending: float = 1.0, torsional: float = 1.0) -> Tube:
-    """The tube with its stiffnesses, those of its pieces too, multiplied by numbers."""
-
-    def changed(piece: Piece) -> Piece:
-        own = piece.bending_stiffness, piece.torsional_stiffness
-        new = [None if q is None else times(q, f) for q, f in zip(own, (bending, torsional), strict=True)]
-        return replace(piece, bending_stiffness=new[0], torsional_stiffness=new[1])
-
-    return replace(
-        tube,
-        bending_stiffness=float(tube.bending_stiffness) * bending,
-        torsional_stiffness=float(tube.torsional_stiffness) * torsional,
-        pieces=tuple(changed(piece) for piece in tube.pieces),
-    )

@@ -31,6 +31,7 @@ from ..files.checked import Entry, NotNegative, Number, Positive, Whole
 from ..files.fields import Part, asking, entry_of, values
 from ..files.units import DEG, MM, PER_M, to_si
 from ..robots.file import Range
+from ..robots.piece_file import DEG_PER_MM
 from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -51,6 +52,12 @@ RANGES = {
     "curvature_factor": ("curvature", PER_M, True),
     "straight_length_factor": ("straight_length", PER_M, True),
     "curved_length_factor": ("curved_length", PER_M, True),
+    "piece_curvature_per_m": ("piece_curvature", PER_M, False),
+    "piece_shape_per_m": ("piece_shape", PER_M, False),
+    "piece_plane_deg": ("piece_plane", DEG, False),
+    "piece_twist_deg_per_mm": ("piece_twist", DEG_PER_MM, False),
+    "piece_bending_factor": ("piece_bending_factor", PER_M, False),
+    "piece_torsion_factor": ("piece_torsion_factor", PER_M, False),
 }
 """Keys of a free dimension: the field, its unit, and whether the tubes are scaled by one factor."""
 
@@ -59,7 +66,11 @@ class FreeEntry(Part):
     """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
 
     tubes: Annotated[list[Whole], Field(min_length=1)]
-    equal: bool = Field(False, description="one value for all these tubes, in place of one for each")
+    equal: bool = Field(False, description="one value for all these tubes, or pieces, in place of one for each")
+    pieces: list[Whole] = Field(
+        [],
+        description="of the tubes, from the straight part to the tip, for the keys of pieces; all if not given",
+    )
     curvature_per_m: Range | None = None
     straight_length_mm: Range | None = None
     curved_length_mm: Range | None = None
@@ -68,6 +79,20 @@ class FreeEntry(Part):
     curvature_factor: Range | None = Field(None, description="one factor for the curvatures of all these tubes")
     straight_length_factor: Range | None = None
     curved_length_factor: Range | None = None
+    piece_curvature_per_m: Range | None = Field(
+        None, description="largest curvature; what varies is bent in proportion"
+    )
+    piece_shape_per_m: Range | None = Field(
+        None, description="coefficients of the Chebyshev polynomials of the curvature about x along the piece"
+    )
+    coefficients: Annotated[Whole, Field(ge=1)] = Field(1, description="of a piece_shape")
+    piece_plane_deg: Range | None = Field(None, description="turn of the bend plane from that of the robot")
+    piece_twist_deg_per_mm: Range | None = None
+    piece_bending_factor: Range | None = Field(None, description="what slots leave of the bending stiffness")
+    piece_torsion_factor: Range | None = Field(None, description="what slots leave of the torsional stiffness")
+    torsion_share: NotNegative | None = Field(
+        None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
+    )
 
     def build(self) -> Free:
         """The free dimension in SI."""
@@ -79,7 +104,16 @@ class FreeEntry(Part):
         if scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
         tie = "scaled" if scaled else "equal" if self.equal else "each"
-        return Free(field, tuple(i - 1 for i in self.tubes), to_si(low, unit), to_si(high, unit), tie)
+        return Free(
+            field,
+            tuple(i - 1 for i in self.tubes),
+            to_si(low, unit),
+            to_si(high, unit),
+            tie,
+            tuple(j - 1 for j in self.pieces),
+            self.coefficients,
+            None if self.torsion_share is None else float(self.torsion_share),
+        )
 
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built
@@ -88,9 +122,10 @@ if TYPE_CHECKING:  # to which an entry is whatever can be built
     StrainEntry = Part
     TargetEntry = Part
     CoverageEntry = Part
+    ObjectiveEntry = Part
 else:
     SnapFreeEntry, InUseEntry, StrainEntry = entry_of(SnapFree), entry_of(SnapFreeInUse), entry_of(Strain)
-    TargetEntry, CoverageEntry = entry_of(Target), entry_of(Coverage)
+    TargetEntry, CoverageEntry, ObjectiveEntry = entry_of(Target), entry_of(Coverage), entry_of(Objective)
 
 
 class LengthEntry(Part):
@@ -158,9 +193,8 @@ class Requirements(Part):
         out: list[Requirement] = []
         for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
             out += [] if entry is None else [entry.build()]
-        out += [] if self.clearance_mm is None else [Nesting(to_si(self.clearance_mm, MM))]
-        out += [] if self.wall_mm is None else [Wall(to_si(self.wall_mm, MM))]
-        out += [] if self.stroke_mm is None else [Stroke(to_si(self.stroke_mm, MM))]
+        singles = (Nesting, self.clearance_mm), (Wall, self.wall_mm), (Stroke, self.stroke_mm)
+        out += [kind(to_si(number, MM)) for kind, number in singles if number is not None]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += [] if self.coverage is None else [self.coverage.build()]
         if self.poses:
@@ -169,21 +203,6 @@ class Requirements(Part):
         out += [] if self.corridor is None else [self.corridor.build()]
         out += [] if self.avoid is None else [self.avoid.build()]
         return tuple(out)
-
-
-class ObjectiveEntry(Part):
-    """One aim of a design."""
-
-    kind: Literal["tip_curvature", "turning_radius", "reach_radius", "strain", "length", "margin", "change"]
-    weight: Positive = Field(Decimal(1), description="of the value in SI, where there are several")
-    depth_mm: Number | None = Field(None, description="for reach_radius: height of the tip")
-    translations_mm: Row | None = Field(None, description="for tip_curvature and turning_radius; home if not given")
-
-    def build(self) -> Objective:
-        """The objective in SI."""
-        depth = None if self.depth_mm is None else to_si(self.depth_mm, MM)
-        shift = None if self.translations_mm is None else metres(self.translations_mm)
-        return Objective(self.kind, float(self.weight), depth, shift)
 
 
 @asking(Tolerances)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.units import DEG, MM, to_si
+from ..files.checked import NotNegative, Positive, Whole
+from ..files.fields import Part, entry_of
+from ..files.units import MM, UNITS, to_si
 from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
@@ -17,27 +18,10 @@ from ..typing import Array
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .obstacle_file import Bodies, Place, Triple, point
 
-Default = PlanOptions()
-
-
-class RatesEntry(Entry):
-    """How fast the actuators are."""
-
-    rotation_deg_per_s: Positive = Decimal(90)
-    translation_mm_per_s: Positive = Decimal(20)
-    rotation_deg_per_s2: Positive = Decimal(180)
-    translation_mm_per_s2: Positive = Decimal(40)
-    tip_mm_per_s: Annotated[Positive | None, Field(description="greatest speed of the tip; by default any")] = None
-
-    def build(self) -> RateLimits:
-        """The limits in SI."""
-        return RateLimits(
-            to_si(self.rotation_deg_per_s, DEG),
-            to_si(self.translation_mm_per_s, MM),
-            to_si(self.rotation_deg_per_s2, DEG),
-            to_si(self.translation_mm_per_s2, MM),
-            None if self.tip_mm_per_s is None else to_si(self.tip_mm_per_s, MM),
-        )
+if TYPE_CHECKING:  # to which an entry is whatever can be built
+    RatesEntry = Part
+else:
+    RatesEntry = entry_of(RateLimits)
 
 
 class PlanStudy(Study):
@@ -65,8 +49,13 @@ class PlanStudy(Study):
         (), description="bodies that the whole arm keeps away from: a list of them, or a YAML file"
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    max_tip_force_mN: NotNegative = Field(
+        Decimal(0),
+        description="margin and clearance under any force on the tip of up to this size, in any direction",
+        examples=["F"],
+    )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    rates: RatesEntry = Field(default_factory=RatesEntry)
+    rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
     search: Literal["auto", "rrt_connect", "optimal"] = Field("auto", description="auto, rrt_connect or optimal")
     objective: Literal["length", "time", "effort", "margin", "none"] = Field(
         "length", description="of the smoothing: length, time, effort, margin or none"
@@ -102,6 +91,7 @@ class PlanStudy(Study):
             objective=self.objective,
             time_limit=float(self.time_limit_s),
             clearance=to_si(self.clearance_mm, MM),
+            max_force=to_si(self.max_tip_force_mN, UNITS["mN"]),
             modulo_turns=self.modulo_turns,
             seed=self.seed,
         )

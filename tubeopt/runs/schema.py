@@ -119,7 +119,7 @@ def _allowed(value: dict[str, Any]) -> str:
     found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
     inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]
     inner += [_allowed(value["items"])] if isinstance(value.get("items"), dict) else []
-    return ", ".join(found) or " or ".join(word for word in inner if word)
+    return ", ".join(found) or " or ".join(dict.fromkeys(word for word in inner if word))
 
 
 def write_schemas(directory: str | Path = "configs/schema") -> list[Path]:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..display import Displayed
 from ..files.checked import NotNegative, check_kind, in_file
-from ..files.units import MM, to_si
+from ..files.units import MM, UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
@@ -58,10 +58,15 @@ class VerifyStudy(Study):
         examples=["OBSTACLES.yaml"],
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
+    max_tip_force_mN: NotNegative = Field(
+        Decimal(0),
+        description="margin and clearance under any force on the tip of up to this size, in any direction",
+        examples=["F"],
+    )
     rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,
-        description="margin, obstacles, clearance and rates of this plan study instead",
+        description="margin, obstacles, clearance, force and rates of this plan study instead",
         examples=["STUDY.yaml"],
     )
 
@@ -81,5 +86,6 @@ class VerifyStudy(Study):
             min_margin=float(asked.min_margin),
             clearance=to_si(asked.clearance_mm, MM),
             rate_limits=None if asked.rates is None else asked.rates.build(),
+            max_force=to_si(asked.max_tip_force_mN, UNITS["mN"]),
         )
         return Checked(file, joints, proof)

@@ -51,11 +51,6 @@ class MoldMaterial:
         return self.conductivity / (self.density * self.heat_capacity)
 
     @property
-    def effusivity(self) -> float:
-        """sqrt(k rho c), W s^0.5/(m^2 K): what a suddenly heated surface draws is proportional to it."""
-        return float((self.conductivity * self.density * self.heat_capacity) ** 0.5)
-
-    @property
     def electrically_insulating(self) -> bool:
         """Whether practically no current leaves the tube through the mold."""
         return self.resistivity >= INSULATING_RESISTIVITY

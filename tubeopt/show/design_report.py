@@ -196,7 +196,12 @@ class DesignReport(Report[DesignAnswer]):
     def dimension_rows(self) -> Sequence[tuple[str, ...]]:
         """Name, before, after, and the bound on which a dimension lies."""
         return [
-            (f"{d.name} ({d.unit})", f"{d.before:.5g}", f"{d.after:.5g}", f"at its {d.bound} bound" if d.bound else "")
+            (
+                f"{d.name} ({d.unit})" if d.unit else d.name,
+                f"{d.before:.5g}",
+                f"{d.after:.5g}",
+                f"at its {d.bound} bound" if d.bound else "",
+            )
             for d in self.answer.solution.dimensions
         ]
 

@@ -31,6 +31,14 @@ def show_in_3d(
 
     Raises:
         InputError: plotly is not installed.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
+        >>> figure = tubeopt.show_in_3d(pose, height=300)
+        >>> figure.layout.height
+        300
     """
     library = extra("plotly.graph_objects", "notebook", "scenes in a notebook")
     parts = [plate_part(equilibrium), *robot_parts(equilibrium)]

@@ -16,6 +16,7 @@ from ..runs.mold_file import save_springback, springback_to_dict
 from ..runs.mold_study import Ranking
 from ..shaping.mold.checks import Check
 from ..shaping.mold.files import write_mold
+from ..shaping.mold.gcode import Program, clear_room, programs_of
 from ..shaping.mold.holes import Hole
 from ..shaping.mold.mold import Clamp, Groove, predict_tube
 from ..shaping.mold.ranking import MaterialRating
@@ -74,6 +75,12 @@ HOLE: tuple[Quantity[Hole], ...] = (
     Quantity("diameter_mm", "its diameter"),
 )
 
+PROGRAM: tuple[Quantity[Program], ...] = (
+    Quantity("file", "where it stands"),
+    Quantity("tool", "the first that it takes"),
+    Quantity("time_min", "that its moves take", lambda program: program.time / 60, form=".1f"),
+)
+
 MOLD: tuple[Quantity[RobotMold], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.name),
     Quantity("material", "of both plates", lambda a: a.mold.spec.material.name),
@@ -93,6 +100,10 @@ MOLD: tuple[Quantity[RobotMold], ...] = (
             Quantity("predicted", "what comes out of it", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
         ),
     ),
+    Quantity(
+        "programs", "G-code of both plates, in the order in which it is run", lambda a: programs_of(a.mold), of=PROGRAM
+    ),
+    Quantity("clear_mm", "room beside the plates that clamps of their stock leave free", lambda a: clear_room(a.mold)),
     Quantity("holes", "for bolts, dowels and vents", lambda a: list(a.mold.holes), of=HOLE),
     Quantity("checks", "what was checked, and whether it passed", lambda a: [_check(c) for c in a.mold.checks]),
     Quantity("remarks", "what to beware of", lambda a: [*a.left_out, *a.mold.remarks]),
@@ -123,7 +134,7 @@ class MoldReport(Report[RobotMold]):
         return Group(Text(self.title(), style="italic"), grid(("tube", *numbers), cells, key=True), *lines)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write mold.json, base and lid as DXF, SVG and STL, grooves.nc and the set-up sheet setup.pdf."""
+        """Write mold.json, base and lid as DXF, SVG, STL and G-code, and the set-up sheet setup.pdf."""
         from .plots.mold import plot_setup_sheet
 
         paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
@@ -131,10 +142,10 @@ class MoldReport(Report[RobotMold]):
         return [*paths, directory / "setup.pdf"]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The grooves."""
-        from .plots.mold import plot_mold
+        """The grooves, and the plates as milled."""
+        from .plots.mold import plot_milled, plot_mold
 
-        return {"mold": drawing(plot_mold, self.answer.mold)}
+        return {"mold": drawing(plot_mold, self.answer.mold), "milled": drawing(plot_milled, self.answer.mold)}
 
 
 def _springback(back: Springback) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from ..planning.file import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
 from ..runs.verify_study import Checked
 from ..stability import ASSUMING
+from ..stability.deflection import ForceBound
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, report, two_columns
 
@@ -46,9 +47,26 @@ def _again(p: Proof) -> str:
     return f"through {p.equilibria} equilibria{checked}"
 
 
+def _assuming(p: Proof) -> str:
+    if p.forced is None:
+        return ASSUMING
+    return f"under any force of up to {p.forced.max_force * 1e3:g} mN on the tip, assuming no weight or friction"
+
+
+def _any_force(f: ForceBound) -> str:
+    moved = f"moves the arm by at most {f.deflection * TO_MM:.3g} mm" if f.margin > 0 else "may snap the robot"
+    return f"of up to {f.max_force * 1e3:g} mN {moved}, margin at least {f.margin:.4f}"
+
+
+FORCED: tuple[Quantity[ForceBound], ...] = (
+    line("any force on the tip", _any_force),
+    Quantity("max_force_mN", "force on the tip, in any direction, under which margin and clearance are told"),
+    Quantity("deflection_mm", "bound of how far such a force moves the arm"),
+)
+
 PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("proved", "whether all that was asked for holds", lambda p: p.holds),
-    Quantity("assumed", "what all is said under", lambda p: ASSUMING),
+    Quantity("assumed", "what all is said under", _assuming),
     Quantity("faults", "what does not hold, in words", lambda p: list(p.faults)),
     Quantity("followed_percent", "part of the motion that was followed", lambda p: p.followed),
     Quantity("snap_at_percent", "where it snaps", lambda p: p.snap),
@@ -56,6 +74,7 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("least_clearance_mm", "proved distance of the arm from obstacles", label="clearance", words=_clearance),
     Quantity("clearance_bound_mm", "bound of the distance between the instants that were looked at"),
     Quantity("measured_clearance_mm", "least distance at the instants that were looked at"),
+    *within(FORCED, lambda p: p.forced),
     line(
         "largest rates",
         "{largest_rotation_rate_deg_per_s:.2f} deg/s, {largest_translation_rate_mm_per_s:.2f} mm/s; "
@@ -197,7 +216,7 @@ class CheckedReport(Report[Checked]):
         a = self.answer
         verdict = "holds" if a.proof.holds else "does not hold"
         notes = [Text(f"- {fault}") for fault in a.proof.faults]
-        return Group(Text(f"{a.file} {verdict}, {ASSUMING}"), *notes, two_columns("", self.rows()))
+        return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), *notes, two_columns("", self.rows()))
 
     def conclude(self) -> None:
         """Raise SolveError where something does not hold."""

@@ -144,6 +144,13 @@ def to_dataframe(answer: Any) -> pandas.DataFrame:
 
     Raises:
         InputError: another kind of answer, or pandas is not installed.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
+        >>> tubeopt.to_dataframe(pose).columns.tolist()[:4]
+        ['arc_length_mm', 'x_mm', 'y_mm', 'z_mm']
     """
     frame: pandas.DataFrame = extra("pandas", "data", "data frames").DataFrame(columns(answer))
     return frame
@@ -157,6 +164,13 @@ def to_xarray(answer: Any) -> xarray.Dataset:
 
     Raises:
         InputError: another kind of answer, or xarray is not installed.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
+        >>> tubeopt.to_xarray(pose).position.dims
+        ('point', 'axis')
     """
     library = extra("xarray", "data", "labelled arrays")
     row, variables = _description(answer)

@@ -15,6 +15,7 @@ import numpy as np
 from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
+from ..files.files import atomic_write, read_bytes, read_text, write_text
 from ..typing import Array
 from .problem_status import ProblemStatus
 
@@ -117,8 +118,6 @@ class ProblemSolution(Displayed):
         Raises:
             InputError: the files cannot be written.
         """
-        from ..files.files import atomic_write, write_text
-
         tables = {"values": self.values, "multipliers": self.multipliers}
         tables |= {"bound_multipliers": self.bound_multipliers, "parameters": self.parameters}
         names = {table: list(entries) for table, entries in tables.items()}
@@ -147,9 +146,18 @@ def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
 
     Raises:
         InputError: a file is missing or is not what was written.
-    """
-    from ..files.files import read_bytes, read_text
 
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> problem = tubeopt.Problem()
+        >>> x = problem.variable("x", 1, guess=1.0)
+        >>> problem.minimize((x - 2) ** 2)
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     problem.solve().save(directory)
+        ...     float(tubeopt.load_problem_solution(directory).value("x"))
+        2.0
+    """
     result, arrays = Path(directory) / "result.json", Path(directory) / "arrays.npz"
     text, content = read_text(result), read_bytes(arrays)
     try:

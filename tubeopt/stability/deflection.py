@@ -17,17 +17,25 @@ so that the arm moves by at most F kappa(L) kappa(s) / mu.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError
-from ..robots.assembly import Assembly
 from ..robots.robot import Robot
 from ..typing import Array
 from .certificate import snap_free_certificate
+from .loaded_certificate import Bundle, bundle_of, bundle_of_box, cells_of, largest_eigenvalue
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
+
+BOX, MOST_BOXES, ROUGHLY = 2e-3, 16, 1e-4
+"""Length, m, of the boxes in which a way of translations is taken; most of them; and to what the margin is enclosed,
+from below, in each."""
 
 
 def deflection_bound(
@@ -49,6 +57,12 @@ def deflection_bound(
 
     Raises:
         InputError: as `snap_free_certificate` under a force; a point that is not on the arm.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/crl_ctr.yaml")
+        >>> bool(tubeopt.deflection_bound(robot, [-0.02, 0, 0], max_force=0.001)[0] < 0.3e-3)
+        True
     """
     shift = robot.home_translations if translations is None else np.asarray(translations, dtype=float)
     certificate = snap_free_certificate(robot, shift, max_force=max_force)
@@ -61,28 +75,78 @@ def deflection_bound(
         return np.zeros(len(places))
     if certificate <= 0:
         return np.full(len(places), np.inf)
-    reach = np.array([_reach(assembly, s) for s in places])
-    return max_force * _reach(assembly, length) * reach / certificate
+    bundle = bundle_of(assembly)
+    reach = np.array([_reach(bundle, s) for s in places])
+    return max_force * _reach(bundle, length) * reach / certificate
 
 
-def _reach(assembly: Assembly, s: float) -> float:
+def _reach(bundle: Bundle, s: float) -> float:
     """kappa(s), m / sqrt(J)."""
-    stiffness = (assembly.bending_stiffness * assembly.present).sum(1)
-    slope = np.abs(assembly.bending_stiffness * assembly.curvature * assembly.curved) / stiffness[:, None]
+    slope = bundle.pull / bundle.stiffness[:, None]
     # Up to s, sections from the tip to the plate; m grows by what each adds.
-    begin = np.minimum(assembly.start, s)
-    end = np.minimum(assembly.start + assembly.length, s)
-    ahead = np.zeros(assembly.n_tubes)
+    begin = np.minimum(bundle.start, s)
+    end = np.minimum(bundle.start + bundle.length, s)
+    ahead = np.zeros(len(bundle.torsional))
     total = 0.0
-    for k in reversed(range(assembly.n_sections)):
+    for k in reversed(range(len(begin))):
         a, b = begin[k], end[k]
         x = (a + b) / 2 + (b - a) / 2 * GAUSS[0]
         inside = ((s - x) ** 2 - (s - b) ** 2) / 2
         moment = ahead + slope[k] * inside[:, None]
-        total += (
-            (b - a)
-            / 2
-            * float(GAUSS[1] @ ((s - x) ** 2 / stiffness[k] + moment**2 @ (1 / assembly.torsional_stiffness)))
-        )
+        each = (s - x) ** 2 / bundle.stiffness[k] + moment**2 @ (1 / bundle.torsional)
+        total += (b - a) / 2 * float(GAUSS[1] @ each)
         ahead = ahead + slope[k] * ((s - a) ** 2 - (s - b) ** 2) / 2
-    return float(np.sqrt(total + assembly.transmission @ (ahead**2 / assembly.torsional_stiffness)))
+    return float(np.sqrt(total + bundle.transmission @ (ahead**2 / bundle.torsional)))
+
+
+@dataclass(frozen=True)
+class ForceBound(Displayed):
+    """What holds for all rotations, on a way of translations, and for all tip forces up to a size that keep their
+    direction.
+
+    Attributes:
+        max_force: N.
+        margin: no stable equilibrium has less; above 0 there is one for every force, and nothing snaps or buckles.
+        deflection: how far any point of the arm at most is from where it is without force, m; infinite where the margin
+            is not above 0.
+    """
+
+    max_force: float
+    margin: float
+    deflection: float
+
+
+def under_any_force(robot: Robot, translations: ArrayLike, max_force: float) -> ForceBound:
+    """What holds on a way of translations (T, n), straight in between, whatever pushes on the tip with up to
+    `max_force`.
+
+    The way is taken in boxes of translations, for each of which one bound holds.
+
+    Raises:
+        InputError: as `snap_free_certificate` under a force.
+    """
+    way = np.atleast_2d(np.asarray(translations, dtype=float))
+    first = snap_free_certificate(robot, way[0], max_force=max_force)
+    if (way == way[0]).all():
+        bundle = bundle_of(robot.assembly(way[0]))
+        return ForceBound(max_force, first, _farthest(bundle, first, max_force))
+    along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way, axis=0)).max(1))])
+    edges = np.linspace(0, along[-1], min(MOST_BOXES, math.ceil(along[-1] / BOX)) + 1)
+    corners = np.stack([np.interp(edges, along, column) for column in way.T], axis=1)
+    found = []
+    for k in range(len(edges) - 1):
+        inside = np.concatenate([corners[k : k + 2], way[(along >= edges[k]) & (along <= edges[k + 1])]])
+        bundle = bundle_of_box(robot, inside.min(0), inside.max(0))
+        margin = 1.0
+        if bundle.total_length:
+            margin -= largest_eigenvalue(cells_of(bundle, max_force, pairs=True), within=ROUGHLY)
+        found.append((margin, _farthest(bundle, margin, max_force)))
+    least, most = np.array(found).T
+    return ForceBound(max_force, float(least.min()), float(most.max()))
+
+
+def _farthest(bundle: Bundle, margin: float, force: float) -> float:
+    """Bound of the deflection of any point, m: that of the tip."""
+    if not force or not bundle.total_length:
+        return 0.0
+    return float(np.inf) if margin <= 0 else force * _reach(bundle, bundle.total_length) ** 2 / margin

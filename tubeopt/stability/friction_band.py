@@ -61,6 +61,14 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
 
     Raises:
         InputError: an equilibrium under load or friction, a friction for another robot, an eccentric robot.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
+        >>> band = tubeopt.friction_band(pose, tubeopt.Friction(torque=0.001))
+        >>> bool(band.tip_radius > 0)
+        True
     """
     robot = equilibrium.robot
     check_rubbing(robot, friction)

@@ -24,7 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..robots.assembly import Assembly
+from ..robots.assembly import Assembly, merge
+from ..robots.robot import Robot
 from ..typing import Array
 
 CELLS = 96
@@ -32,6 +33,66 @@ CELLS = 96
 
 ENCLOSED = 1e-10
 """Relative width to which the eigenvalue is enclosed, from above."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """What the bounds take of an arm of n tubes in m sections, plate to tip.
+
+    start, length (m,), m.   stiffness (m,): K, N m^2.   pull (m, n): |a_i|, N m.   torsional (n,): kt, N m^2.
+    transmission (n,): length from where tubes are held to the plate, m.
+    """
+
+    start: Array
+    length: Array
+    stiffness: Array
+    pull: Array
+    torsional: Array
+    transmission: Array
+
+    @property
+    def total_length(self) -> float:
+        """Length of the arm, m."""
+        return float(self.start[-1] + self.length[-1]) if len(self.start) else 0.0
+
+
+def bundle_of(assembly: Assembly) -> Bundle:
+    """An arm itself."""
+    return Bundle(
+        assembly.start,
+        assembly.length,
+        (assembly.bending_stiffness * assembly.present).sum(1),
+        np.abs(assembly.bending_stiffness * assembly.curvature * assembly.curved),
+        assembly.torsional_stiffness,
+        assembly.transmission,
+    )
+
+
+def bundle_of_box(robot: Robot, low: Array, high: Array) -> Bundle:
+    """No stiffer than the arm at any translations between `low` and `high` (n,): its bounds hold for all of them.
+
+    A tube counts as curved where it may be, as stiff in bending only where it surely is, its transmission as long and
+    the arm as long as they may be. Fields Y, phi, r of an arm between, with Y constant and r 0 beyond its ends, have no
+    larger T there and no smaller N.
+    """
+    near, far = robot.assembly(low), robot.assembly(high)
+    kb, ends = near.bending_stiffness, np.maximum(np.stack([near.end, far.end]), 0.0)
+    transition = np.maximum(np.stack([near.transition, far.transition]), 0.0)
+    cuts = merge(np.concatenate([[0.0], ends.ravel(), transition.ravel()]))
+    start, length = cuts[:-1], np.diff(cuts)
+    s = (start + length / 2)[:, None]
+    surely, maybe = s < ends.min(0), s < ends.max(0)
+    # Beyond the last end that is sure, some tube is there wherever there is an arm.
+    least = np.where(maybe, kb, np.inf).min(1)
+    curved = maybe & (s > transition.min(0))
+    return Bundle(
+        start,
+        length,
+        np.maximum((kb * surely).sum(1), least),
+        np.abs(kb * near.curvature) * curved,
+        near.torsional_stiffness,
+        np.maximum(near.transmission, far.transmission),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,36 +122,36 @@ def loaded_worst_case(assembly: Assembly, unloaded: float, force: float) -> floa
     """
     if not force or not assembly.total_length:
         return unloaded
-    apart = unloaded - largest_eigenvalue(cells_of(assembly, force, pairs=False))
-    together = 1 - largest_eigenvalue(cells_of(assembly, force, pairs=True))
+    bundle = bundle_of(assembly)
+    apart = unloaded - largest_eigenvalue(cells_of(bundle, force, pairs=False))
+    together = 1 - largest_eigenvalue(cells_of(bundle, force, pairs=True))
     return min(unloaded, max(apart, together))
 
 
-def cells_of(assembly: Assembly, force: float, *, pairs: bool) -> Cells:
+def cells_of(bundle: Bundle, force: float, *, pairs: bool) -> Cells:
     """Coefficients no smaller than those of an arm; without `pairs` of the part of N by the force alone."""
-    total = assembly.total_length
-    counts = np.maximum(1, np.ceil(CELLS * assembly.length / total)).astype(int)
-    section = np.repeat(np.arange(assembly.n_sections), counts)
-    length = (assembly.length / counts)[section]
-    stiffness = (assembly.bending_stiffness * assembly.present).sum(1)[section]
-    pull = np.abs(assembly.bending_stiffness * assembly.curvature * assembly.curved)[section]
+    total = bundle.total_length
+    counts = np.maximum(1, np.ceil(CELLS * bundle.length / total)).astype(int)
+    section = np.repeat(np.arange(len(bundle.start)), counts)
+    length = (bundle.length / counts)[section]
+    stiffness, pull = bundle.stiffness[section], bundle.pull[section]
     slope = pull / stiffness[:, None]
     # The moment is largest where a cell begins.
     lever = total - (np.cumsum(length) - length)
-    n = assembly.n_tubes
+    n = len(bundle.torsional)
     coupling = np.eye(n) * (force * lever[:, None] * slope)[:, None, :]
     if pairs:
         both = pull[:, :, None] * pull[:, None, :] / stiffness[:, None, None] * (1 - np.eye(n))
         coupling = coupling + both + np.eye(n) * both.sum(2)[:, None, :]
-    return Cells(length, stiffness, slope, coupling, assembly.torsional_stiffness, assembly.transmission, force)
+    return Cells(length, stiffness, slope, coupling, bundle.torsional, bundle.transmission, force)
 
 
-def largest_eigenvalue(cells: Cells) -> float:
-    """An upper bound, within ENCLOSED, of the largest eigenvalue of N relative to T."""
+def largest_eigenvalue(cells: Cells, *, within: float = ENCLOSED) -> float:
+    """An upper bound, to a relative width, of the largest eigenvalue of N relative to T."""
     low, high = 0.0, 1.0
     while not positive(cells, high):
         low, high = high, 4 * high
-    while high - low > ENCLOSED * max(1.0, high):
+    while high - low > within * max(1.0, high):
         middle = (low + high) / 2
         if positive(cells, middle):
             high = middle

@@ -7,7 +7,7 @@ section 10.3), added one by one and then exchanged while that gains (Fedorov 197
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -117,15 +117,7 @@ def where_to_measure(
     _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
     if lost:
         raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
-    usable = np.ones(len(data), dtype=bool)
-    while True:
-        best = _exchange(slopes, len(chosen), count, usable)
-        blocked = [k for k in best if not _reached(robot, alpha[k], shift[k], poses.position[k, 0])]
-        if not blocked:
-            break
-        usable[blocked] = False
-        if usable.sum() < count:
-            raise SolveError(f"fewer than {count} random configurations can be reached from home without a snap")
+    best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), poses)
     scale = np.array([p.scale for p in chosen])
     random = np.random.default_rng(seed + 1)
     others = [
@@ -144,6 +136,25 @@ def where_to_measure(
         random=np.median(others, axis=0) * scale,
         noise=noise,
     )
+
+
+def _reachable(
+    choose: Callable[[Mask], list[int]], robot: Robot, joints: tuple[Array, Array], poses: Poses
+) -> list[int]:
+    """The best of those configurations that are reached from home without a snap.
+
+    Raises:
+        SolveError: too few are.
+    """
+    (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
+    while True:
+        best = choose(usable)
+        blocked = [k for k in best if not _reached(robot, alpha[k], shift[k], poses.position[k, 0])]
+        if not blocked:
+            return best
+        usable[blocked] = False
+        if usable.sum() < len(best):
+            raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
 
 
 def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Poses]:

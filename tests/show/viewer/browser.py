@@ -6,6 +6,7 @@ import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,12 @@ class Tab:
         self.page.wait_for_function(
             "([box, value]) => box.value === value", arg=[self.box(label).element_handle(), value]
         )
+
+    def upload(self, label: str, path: Path) -> None:
+        """Give a file to a button that loads one."""
+        with self.page.expect_file_chooser() as waiting:
+            self.press(label)
+        waiting.value.set_files(path)
 
     def download(self, label: str) -> bytes:
         """What a button saves."""

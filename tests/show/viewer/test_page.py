@@ -61,6 +61,21 @@ def test_turned_past_the_fold_and_back_the_robot_snaps_at_two_places(tab: Tab) -
     tab.wait_for_tip(tip(0, 0, 0))
 
 
+def test_another_robot_stands_beside_and_obstacles_are_loaded(tab: Tab) -> None:
+    """The other robot snaps where it does alone; one of another number of tubes is refused, and the first one stays."""
+    assert tab.page.title() == "thesis CTR, tubeopt"
+    tab.tab("Layers")
+    tab.upload("Put another robot beside (YAML)", CONFIGS / "example_equal_ends.yaml")
+    tab.wait_for("message", "example_equal_ends.yaml: stands beside, at the same joint values")
+    tab.upload("Put another robot beside (YAML)", CONFIGS / "two_tube.yaml")
+    tab.wait_for("message", "two tubes has 2 tubes; it must have 3")
+    tab.upload("Load obstacles (YAML)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
+    tab.wait_for("message", "two_bodies.yaml: obstacles, 2, of which the tip keeps clear when it is led")
+    tab.tab("Joints")
+    tab.type("rotation of tube 1", 90)
+    tab.wait_for_tip(tip(90, 0, 0))
+
+
 def test_exact_values_and_what_is_refused(tab: Tab) -> None:
     """Number boxes act at their button; a bad number is refused in a sentence, and the robot stays."""
     tab.page.get_by_text("Exact values").click()

@@ -84,7 +84,7 @@ def chain_of(tubes: tuple[Tube, ...]) -> Chain:
             own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
             parts = [(0.0, (0.0, 0.0, 0.0), *own), *parts]
         for number, (length, (x, y, z), bending, torsional) in enumerate(parts):
-            size, (a, b) = _bend((x, y), length)
+            size, (a, b) = bend_of((x, y), length)
             quantities: tuple[Quantity, ...] = (bending, torsional, a, b, z)
             breaks = breaks_of(quantities, length) if length else np.zeros(2)
             columns = [on_panels(q, breaks) for q in quantities]
@@ -114,7 +114,7 @@ def chain_of(tubes: tuple[Tube, ...]) -> Chain:
     )
 
 
-def _bend(own: tuple[Quantity, Quantity], length: float) -> tuple[float, tuple[Quantity, Quantity]]:
+def bend_of(own: tuple[Quantity, Quantity], length: float) -> tuple[float, tuple[Quantity, Quantity]]:
     """Largest bend of a piece, signed where it is about x, and the bend over it; that of a straight one is about x."""
     x, y = own
     if not isinstance(x, Series) and not isinstance(y, Series):

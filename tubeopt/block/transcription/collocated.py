@@ -22,7 +22,6 @@ import numpy as np
 
 from ...physics.shape import GAUSS_POINTS, magnus_quaternion
 from ...physics.torsion import CrossSection, bent_anyhow, cross_section, section_functions
-from ...typing import Array
 from .panel import Local, local, width
 from .tableau import Tableau, tableau
 
@@ -176,13 +175,6 @@ def torsion_of(piece: Piece) -> Torsion:
     return Torsion(piece, twist, gain, slope - twist, defect, end)
 
 
-def untwisting(piece: Piece) -> Torsion:
-    """The torsion of a piece on which no tube feels a moment: linear; its rotations inside are no unknowns."""
-    n, count = piece.grid.n_tubes, piece.grid.degree
-    zero, twist = ca.SX.zeros(n, count), ca.repmat(piece.twist, 1, count)
-    return Torsion(piece, twist, zero, zero, zero, (piece.theta + piece.length * piece.twist, piece.twist))
-
-
 def energy_of(torsion: Torsion) -> Any:
     """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending, g c w^2 = w (w + (g c - 1) w)."""
     piece, t = torsion.piece, torsion.piece.grid.tableau
@@ -251,16 +243,3 @@ def _at_points(matrices: Any, columns: Any) -> Any:
     """(n, K) products of matrices (n, n K), side by side, with columns (n, K)."""
     n = columns.shape[0]
     return ca.horzcat(*(matrices[:, k * n : (k + 1) * n] @ columns[:, k] for k in range(columns.shape[1])))
-
-
-def quaternion_of(frame: Array) -> Array:
-    """(4,) unit quaternion, scalar first, of a rotation (3, 3)."""
-    trace = np.array([1 + np.trace(frame), *(1 + 2 * np.diag(frame) - np.trace(frame))])
-    k = int(np.argmax(trace))
-    skew = np.array([frame[2, 1] - frame[1, 2], frame[0, 2] - frame[2, 0], frame[1, 0] - frame[0, 1]])
-    if k == 0:
-        q = np.concatenate([trace[:1], skew])
-    else:
-        q = np.concatenate([skew[k - 1 : k], frame[k - 1] + frame[:, k - 1]])
-        q[k] = trace[k]
-    return np.asarray(q / np.linalg.norm(q))

@@ -25,9 +25,10 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
+from ...physics.certificate import bend_rate_function
 from ...robots.assembly import Assembly, without_offsets
 from ...typing import Array, Index, Mask
-from .buffered import section_function
+from .buffered import mapped, section_function
 from .green import Compliant, compliant, green_of, green_of_pieces, integrals, point_places
 from .mesh import Mesh
 from .offset_blocks import Block, make_blocks
@@ -262,10 +263,10 @@ def _stretch_terms(
 
 
 def pull_rate(problem: ReducedProblem) -> Array:
-    """(P,) sum of |m_i| over sum of kb_i on each piece: how much curvature a turn of the tubes can change, 1/m."""
+    """(P,) how much curvature a turn of all tubes can change on each piece, 1/m; see `bend_rate_function`."""
     if problem.here is None:
-        stiffness = np.maximum(problem.piece_stiffness.sum(1), 1e-300)
-        return np.asarray(np.abs(problem.piece_moment).sum(1) / stiffness)
+        count, n = problem.piece_moment.shape
+        return np.asarray(mapped(bend_rate_function(n), count)(problem.piece_stiffness, problem.piece_moment)[0].sum(1))
     here = problem.here.sections
     each = here.moment.sum(1) / np.maximum(here.stiffness.sum(1), 1e-300)
     return np.asarray(each.reshape(len(problem.mesh.length), problem.mesh.tableau.degree).max(1, initial=0.0))

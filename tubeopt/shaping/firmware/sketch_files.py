@@ -17,13 +17,16 @@ from ...typing import Array
 from ..heating.counts import full_current
 from ..heating.feedback import Feedback
 from ..heating.law import HeatingLaw
+from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS
 from ..heating.robust import at_charge
 from .boards import CONVERSION_MS, Wiring
 
 NAME = "tube_heater"
-SOURCES = ("heater.h", "heater.cpp", "hardware.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino")
+SOURCES = (
+    "heater.h", "heater.cpp", "hardware.h", "converter.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino",
+)  # fmt: skip
 HOST = "host.cpp"
 """The board in place of a board, for tests on a computer."""
 
@@ -70,41 +73,12 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
     Raises:
         InputError: the slot is not a whole number of milliseconds.
     """
-    law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
+    law = tabled(feedback.law)
     slot = round(1000 * law.slot)
     if abs(slot - 1000 * law.slot) > 1e-9:
         raise InputError(f"slot is {law.slot:g} s; for a microcontroller it must be a whole number of milliseconds")
     ticks = next(n for n in range(math.ceil(law.slot / TICK), slot + 1) if slot % n == 0)
-    first, _ = law.hold
-    full = full_current(plan.tube, rig)
-    sagging = rig.battery.internal_resistance + rig.battery.sag_resistance
-    lowest = rig.battery.open_circuit[0][1] - sagging * full
-    numbers: dict[str, str] = {
-        "SLOTS": f"{len(law.planned)}u",
-        "HOLD_FIRST": f"{first}u",
-        "SLOT_MS": f"{slot}u",
-        "TICKS_PER_SLOT": f"{ticks}u",
-        "TICK_MS": f"{slot // ticks}u",
-        "TABLES": f"{len(tables)}u",
-        "PROPORTIONAL": _float(law.proportional),
-        "INTEGRAL": _float(law.integral),
-        "SHARE": _float(law.share),
-        "HOLDBACK": _float(law.holdback),
-        "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
-        "LONGEST_MS": f"{round(1000 * law.longest)}ul",
-        "LOST": _float(law.lost),
-        "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
-        "LOWEST_READING": _float(sensor.lowest),
-        "HIGHEST_READING": _float(sensor.highest),
-        "START_BELOW": "80.0f",
-        "STUCK_WITHIN": _float(max(0.5 * sensor.quantum, 0.02)),
-        "STUCK_HEATING_MS": "3000ul",
-        "STUCK_HOLDING_MS": "20000ul",
-        "MOST_AMPERE": _float(rig.circuit.peak_limit),
-        "LEAST_AMPERE": _float(0.3 * full),
-        "LEAKING_AMPERE": "4.0f",
-        "LOWEST_VOLT": _float(lowest),
-    }
+    numbers = _numbers(plan, feedback, slot, ticks, len(tables))
     body = "".join(_rows(f"PLANNED_{k}", np.round(planned * CENTS)) for k, (_, planned) in enumerate(tables))
     body += _rows("REFERENCE", np.round((law.reference - COLDEST) * TENTHS))
     volts = ", ".join(f"{volt:.3f}f" for volt, _ in tables)
@@ -142,6 +116,41 @@ static inline float reference_at(uint16_t k) {{
 
 #endif
 """
+
+
+def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, tables: int) -> dict[str, str]:
+    """What schedule.h defines: the law, and where it must stop."""
+    law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
+    first, _ = law.hold
+    full = full_current(plan.tube, rig)
+    sagging = rig.battery.internal_resistance + rig.battery.sag_resistance
+    lowest = rig.battery.open_circuit[0][1] - sagging * full
+    return {
+        "SLOTS": f"{len(law.planned)}u",
+        "HOLD_FIRST": f"{first}u",
+        "SLOT_MS": f"{slot}u",
+        "TICKS_PER_SLOT": f"{ticks}u",
+        "TICK_MS": f"{slot // ticks}u",
+        "TABLES": f"{tables}u",
+        "PROPORTIONAL": _float(law.proportional),
+        "INTEGRAL": _float(law.integral),
+        "SHARE": _float(law.share),
+        "HOLDBACK": _float(law.holdback),
+        "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
+        "LONGEST_MS": f"{round(1000 * law.longest)}ul",
+        "LOST": _float(law.lost),
+        "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
+        "LOWEST_READING": _float(sensor.lowest),
+        "HIGHEST_READING": _float(sensor.highest),
+        "START_BELOW": "80.0f",
+        "STUCK_WITHIN": _float(max(0.5 * sensor.quantum, 0.02)),
+        "STUCK_HEATING_MS": "3000ul",
+        "STUCK_HOLDING_MS": "20000ul",
+        "MOST_AMPERE": _float(rig.circuit.peak_limit),
+        "LEAST_AMPERE": _float(0.3 * full),
+        "LEAKING_AMPERE": "4.0f",
+        "LOWEST_VOLT": _float(lowest),
+    }
 
 
 def board_header(wiring: Wiring, frequency: float) -> str:
@@ -182,7 +191,7 @@ def schedules(plan: HeatingPlan, feedback: Feedback, charges: Sequence[float] = 
     found = [(plan.rig.battery.voltage, law.planned)]
     for charge in sorted({c for c in charges if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
         other = at_charge(plan, charge)
-        found.append((other.rig.battery.voltage, np.maximum(other.ideal_duty[: len(law.planned)] - lost, 0.0)))
+        found.append((other.rig.battery.voltage, np.maximum(prolonged(other, len(law.planned)) - lost, 0.0)))
     return found
 
 

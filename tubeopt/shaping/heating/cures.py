@@ -110,8 +110,10 @@ def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> tup
     words, rig, asked = change
     part = asked.slot / spec.slot
     low, high = best.reserve
+    # Another material is farther from the answer than a new start is.
+    guess = best.ideal if rig.mold.material == best.ideal.rig.mold.material else None
     try:
-        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift)
+        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=best.shift, guess=guess)
     except SolveError:
         return None
     mold, clamps = answer.rig.mold, answer.rig.clamps

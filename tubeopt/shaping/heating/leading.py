@@ -26,6 +26,9 @@ SHARES = (0.002, 0.005, 0.01, 0.02, 0.04)
 SHIFTS = np.linspace(-15.0, 15.0, 121)
 """Set-points that are looked at, K from the plan's."""
 
+INSIDE = 0.25
+"""Part of the window's width by which the coldest point of the plan is inside where the law's hold begins."""
+
 TUNING = 48
 """Rigs on which gains and set-point are chosen; others tell how well they do."""
 
@@ -78,28 +81,43 @@ def fleet_of(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, samples: i
 
 
 def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
-    """The plan's schedule and what the sensor should read of it, not yet corrected."""
-    slot, first = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
-    last = first + plan.spec.hold_slots
+    """The plan's schedule and what the sensor should read of it, not yet corrected.
+
+    The soonest hold begins where the coldest point has just reached the window, which another rig's has not: the law's
+    begins once it is `INSIDE`, or, where the plan never gets there, when the plan's does; the last duty goes on for as
+    long as it began later.
+    """
+    slot, planned = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
+    low, high = plan.spec.window_degC
+    coldest = plan.temperature[planned : planned + plan.spec.hold_slots // 2][:, plan.curved].min(1)
+    well = coldest >= low + INSIDE * (high - low)
+    later = int(np.argmax(well)) if well.any() else 0
+    last = planned + plan.spec.hold_slots
     model = thermal_model(plan.tube, plan.rig, FINE)
     lost = COUNTS * plan.rig.circuit.lost_share
-    commanded = plan.ideal_duty[:last]
+    commanded = prolonged(plan, last + later)
     return HeatingLaw(
         slot=slot,
         planned=np.maximum(commanded - lost, 0.0),
-        reference=readings(model, sensor, slot, commanded / COUNTS)[:last, 0],
-        hold=(first, last),
+        reference=readings(model, sensor, slot, commanded / COUNTS)[: last + later, 0],
+        hold=(planned + later, last + later),
         proportional=0.0,
         integral=0.0,
         lost=lost,
     )
 
 
+def prolonged(plan: HeatingPlan, slots: int) -> Array:
+    """(slots,) mean counts of a plan's heating and hold, whose last goes on."""
+    last = round(plan.hold_end / plan.spec.slot)
+    return np.append(plan.ideal_duty[:last], np.full(slots - last, plan.ideal_duty[last - 1]))
+
+
 def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -> HeatingLaw:
     """The law with the gains and the set-point that keep most of a fleet in the window, and that by most."""
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
-    found = response(nominal, sensor, law.slot, plan.ideal_duty[: law.hold[1]] / COUNTS, law.hold)
+    found = response(nominal, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
     fleet, _ = fleet_of(plan, sensor, unknown, TUNING, seed)
     best: tuple[float, HeatingLaw] | None = None
     for share in SHARES:

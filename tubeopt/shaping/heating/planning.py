@@ -20,6 +20,7 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import find_cures
+from .haste import soonest
 from .ideal import Ideal, Shift, joined, solve_ideal
 from .leading import lead_by
 from .outcome import Outcome, outcome_of
@@ -60,7 +61,7 @@ class Schedule:
     Attributes:
         ideal, levels: the program's answer, and its mean duties (T,) in every slot. counts: (T,) in their place.
         model: the fine one. exact: what `levels` do to it; checked: what `counts` do, by SciPy's integrator.
-        error: of the mesh, K. shift, reserve: with which `ideal` was found.
+        error: of the mesh, K. shift, reserve: with which `ideal` was found. start: of the hold, s.
     """
 
     ideal: Ideal
@@ -73,6 +74,7 @@ class Schedule:
     outcome: Outcome
     shift: Shift | None
     reserve: tuple[float, float]
+    start: float
 
     @property
     def kept(self) -> bool:
@@ -102,7 +104,7 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
     cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    start, iterations = hold_start(found.ideal, spec), found.ideal.iterations
+    start, iterations = found.start, found.ideal.iterations
     computed = Computed(
         found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
     )
@@ -116,15 +118,46 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         # Nothing is farther from the window's ends than what does not fall behind.
         return _corrected(tube, rig, spec, ROOMS[-1])
     found = _corrected(tube, rig, spec, ROOMS[0])
+    if spec.objective == "time":
+        sooner = _hastened(tube, spec, found)
+        if sooner is not None:
+            return sooner
     if found.kept or not _behind(found, spec):
         return found
     other = _corrected(tube, rig, spec, ROOMS[1])
     return other if other.outcome.shortfall < found.outcome.shortfall else found
 
 
+def _hastened(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule | None:
+    """The soonest schedule of whole counts on the rig that was chosen; None where it keeps less or is no sooner."""
+    model, rig = found.model, found.ideal.rig
+    if found.outcome.shortfall > HOPELESS:
+        return None
+    answer = soonest(model, spec, rig, found.error + LEAST_RESERVE)
+    if answer is None or (found.kept and answer[-1] >= found.start):
+        return None
+    cooling = np.zeros(math.ceil(COOLING / spec.slot))
+    counts = np.concatenate([answer[0], cooling.astype(np.int64)])
+    levels = np.concatenate([answer[1], cooling])
+    exact, checked = simulate(model, spec.slot, levels), resimulate(model, spec.slot, counts / COUNTS)
+    error = mesh_error(thermal_model(tube, rig, COARSE), spec, levels, exact)
+    outcome = outcome_of(model, rig, spec, checked, answer[-1], error)
+    sooner = replace(
+        found,
+        levels=levels,
+        counts=counts,
+        exact=exact,
+        checked=checked,
+        error=error,
+        outcome=outcome,
+        start=answer[-1],
+    )
+    return sooner if sooner.kept else None
+
+
 def _behind(found: Schedule, spec: HeatingSpec) -> bool:
     """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
-    start = round(hold_start(found.ideal, spec) / spec.slot)
+    start = round(found.start / spec.slot)
     lag = joined(found.model, found.exact.tube[start, 0] - found.checked.tube[start, 0])
     return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
 
@@ -152,7 +185,7 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
     assert found is not None
     if found.outcome.hottest + error > spec.limit:
         counts, checked = trimmed(found.model, spec, found.ideal.rig, found.levels, error)
-        outcome = outcome_of(found.model, found.ideal.rig, spec, checked, hold_start(found.ideal, spec), error)
+        outcome = outcome_of(found.model, found.ideal.rig, spec, checked, found.start, error)
         found = replace(found, counts=counts, checked=checked, outcome=outcome)
     return found
 
@@ -176,8 +209,9 @@ def _schedule(
     exact = simulate(model, spec.slot, levels)
     checked = resimulate(model, spec.slot, counts / COUNTS)
     error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
-    outcome = outcome_of(model, ideal.rig, spec, checked, hold_start(ideal, spec), error)
-    return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve)
+    start = hold_start(ideal, spec)
+    outcome = outcome_of(model, ideal.rig, spec, checked, start, error)
+    return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve, start)
 
 
 def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:

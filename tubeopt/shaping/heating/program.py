@@ -48,6 +48,7 @@ IPOPT: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     # With MUMPS' own choice the inertia is lost to round-off, and every step is tried several times.
     "ipopt.mumps_pivtol": 1e-2,
+    "ipopt.mumps_pivot_order": 5,  # METIS: the pattern is that of a grid, in place and in time.
 }
 FEW = {"ipopt.max_iter": 25}
 """From an earlier answer few steps are enough; where they are not, a new start is better."""

@@ -83,7 +83,8 @@ class History:
         return State(np.concatenate([self.tube[k][..., None], self.walls[k]], axis=-1), self.lumped[k])
 
 
-def _history(model: ThermalModel, slot: float, states: Sequence[State]) -> History:
+def history_of(model: ThermalModel, slot: float, states: Sequence[State]) -> History:
+    """What a simulation tells of its states at the slots' ends."""
     tube = np.array([s.cells[:, :, 0] for s in states])
     now = [current(model, s.cells[:, :, 0], s.lumped) for s in states]
     return History(
@@ -107,18 +108,29 @@ class _Factor:
     that it couples."""
 
     def __init__(self, model: ThermalModel, cells: Array, h: float) -> None:
-        self._at, self._h = cells, h
-        self.heat, own, inward, along = linearised(model, cells)
-        b, n, m = cells.shape
-        band = np.zeros((b, m + 1, n * m))
-        band[:, 0] = (self.heat - GAMMA * h * own).reshape(b, -1)
-        band[:, 1] = (-GAMMA * h * inward).reshape(b, -1)
-        band[:, m, : (n - 1) * m] = (-GAMMA * h * along).reshape(b, -1)
-        self._factors = [dpbtrf(one, lower=1)[0] for one in band]
+        self._at, self._h = np.full_like(cells, np.inf), h
+        self.heat = np.empty_like(cells)
+        self._factors: list[Array] = [np.empty(0)] * len(cells)
+        self.renew(model, cells)
 
-    def serves(self, cells: Array, h: float) -> bool:
-        """Whether these factors are near enough to those at `cells` for steps of `h`."""
-        return h == self._h and bool(np.abs(cells - self._at).max() < REUSED)
+    def serves(self, h: float) -> bool:
+        """Whether these are factors for steps of `h`."""
+        return h == self._h
+
+    def renew(self, model: ThermalModel, cells: Array) -> None:
+        """Factor anew what belongs to members whose temperatures (B, n, m) have left those of their factors."""
+        stale = np.flatnonzero(~(np.abs(cells - self._at).max((1, 2)) < REUSED))
+        if not len(stale):
+            return
+        heat, own, inward, along = linearised(model, cells)
+        n, m = cells.shape[1:]
+        for b in stale:
+            band = np.zeros((m + 1, n * m))
+            band[0] = (heat[b] - GAMMA * self._h * own[b]).ravel()
+            band[1] = (-GAMMA * self._h * inward[b]).ravel()
+            band[m, : (n - 1) * m] = (-GAMMA * self._h * along[b]).ravel()
+            self._factors[b] = dpbtrf(band, lower=1)[0]
+        self._at[stale], self.heat[stale] = cells[stale], heat[stale]
 
     def solve(self, rate: Array) -> Array:
         """The stage for the right-hand side `rate` (B, n, m)."""
@@ -156,7 +168,7 @@ def simulate(
         steps: in every slot; by default as many as `STEP` asks for, at most 3. Without it, slots far shorter than that
             are stepped over together where their duties hardly differ.
     """
-    return _history(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
+    return history_of(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
 
 
 def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> list[State]:
@@ -168,8 +180,9 @@ def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps:
     for first, last in _windows(levels, slot, together):
         state, part = states[-1], levels[first:last]
         h, mean = slot * (last - first) / count, part.mean(0)
-        if factor is None or not factor.serves(state.cells, h):
+        if factor is None or not factor.serves(h):
             factor = _Factor(model, state.cells, h)
+        factor.renew(model, state.cells)
         after = _advance(model, state, mean, h, count, factor)
         states += [*_between(model, state, after, slot * np.cumsum(part - mean, 0)[:-1], part), after]
     return states
@@ -208,7 +221,7 @@ def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
     levels = np.asarray(duty, dtype=float)
     looks = math.ceil(slot / LOOK - 1e-9)
     states = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
-    return replace(_history(model, slot, states[::looks]), within=_extremes(model, states, levels, looks))
+    return replace(history_of(model, slot, states[::looks]), within=_extremes(model, states, levels, looks))
 
 
 def _extremes(model: ThermalModel, states: Sequence[State], duty: Array, looks: int) -> Extremes:
@@ -237,7 +250,7 @@ def simulate_feedback(
     for k in range(count):
         duties.append(controller(k * slot, states[-1]))
         states.append(advance(model, states[-1], duties[-1], slot))
-    return _history(model, slot, states), np.array(duties)
+    return history_of(model, slot, states), np.array(duties)
 
 
 def clamp_temperature(history: History) -> Array:

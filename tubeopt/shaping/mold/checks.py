@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from ...errors import InputError
 from ...robots.tubes import Tube
 from ..materials import MoldMaterial
+from .groove import Point
 from .spec import EndMill, MoldSpec
 
 SLACK = 1e-12
 """Lengths (m) and strains are compared with this slack, so that a plate exactly thick enough passes."""
+
+OVERRUN = 1e-3
+"""The cutter's edge clears the plate by this much (m) before it goes down or up."""
+
+HOLDER = 5e-3
+"""Room (m) beside a tool for what holds it, near the plate."""
+
+THROUGH = 0.5e-3
+"""What goes through the plate goes this far (m) into the board beneath."""
 
 
 @dataclass(frozen=True)
@@ -163,3 +173,32 @@ def material_remarks(material: MoldMaterial, spec: MoldSpec) -> tuple[str, ...]:
             "insulating mold"
         )
     return tuple(remarks)
+
+
+def overrun(width: float) -> float:
+    """How far (m) the cutter of a groove goes on beyond the plate's edge, however oblique the groove leaves it."""
+    return 3 * width + OVERRUN
+
+
+def beyond_edge(widths: Sequence[float], spec: MoldSpec) -> float:
+    """How far (m) from the plate's edges clamps of the stock must stay, for grooves of these widths (m)."""
+    outline = spec.workshop.outline_diameter + HOLDER if spec.workshop.cut_out else 0.0
+    return max([outline, *(overrun(width) + 0.5 * width + HOLDER for width in widths)])
+
+
+def machining_remarks(size: Point, widths: Sequence[float], spec: MoldSpec) -> tuple[str, ...]:
+    """What the stock or the end mill of the outline does not allow, in words."""
+    shop, found = spec.workshop, []
+    if not shop.cut_out:
+        return ()
+    thickness = max(spec.plate.thickness, spec.plate.lid_thickness)
+    if shop.outline_reach < thickness + THROUGH:
+        found.append(
+            f"the end mill that cuts plates out reaches {shop.outline_reach * 1e3:g} mm deep, the plate is "
+            f"{thickness * 1e3:g} mm thick: take a longer one, or stock in the plates' size (cut_out: false)"
+        )
+    need = [side + 2 * beyond_edge(widths, spec) for side in size]
+    if shop.stock is not None and any(s < n for s, n in zip(shop.stock, need, strict=True)):
+        asked, there = (" x ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (need, shop.stock))
+        found.append(f"the stock is {there} mm; with room for tools and clamps it must be {asked} mm")
+    return tuple(found)

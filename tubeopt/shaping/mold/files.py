@@ -12,7 +12,7 @@ from .svg import write_svg
 
 
 def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
-    """Write base and lid as DXF, SVG and STL and the G-code of the grooves; return the paths.
+    """Write base and lid as DXF, SVG and STL and their G-code; return the paths.
 
     Raises:
         InputError: a file cannot be written, or ezdxf, manifold3d or trimesh is not installed.
@@ -24,4 +24,4 @@ def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
         paths.append(write_dxf(mold, out / f"{part}.dxf", part=part))
         paths.append(write_svg(mold, out / f"{part}.svg", part=part))
         paths.append(write_stl(mold, out / f"{part}.stl", part=part))
-    return [*paths, write_gcode(mold, out / "grooves.nc")]
+    return [*paths, *write_gcode(mold, out)]

@@ -1,103 +1,294 @@
-"""The grooves of a mold as G-code (mm, absolute, mm/min), parsed again and compared with the centrelines.
+"""The plates of a mold as G-code (mm, absolute, mm/min): grooves, holes, and the outline with tabs.
 
-Zero of the workpiece is the lower left corner of the base plate, z = 0 its upper face. The cutter enters and leaves
-beyond the plate's edge, so that it never plunges into material.
+Zero of the workpiece is the lower left corner of the plate, z = 0 its upper face. End mills of grooves enter and leave
+beyond the plate's edge. Nothing moves at rapid speed below the upper face: tools are drawn out at their feed.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from os import PathLike
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError, SolveError
+from ...errors import SolveError, choice
 from ...files.files import write_text
 from ...files.units import TO_MM
-from .groove import Arc, Centreline, Line, Piece
+from .checks import THROUGH, beyond_edge
+from .drawing import PARTS
+from .gcode_reader import TOLERANCE, Relief, cutter_ways, hazards, machining_time, milled, toolpath_deviation
+from .groove import Line, Piece, Point
+from .holes import Hole
 from .mold import Groove, Mold
+from .spec import WORK_OFFSETS
 
 PER_MINUTE = 60.0
-OVERRUN = 1e-3
-"""The cutter's edge clears the plate by this much (m) before it goes down or up."""
+NEAR = 1e-3
+"""Height (m) above the plate down to which tools move at rapid speed."""
 
-TOLERANCE = 1e-5
-"""Greatest distance (m) of the cutter's way from where it is meant to be."""
+POINT = 0.3
+"""Length of a drill's point (118 deg) in diameters."""
 
-WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+PROBING = 1.0
+"""Feed (mm/s) towards a touch plate."""
+
+CANNED = ("linuxcnc", "mach")
+"""Dialects that know the drill cycle G83."""
 
 
 @dataclass(frozen=True)
-class Cut:
-    """A move that cuts: a piece in the plane (m), the cutter's depth z (m) and the feed (m/s)."""
+class Stage:
+    """What one tool does to a plate.   tool: in words.   diameter: m.   spindle: 1/s.   lines: of the program."""
 
-    piece: Piece
-    z: float
-    feed: float
+    tool: str
+    diameter: float
+    spindle: float
+    lines: tuple[str, ...]
 
 
-def write_gcode(mold: Mold, path: str | PathLike[str]) -> Path:
-    """Write the G-code of all grooves, whole or not at all, and return the path.
+def write_gcode(mold: Mold, directory: Path) -> list[Path]:
+    """Write the programs of both plates, and return their paths.
 
     Raises:
-        InputError: the file cannot be written.
-        SolveError: the moves, parsed again, leave their way by more than 10 um, or do not reach the depth.
+        InputError: a file cannot be written.
+        SolveError: read again, a cutter leaves its way by more than 10 um, or moves where it must not.
     """
-    text = gcode(mold)
-    deviation = toolpath_deviation(mold, text)
+    written = []
+    for part in PARTS:
+        for name, text in programs(mold, part).items():
+            path = directory / name
+            wrong = hazards(text)
+            if wrong:
+                raise SolveError(f"{path}: {wrong[0]}")
+            written.append((path, text))
+    deviation = toolpath_deviation(mold, groove_gcode(mold))
     if deviation > TOLERANCE:
-        raise SolveError(f"{path}: the cutter's way lies {deviation * 1e6:.3g} um from the groove's")
-    write_text(path, text)
-    return Path(path)
+        raise SolveError(f"{directory}: a cutter's way lies {deviation * 1e6:.3g} um from its groove's")
+    for path, text in written:
+        write_text(path, text)
+    return [path for path, _ in written]
 
 
-def gcode(mold: Mold) -> str:
-    """The program: a block of passes per groove, deepest last, with a stop for each change of the end mill."""
-    milling = mold.spec.milling
-    lines = [
-        f"(grooves of {len(mold.grooves)} tubes in {mold.spec.material.name})",
-        "(zero: lower left corner, upper face of the base plate)",
-        "G21 G90 G17 G40 G94",
-    ]
-    cutter = None
-    for groove in sorted(mold.grooves, key=lambda groove: (groove.mill.diameter, groove.number)):
-        if groove.mill != cutter:
-            cutter = groove.mill
-            lines += [f"G0 Z{_mm(milling.safe_height)}", "M5", f"M0 (end mill {cutter.diameter * TO_MM:g} mm)"]
-            lines += [f"M3 S{milling.spindle * PER_MINUTE:.0f}"]
-        lines.append(f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})")
-        lines += _passes(groove, mold)
-    return "\n".join([*lines, f"G0 Z{_mm(milling.safe_height)}", "M5", "M30", ""])
+@dataclass(frozen=True)
+class Program:
+    """A program: its file, the plate, the tool that it begins with, and how long its moves take, s."""
+
+    file: str
+    part: str
+    tool: str
+    time: float
 
 
-def pass_depths(groove: Groove, mold: Mold) -> tuple[float, ...]:
-    """Depths (m) of the passes, equal steps, none greater than the step down."""
-    count = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
-    return tuple(groove.depth * (k + 1) / count for k in range(count))
+def programs_of(mold: Mold) -> list[Program]:
+    """The programs of both plates."""
+    found = []
+    for part in PARTS:
+        stages = stages_of(mold, part)
+        for (name, text), stage in zip(programs(mold, part).items(), stages, strict=False):
+            found.append(Program(name, part, stage.tool, machining_time(text)))
+    return found
 
 
-def cutter_ways(groove: Groove) -> tuple[Centreline, ...]:
-    """The ways of the cutter in one pass (m), with the overrun beyond the plate's edge."""
-    # An oblique exit: the cutter clears the edge only when the whole groove has left the plate.
-    beyond = 3 * groove.width + OVERRUN
-    return tuple(groove.centreline.offset(offset).lengthened(beyond) for offset in groove.cutter_offsets)
+def clear_room(mold: Mold) -> float:
+    """How far (m) from the plates' edges clamps of their stock must stay."""
+    return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
+
+
+def as_milled(mold: Mold, part: str) -> Relief:
+    """A plate as its programs leave it."""
+    return milled(mold.size, [("\n".join(stage.lines), stage.diameter) for stage in stages_of(mold, part)])
+
+
+def programs(mold: Mold, part: str) -> dict[str, str]:
+    """The programs of a plate by the names of their files: one, or one for each tool where there is no touch plate.
+
+    Raises:
+        InputError: no such part.
+    """
+    stages = stages_of(mold, part)
+    if mold.spec.workshop.touch_plate is not None:
+        return {f"{part}.nc": _program(mold, part, stages)}
+    return {f"{part}_{k}.nc": _program(mold, part, [stage]) for k, stage in enumerate(stages, start=1)}
+
+
+def stages_of(mold: Mold, part: str) -> list[Stage]:
+    """What the tools do to a plate, one after the other; what cuts it out comes last."""
+    choice("part", part, PARTS)
+    plate, shop = mold.spec.plate, mold.spec.workshop
+    base = part == "base"
+    thickness = plate.thickness if base else plate.lid_thickness
+    stages = groove_stages(mold) if base else []
+    holes = mold.holes if base else (*mold.vents, *mold.holes)
+    for diameter in sorted({hole.diameter for hole in holes}):
+        some = [hole for hole in holes if hole.diameter == diameter]
+        lines = tuple(_drilled(some, thickness, mold))
+        stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
+    if shop.cut_out:
+        cutter = shop.outline_diameter
+        lines = tuple(_outline(mold.size, thickness, mold))
+        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, mold.spec.milling.spindle, lines))
+    return stages
+
+
+def groove_stages(mold: Mold) -> list[Stage]:
+    """A stage for every end mill of the grooves."""
+    stages = []
+    for mill in sorted({groove.mill for groove in mold.grooves}, key=lambda mill: mill.diameter):
+        some = sorted((g for g in mold.grooves if g.mill == mill), key=lambda g: g.number)
+        lines = tuple(line for groove in some for line in _passes(groove, mold))
+        stages.append(Stage(f"end mill {mill.diameter * TO_MM:g} mm", mill.diameter, mold.spec.milling.spindle, lines))
+    return stages
+
+
+def groove_gcode(mold: Mold) -> str:
+    """The moves of all grooves."""
+    return "\n".join(line for stage in groove_stages(mold) for line in stage.lines)
+
+
+# --- what the tools do ------------------------------------------------------------------------------------------------
+
+
+def pass_depths(depth: float, step: float) -> tuple[float, ...]:
+    """Depths (m) of the passes, equal steps, none greater than `step`."""
+    count = math.ceil(depth / step - 1e-9)
+    return tuple(depth * (k + 1) / count for k in range(count))
 
 
 def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
     milling = mold.spec.milling
-    for depth in pass_depths(groove, mold):
+    yield f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})"
+    for depth in pass_depths(groove.depth, milling.step_down):
         for way in cutter_ways(groove):
-            x, y = way.lead_in.start
-            yield f"G0 Z{_mm(milling.safe_height)}"
-            yield f"G0 X{_mm(x)} Y{_mm(y)}"
-            yield f"G1 Z{_mm(-depth)} F{milling.plunge_feed * TO_MM * PER_MINUTE:.1f}"
+            yield from _down(way.lead_in.start, depth, mold)
             for k, piece in enumerate(way.pieces):
-                yield _move(piece) + (f" F{milling.feed * TO_MM * PER_MINUTE:.1f}" if k == 0 else "")
-    yield f"G0 Z{_mm(milling.safe_height)}"
+                yield _move(piece) + (_feed(milling.feed) if k == 0 else "")
+            yield from _up(mold)
+
+
+def _drilled(holes: Sequence[Hole], thickness: float, mold: Mold) -> Iterator[str]:
+    shop, milling = mold.spec.workshop, mold.spec.milling
+    for purpose in dict.fromkeys(hole.purpose for hole in holes):
+        yield f"({purpose}s)"
+        some = [hole for hole in holes if hole.purpose == purpose]
+        depth = thickness + THROUGH + POINT * some[0].diameter
+        canned = shop.dialect in CANNED
+        if canned:
+            yield f"G0 Z{_mm(milling.safe_height)}"
+        for k, hole in enumerate(some):
+            x, y = hole.centre
+            if canned:
+                cycle = f"G98 G83 Z{_mm(-depth)} R{_mm(NEAR)} Q{_mm(shop.peck)}{_feed(shop.drill_feed)} "
+                yield f"{cycle if k == 0 else ''}X{_mm(x)} Y{_mm(y)}"
+                continue
+            before = 0.0
+            for goal in pass_depths(depth, shop.peck):
+                yield from _down(hole.centre, before, mold, quick=True) if before else _above(hole.centre, mold)
+                yield f"G1 Z{_mm(-goal)}{_feed(shop.drill_feed)}"
+                yield f"G1 Z{_mm(NEAR)}{_feed(milling.feed)}"
+                before = goal
+        if canned:
+            yield "G80"
+
+
+def _outline(size: Point, thickness: float, mold: Mold) -> Iterator[str]:
+    """Around the plate, clockwise: the cutter's teeth run down into the material."""
+    shop = mold.spec.workshop
+    radius, top = shop.outline_diameter / 2, thickness - shop.tab_height
+    low, (x, y) = -radius, (size[0] + radius, size[1] + radius)
+    corners = [(low, low), (low, y), (x, y), (x, low), (low, low)]
+    for depth in pass_depths(thickness + THROUGH, shop.outline_step):
+        yield from _down(corners[0], depth, mold)
+        for start, end in pairwise(corners):
+            for part in _tabs(start, end, mold) if depth > top else ():
+                yield _move(Line(start, part.start)) + _feed(shop.outline_feed)
+                yield f"G1 Z{_mm(-top)}"
+                yield _move(part)
+                yield f"G1 Z{_mm(-depth)}{_feed(mold.spec.milling.plunge_feed)}"
+            yield _move(Line(start, end)) + _feed(shop.outline_feed)
+        yield from _up(mold)
+
+
+def _tabs(start: Point, end: Point, mold: Mold) -> Iterator[Line]:
+    """Where the cutter is lifted on one side of the outline."""
+    shop, side = mold.spec.workshop, math.dist(start, end)
+    count = max(1, round(side / shop.tab_pitch))
+    half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
+    for k in range(count):
+        middle = (k + 0.5) / count * side
+        first, last = Line(start, end).point(np.array([middle - half, middle + half]))
+        yield Line((float(first[0]), float(first[1])), (float(last[0]), float(last[1])))
+
+
+def _above(place: Point, mold: Mold) -> Iterator[str]:
+    yield f"G0 Z{_mm(mold.spec.milling.safe_height)}"
+    yield f"G0 X{_mm(place[0])} Y{_mm(place[1])}"
+    yield f"G0 Z{_mm(NEAR)}"
+
+
+def _down(place: Point, depth: float, mold: Mold, *, quick: bool = False) -> Iterator[str]:
+    """To a depth (m) at a place; `quick` where that was drilled before, and the drill stands above it."""
+    if not quick:
+        yield from _above(place, mold)
+    milling = mold.spec.milling
+    yield f"G1 Z{_mm(-depth)}{_feed(milling.feed if quick else milling.plunge_feed)}"
+
+
+def _up(mold: Mold) -> Iterator[str]:
+    yield f"G1 Z{_mm(NEAR)}{_feed(mold.spec.milling.feed)}"
+
+
+# --- the program around it --------------------------------------------------------------------------------------------
+
+
+def _program(mold: Mold, part: str, stages: Sequence[Stage]) -> str:
+    shop = mold.spec.workshop
+    high = f"G0 Z{_mm(shop.change_height)}"
+    path = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
+    lines = [
+        f"({part} of a mold, {mold.spec.material.name}, for {shop.dialect})",
+        "(zero: lower left corner and upper face of the plate)",
+        f"(clamps: {math.ceil(clear_room(mold) * TO_MM)} mm and more from the plate)",
+        f"G21 G90 G91.1 G94 G17 G40 G49 G80 {shop.work_offset}",
+        *path,
+    ]
+    for k, stage in enumerate(stages):
+        lines += _changed(mold, stage, k + 1, high)
+        lines += [high, f"M3 S{stage.spindle * PER_MINUTE:.0f}", f"G4 P{shop.spin_up:g}", *stage.lines]
+        lines += [high, "M5"]
+    return "\n".join([*lines, "M30", ""])
+
+
+def _changed(mold: Mold, stage: Stage, number: int, high: str) -> Iterator[str]:
+    """The tool is in the spindle, and Z is set for it."""
+    shop = mold.spec.workshop
+    yield f"(tool {number}: {stage.tool})"
+    if shop.touch_plate is None:
+        yield "(set Z to 0 on the plate's upper face with this tool)"
+        return
+    # The first tool has been set by hand; those that follow find the plate by the touch plate.
+    if number == 1:
+        return
+    # Nothing is cut as near to a corner as that.
+    corner = _mm(0.5 * mold.spec.groove.wall)
+    yield f"G0 X{corner} Y{corner}"
+    yield f"M0 ({stage.tool}, touch plate under it)" if shop.dialect == "grbl" else f"T{number} M6"
+    if shop.dialect != "grbl":
+        yield "M0 (touch plate under the tool)"
+    down = f"Z{_mm(-shop.change_height)} F{PROBING * PER_MINUTE:.0f}"
+    height = _mm(shop.touch_plate)
+    yield f"G31 {down}" if shop.dialect == "mach" else f"G38.2 {down}"
+    yield (
+        f"G92 Z{height}" if shop.dialect == "mach" else f"G10 L20 P{WORK_OFFSETS.index(shop.work_offset) + 1} Z{height}"
+    )
+    yield high
+    yield "M0 (take the touch plate away)"
+
+
+def _feed(feed: float) -> str:
+    return f" F{feed * TO_MM * PER_MINUTE:.1f}"
 
 
 def _move(piece: Piece) -> str:
@@ -106,71 +297,6 @@ def _move(piece: Piece) -> str:
         return f"G1 X{_mm(x)} Y{_mm(y)}"
     i, j = piece.centre[0] - piece.start[0], piece.centre[1] - piece.start[1]
     return f"G{2 if piece.sweep < 0 else 3} X{_mm(x)} Y{_mm(y)} I{_mm(i)} J{_mm(j)}"
-
-
-def read_gcode(text: str) -> tuple[Cut, ...]:
-    """The cutting moves in the plane of a program in mm with absolute coordinates; G0 to G3, arcs with I and J.
-
-    Raises:
-        InputError: a line that is none of these, or an arc whose ends are not on one circle.
-    """
-    x = y = z = feed = 0.0
-    motion = 0
-    cuts: list[Cut] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        bare = re.sub(r"\([^)]*\)", "", line).strip()
-        words = [(letter, float(value)) for letter, value in WORD.findall(bare)]
-        if re.sub(r"\s", "", WORD.sub("", bare)):
-            raise InputError(f"line {number} of the G-code is {line!r}; it must be words of a letter and a number")
-        for letter, value in words:
-            if letter == "G" and value in (0, 1, 2, 3):
-                motion = int(value)
-        given = dict(words)
-        feed = given.get("F", feed * TO_MM * PER_MINUTE) / TO_MM / PER_MINUTE
-        z = given.get("Z", z * TO_MM) / TO_MM
-        if "X" not in given and "Y" not in given:
-            continue
-        end = (given.get("X", x * TO_MM) / TO_MM, given.get("Y", y * TO_MM) / TO_MM)
-        if motion == 1:
-            cuts.append(Cut(Line((x, y), end), z, feed))
-        elif motion > 1:
-            centre = (x + given.get("I", 0.0) / TO_MM, y + given.get("J", 0.0) / TO_MM)
-            cuts.append(Cut(_arc(number, (x, y), end, centre=centre, left=motion == 3), z, feed))
-        x, y = end
-    return tuple(cuts)
-
-
-def _arc(
-    number: int, start: tuple[float, float], end: tuple[float, float], *, centre: tuple[float, float], left: bool
-) -> Arc:
-    radius, other = math.dist(start, centre), math.dist(end, centre)
-    if abs(radius - other) > 5e-6:
-        raise InputError(
-            f"line {number} of the G-code: the arc's ends lie {radius * TO_MM:g} and {other * TO_MM:g} mm off centre"
-        )
-    first = math.atan2(start[1] - centre[1], start[0] - centre[0])
-    turn = (math.atan2(end[1] - centre[1], end[0] - centre[0]) - first) % (2 * math.pi)
-    return Arc(centre, radius, first, turn if left else turn - 2 * math.pi)
-
-
-def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
-    """Greatest distance (m), either way, between where the cutter goes and where it is meant to; inf if too shallow.
-
-    The moves are parsed from the program. At full depth, every way of every groove must be there.
-    """
-    cuts = read_gcode(text)
-    worst = 0.0
-    for groove in mold.grooves:
-        deep = [cut.piece for cut in cuts if abs(cut.z + groove.depth) < 1e-6]
-        if not deep:
-            return math.inf
-        for way in cutter_ways(groove):
-            there = np.min([piece.distance(way.sample(step)) for piece in deep], axis=0)
-            worst = max(worst, float(there.max()))
-    ways = [way for groove in mold.grooves for way in cutter_ways(groove)]
-    gone = [cut.piece.point(np.linspace(0.0, cut.piece.length, math.ceil(cut.piece.length / step) + 1)) for cut in cuts]
-    points = np.asarray(np.unique(np.round(np.vstack(gone), 9), axis=0), dtype=float)
-    return max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
 
 
 def _mm(length: float) -> str:

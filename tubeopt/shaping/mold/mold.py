@@ -21,6 +21,7 @@ from .checks import (
     Check,
     choose_mill,
     groove_depth,
+    machining_remarks,
     material_remarks,
     pressing_strain,
     refuse_failed,
@@ -257,7 +258,7 @@ def plan_mold(
     placed = [
         _place(groove, curve, layout.size, spec) for (groove, _), curve in zip(grooves, layout.centrelines, strict=True)
     ]
-    remarks = (*_remarks(placed, spec), *material_remarks(spec.material, spec))
+    remarks = *_remarks(placed, spec), *machining_remarks(layout.size, [groove.width for groove in placed], spec)
     return Mold(spec, layout.size, tuple(placed), holes, tuple(checks), remarks)
 
 
@@ -395,4 +396,4 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: the stiffnesses of its pieces are given, not derived: the slots that make them "
                 "are not drawn"
             )
-    return remarks
+    return [*remarks, *material_remarks(spec.material, spec)]

@@ -13,6 +13,8 @@ from .heat import HeatSpec
 from .springback import Springback
 
 ENDS = ("proximal", "distal")
+DIALECTS = ("grbl", "linuxcnc", "mach")
+WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,40 @@ class MillingSpec:
 
 
 @dataclass(frozen=True)
+class WorkshopSpec:
+    """The machine that cuts the plates out of their stock, and its programs."""
+
+    dialect: Annotated[str, OneOf(DIALECTS), "of the programs; for grbl drill cycles are spelled out"] = "grbl"
+    work_offset: Annotated[str, OneOf(WORK_OFFSETS), "in which the plate's zero was set"] = "G54"
+    touch_plate: Annotated[
+        float | None,
+        unit("mm"),
+        POSITIVE,
+        "height of a touch plate that is wired to the machine's probe: every plate is then one program, which sets Z "
+        "again after each change of the tool; without one it is a program per tool, and Z is set before each",
+    ] = None
+    change_height: Annotated[float, unit("mm"), POSITIVE, "above the plate, where tools are changed"] = 40e-3
+    spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "wait after the spindle was switched on"] = 3.0
+    drill_feed: Annotated[float, unit("mm_per_min"), POSITIVE, "of drills"] = 2e-3
+    drill_spindle: Annotated[float, unit("rpm"), POSITIVE, "of drills"] = 50.0
+    peck: Annotated[float, unit("mm"), POSITIVE, "depth after which a drill clears its chips"] = 2e-3
+    cut_out: Annotated[bool, "whether plates are cut out of larger stock; else they come in their size"] = True
+    outline_diameter: Annotated[float, unit("mm"), POSITIVE, "of the end mill that cuts plates out"] = 4e-3
+    outline_reach: Annotated[float, unit("mm"), POSITIVE, "depth to which that end mill cuts"] = 25e-3
+    outline_step: Annotated[float, unit("mm"), POSITIVE, "greatest depth of one of its passes"] = 1e-3
+    outline_feed: Annotated[float, unit("mm_per_min"), POSITIVE, "along the outline"] = 10e-3
+    tab_width: Annotated[float, unit("mm"), POSITIVE, "of the tabs that hold the plate in its stock"] = 6e-3
+    tab_height: Annotated[float, unit("mm"), POSITIVE, "of the tabs"] = 2e-3
+    tab_pitch: Annotated[float, unit("mm"), POSITIVE, "distance of the tabs that is aimed at"] = 80e-3
+    stock: Annotated[
+        tuple[float, float] | None, unit("mm"), POSITIVE, "width and height of the stock; by default large enough"
+    ] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the workshop")
+
+
+@dataclass(frozen=True)
 class ClampSpec:
     """The clamps that hold the tube and feed the current, outside the plate (m).
 
@@ -198,6 +234,9 @@ class MoldSpec(Displayed):
     groove: Annotated[GrooveSpec, "how it fits the tube"] = field(default_factory=GrooveSpec)
     plate: Annotated[PlateSpec, "the two plates and how they are fastened"] = field(default_factory=PlateSpec)
     milling: Annotated[MillingSpec, "end mills and feeds"] = field(default_factory=MillingSpec)
+    workshop: Annotated[WorkshopSpec, "the machine that cuts the plates, and its programs"] = field(
+        default_factory=WorkshopSpec
+    )
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "of the top plate over the bend"] = field(default_factory=VentSpec)
     heat: Annotated[HeatSpec, "the heating that the mold is laid out for"] = field(default_factory=HeatSpec)

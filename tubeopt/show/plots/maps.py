@@ -183,7 +183,7 @@ def _filled(stability_map: StabilityMap) -> tuple[Array, Array, Mask]:
     )
     for part, known, at in sides:
         if part.any():
-            values[part] = np.sqrt(_interpolated(known, at, points[part])) if len(known) else np.nan
+            values[part] = np.sqrt(np.maximum(_interpolated(known, at, points[part]), 0)) if len(known) else np.nan
     size = len(fine), len(fine)
     return fine, values.reshape(size).T, behind.reshape(size).T
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
-from ...shaping.mold.drawing import draw_plate
+from ...shaping.mold.drawing import PARTS, draw_plate
+from ...shaping.mold.gcode import as_milled, clear_room
 from ...shaping.mold.groove import Arc, Piece
 from ...typing import Array
 from .style import FAINT, INK, new_figure, picture, tube_colour
@@ -49,6 +50,32 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     axes.set_ylabel("y (mm)")
     radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
     axes.set_title(f"{title or _heading(mold)}\nradius of the groove  {radii}", loc="left")
+    return figure
+
+
+@picture
+def plot_milled(mold: Mold, *, title: str = "") -> Figure:
+    """Both plates as their programs leave them in the stock: how deep it is cut.
+
+    Args:
+        mold: what is milled.
+    """
+    wide, tall = mold.size
+    figure = new_figure(7.5, max(4.0, 15 * tall / wide + 1.6))
+    for k, part in enumerate(PARTS):
+        axes = figure.add_subplot(2, 1, k + 1)
+        relief = as_milled(mold, part)
+        ends = [TO_MM * end for axis in (relief.x, relief.y) for end in (axis[0], axis[-1])]
+        plate = mold.spec.plate
+        most = TO_MM * (plate.thickness if part == "base" else plate.lid_thickness)
+        image = axes.imshow(
+            np.minimum(TO_MM * relief.depth, most), origin="lower", extent=(ends[0], ends[1], ends[2], ends[3]),
+            cmap="cividis_r", vmin=0, vmax=most,
+        )  # fmt: skip
+        figure.colorbar(image, ax=axes, label="depth (mm)", shrink=0.8)
+        axes.set_title(f"{title or _heading(mold)}: {part}" if k == 0 else part, loc="left")
+        axes.set_ylabel("y (mm)")
+    axes.set_xlabel("x (mm)")
     return figure
 
 
@@ -232,9 +259,10 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     degrees = heat.set_temperature - 273.15
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     steps = [
-        f"Mill the grooves (grooves.nc). Drill {bolts} bolt holes of {spec.plate.bolt_diameter * TO_MM:g} mm and ream "
-        f"2 dowel holes of {spec.plate.dowel_diameter * TO_MM:g} mm through both plates, {len(mold.vents)} vents of "
-        f"{spec.vents.diameter * TO_MM:g} mm through the lid (base.dxf, lid.dxf).",
+        f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}); clamps of the stock "
+        f"{math.ceil(clear_room(mold) * TO_MM)} mm and more from the plate, a board beneath. {bolts} bolts of "
+        f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
+        f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from ...planning.file import BRANCH, TIME
 from ...robots.file import save_robot
 from ...robots.path_file import joint_columns
 from ...robots.robot import Robot
-from .host import quiet_server
+from .host import quiet_server, titled_page
 from .playback import paced
 from .scene import Scene, camera
 from .session import Session
@@ -90,6 +89,11 @@ def png(picture: np.ndarray) -> bytes:
     return out.getvalue()
 
 
+def page_title(session: Session) -> str:
+    """What the page of a session is called."""
+    return f"{session.robot.name or 'robot'}, tubeopt"
+
+
 def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail: bool = True) -> str:
     """A page that shows the scene without any server or network: to be turned and zoomed, not moved.
 
@@ -104,14 +108,14 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
         position, look_at = camera(session.equilibrium)
         server.initial_camera.position = tuple(position)
         server.initial_camera.look_at = tuple(look_at)
+        server.scene.world_axes.visible = True
         scene = Scene(server.scene)
         scene.set_stage(session.equilibrium)
         scene.show(session.equilibrium)
         scene.show_trail(session, trail)
         for name, parts in layers.items():
             scene.layer(name, parts)
-        title = escape(f"{session.robot.name or 'robot'}, tubeopt")
-        return str(server.scene.as_html()).replace("<title>Viser</title>", f"<title>{title}</title>", 1)
+        return titled_page(str(server.scene.as_html()), page_title(session))
 
 
 def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: bool) -> tuple[str, bytes]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from html import escape
 from http import HTTPStatus
 from typing import Any
 
 from ...errors import InputError
+
+UNTITLED = b"<title>Viser</title>"
 
 LOCAL = "127.0.0.1"
 LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
@@ -16,8 +19,11 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 
 @contextmanager
-def quiet_server(host: str, port: int) -> Iterator[Any]:
+def quiet_server(host: str, port: int, title: str = "tubeopt") -> Iterator[Any]:
     """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
+
+    Args:
+        title: of the page.
 
     Raises:
         InputError: viser is not installed, the address is none of this machine's, the port is taken.
@@ -31,7 +37,7 @@ def quiet_server(host: str, port: int) -> Iterator[Any]:
     console = rich.get_console()
     loud, console.quiet = console.quiet, True
     try:
-        with _own_page_alone(host):
+        with _own_page_alone(host, title):
             server = viser.ViserServer(host=host, port=port, verbose=False)
         # viser's relay would put the page on the public internet at the press of a key.
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
@@ -65,11 +71,12 @@ def _bind(host: str, port: int) -> None:
 
 
 @contextmanager
-def _own_page_alone(host: str) -> Iterator[None]:
+def _own_page_alone(host: str, title: str) -> Iterator[None]:
     """Have the server that is made meanwhile refuse requests that other pages in the same browser make.
 
     viser checks neither the host that a browser believes to talk to nor the page that opens a websocket: any site that
-    is open in another tab could move the robot. There is no setting for it, so the server's maker is wrapped.
+    is open in another tab could move the robot. There is no setting for it, nor for the page's title, so the server's
+    maker is wrapped.
     """
     import websockets.asyncio.server as library
 
@@ -79,6 +86,9 @@ def _own_page_alone(host: str) -> Iterator[None]:
         def answer(connection: Any, request: Any) -> Any:
             if not is_own(request.headers.get("Host", ""), request.headers.get("Origin"), host):
                 return connection.respond(HTTPStatus.FORBIDDEN, "tubeopt view answers to its own page alone\n")
+            if request.path.split("?")[0] in ("/", "/index.html"):
+                del request.headers["Accept-Encoding"]
+                return titled(process_request(connection, request), title)
             return process_request(connection, request)
 
         return make(handler, address, port, process_request=answer, **options)
@@ -88,6 +98,20 @@ def _own_page_alone(host: str) -> Iterator[None]:
         yield
     finally:
         library.serve = make  # type: ignore[misc]
+
+
+def titled(response: Any, title: str) -> Any:
+    """A response of the server with the page's title in place of viser's; None, for a websocket, stays None."""
+    if response is not None and UNTITLED in response.body:
+        response.body = titled_page(response.body.decode(), title).encode()
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+    return response
+
+
+def titled_page(page: str, title: str) -> str:
+    """The text of a page of viser's with another title."""
+    return page.replace(UNTITLED.decode(), f"<title>{escape(title)}</title>", 1)
 
 
 def is_own(host_header: str, origin: str | None, host: str) -> bool:

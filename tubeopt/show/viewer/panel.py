@@ -28,6 +28,10 @@ LONGEST_TURN = 720.0
 PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
 
 
+YAML = ".yaml,.yml,application/yaml"
+"""Files that a browser offers to be loaded as YAML."""
+
+
 class Panel:
     """The widgets of one client.
 
@@ -138,6 +142,10 @@ class Panel:
         """Layers are shown no more: what they show is of other tubes. Tells the tab as a click would."""
         for layer in layers:
             self._layers[layer].value = False
+
+    def tick(self, layer: str) -> None:
+        """A layer is shown, as a click would have it."""
+        self._layers[layer].value = True
 
     def offer_playback(self, duration: float) -> None:
         """There is a trajectory of this length, s."""
@@ -267,14 +275,17 @@ class Panel:
 
         time.on_update(scrubbed)
         self._button("Play / pause", self._tab.play)
-        upload = self._gui.add_upload_button("Load a trajectory (CSV)", mime_type="text/csv")
-
-        async def loaded(event: Any) -> None:
-            self._tab.load(event.target.value.name, event.target.value.content)
-
-        upload.on_upload(loaded)
+        self._upload("Load a trajectory (CSV)", "trajectory", "text/csv")
         self._check("record what the robot passes", False, self._tab.record)
         return time
+
+    def _upload(self, label: str, what: str, mime_type: str) -> None:
+        button = self._gui.add_upload_button(label, mime_type=mime_type)
+
+        async def loaded(event: Any) -> None:
+            self._tab.load(what, event.target.value.name, event.target.value.content)
+
+        button.on_upload(loaded)
 
     def _check(self, label: str, value: bool, act: Any) -> Any:
         box = self._gui.add_checkbox(label, value)
@@ -306,13 +317,18 @@ class Panel:
         slider.on_update(turned)
 
     def _layer_controls(self) -> None:
-        layers = [("trail of the tip", "trail", True), ("workspace, by margin", "workspace", False)]
-        if self._view.obstacles:
-            layers.append(("obstacles", "obstacles", True))
-        layers.append(("volume swept by the trajectory", "swept", False))
+        layers = [
+            ("trail of the tip", "trail", True),
+            ("workspace, by margin", "workspace", False),
+            ("obstacles", "obstacles", bool(self._view.obstacles)),
+            ("volume swept by the trajectory", "swept", False),
+            ("the robot beside", "beside", False),
+        ]
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
+        self._upload("Load obstacles (YAML)", "obstacles", YAML)
+        self._upload("Put another robot beside (YAML)", "beside", YAML)
         self._check("dark", False, self._dark)
 
     def _dark(self, on: bool) -> None:

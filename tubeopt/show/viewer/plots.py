@@ -131,7 +131,7 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
         part = slice(int(first), int(last) + 1, 4)
         body.append(axes.line(x[part], y[part], colour, dashed=not stable[first]))
     body += [axes.dot(x[k], y[k], colour, hollow=True, radius=3.0) for k in fold_points(fine)]
-    body.append(axes.dot(*here, "#111"))
+    body.append(axes.dot(*here, "currentColor"))
     return frame(axes, body, "S-curve: tip angle over input angle", angles=(True, True))
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from .export import page_title
 from .host import LOCAL, address_of, quiet_server
 from .scene import camera
 from .session import Session
@@ -41,7 +42,7 @@ def serve(
     over = stop or threading.Event()
     tabs: dict[int, Tab] = {}
     lock = threading.Lock()
-    with _signals(over), quiet_server(host, port) as server:
+    with _signals(over), quiet_server(host, port, page_title(first)) as server:
         _frame_camera(server, first)
 
         def came(client: Any) -> None:
@@ -74,6 +75,8 @@ def _frame_camera(server: Any, session: Session) -> None:
     position, look_at = camera(session.equilibrium)
     server.initial_camera.position = tuple(position)
     server.initial_camera.look_at = tuple(look_at)
+    # Red, green, blue: x, y, z of the plate, 5 cm long.
+    server.scene.world_axes.visible = True
     server.gui.configure_theme(show_share_button=False, show_logo=False)
 
 

@@ -16,9 +16,12 @@ from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
+from ...robots.file import load_robot
+from ...runs.obstacle_file import load_obstacles
 from ...stability import Snap
 from ...workspaces import workspace
 from . import export
+from .beside import Beside, session_beside
 from .designs import Knob, with_knob
 from .insights import Insights
 from .panel import Panel
@@ -60,6 +63,8 @@ class Tab(Wishes):
         self._playing: float | None = None
         self._trail = True
         self._target: Any = None
+        self._obstacles = view.obstacles
+        self._beside: Beside | None = None
         self._pulling = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
@@ -118,7 +123,7 @@ class Tab(Wishes):
 
             def verb(session: Session) -> Session:
                 nonlocal words
-                led = pull(session, target, min_margin=margin, obstacles=self._view.obstacles)
+                led = pull(session, target, min_margin=margin, obstacles=self._obstacles)
                 if not led.reached:
                     words = f"the tip stops {led.error * TO_MM:.2f} mm short of the target: {', '.join(led.held)}"
                 return led.session
@@ -146,8 +151,8 @@ class Tab(Wishes):
     def record(self, on: bool) -> None:
         self._do(lambda: self._change(lambda session: record(session, on)))
 
-    def load(self, name: str, content: bytes) -> None:
-        self._do(lambda: self._load(name, content))
+    def load(self, what: str, name: str, content: bytes) -> None:
+        self._do(lambda: self._load(what, name, content))
 
     def play(self) -> None:
         self._do(self._toggle_play)
@@ -186,7 +191,7 @@ class Tab(Wishes):
 
     def _begin(self) -> None:
         self.scene.set_stage(self.session.equilibrium)
-        if self._view.obstacles:
+        if self._obstacles:
             self._show("obstacles", True)
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
@@ -236,6 +241,8 @@ class Tab(Wishes):
         equilibrium = self.session.equilibrium
         with self._client.atomic():
             self.scene.show(equilibrium)
+            if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
+                self._say(words, bad=True)
             if self._target is not None and not self._pulling:
                 self._target.position = tuple(equilibrium.tip_position * SCALE)
             self.scene.show_trail(self.session, self._trail)
@@ -279,11 +286,19 @@ class Tab(Wishes):
             self._insights.want_map(on)
         elif layer == "target":
             self._mark_target(on)
+        elif layer == "beside":
+            if self._beside is None:
+                self._say("no other robot was loaded", bad=on)
+                return
+            self._beside.visible = on
+            self._refresh()
         elif not on:
             self.scene.clear(layer)
         elif layer == "obstacles":
+            if not self._obstacles:
+                self._say("no obstacles were loaded", bad=True)
             reach = max(tube.length for tube in self.session.robot.tubes)
-            self.scene.layer("obstacles", obstacle_parts(self._view.obstacles, reach))
+            self.scene.layer("obstacles", obstacle_parts(self._obstacles, reach))
         elif layer == "workspace":
             self._say(f"solving {CLOUD} configurations …")
             found = workspace(self.session.robot, CLOUD)
@@ -315,20 +330,37 @@ class Tab(Wishes):
             self.session.equilibrium, lambda target, done: self.lead(target, self.panel.least_margin, done=done)
         )
 
-    def _load(self, name: str, content: bytes) -> None:
+    def _load(self, what: str, name: str, content: bytes) -> None:
+        takers = {"trajectory": self._take_trajectory, "obstacles": self._take_obstacles, "beside": self._take_beside}
         with tempfile.TemporaryDirectory() as directory:
-            path = Path(directory) / "trajectory.csv"
+            path = Path(directory) / f"{what}{Path(name).suffix}"
             path.write_bytes(content)
             try:
-                self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
+                self._say(f"{name}: {takers[what](path)}")
             except (InputError, SolveError) as error:
                 self._say(str(error).replace(str(path), name), bad=True)
-                return
+
+    def _take_trajectory(self, path: Path) -> str:
+        self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
         self.scene.clear("swept")
         self.panel.offer_playback(self._playback.duration)
         self._to_time(0.0, log=False)
         followed = self._playback.path
-        self._say(f"{name}: {len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way")
+        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
+
+    def _take_obstacles(self, path: Path) -> str:
+        self._obstacles = load_obstacles(path)
+        self._show("obstacles", True)
+        self.panel.tick("obstacles")
+        return f"obstacles, {len(self._obstacles)}, of which the tip keeps clear when it is led"
+
+    def _take_beside(self, path: Path) -> str:
+        session = session_beside(load_robot(path), self.session)
+        if self._beside is not None:
+            self._beside.remove()
+        self._beside = Beside(self._client.scene, session, self.session)
+        self.panel.tick("beside")
+        return "stands beside, at the same joint values"
 
     def _toggle_play(self) -> None:
         if self._playback is None:

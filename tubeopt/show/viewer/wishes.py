@@ -44,7 +44,7 @@ class Wishes(Protocol):
         """Show all other equilibria, or hide them."""
 
     def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer: trail, workspace, obstacles, swept, target, map."""
+        """Show or hide a layer: trail, workspace, obstacles, swept, target, map, beside."""
 
     def forget_trail(self) -> None:
         """Begin the trail anew."""
@@ -52,8 +52,8 @@ class Wishes(Protocol):
     def record(self, on: bool) -> None:
         """Record from here, or forget what was recorded."""
 
-    def load(self, name: str, content: bytes) -> None:
-        """Take a trajectory from a CSV file."""
+    def load(self, what: str, name: str, content: bytes) -> None:
+        """Take a file: a trajectory in CSV, obstacles or the robot beside in YAML."""
 
     def play(self) -> None:
         """Play, or pause."""

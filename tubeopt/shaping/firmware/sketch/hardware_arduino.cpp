@@ -6,6 +6,7 @@
 #include <SPI.h>
 
 #include "board.h"
+#include "converter.h"
 #include "hardware.h"
 
 #if defined(ARDUINO_ARCH_ESP32)
@@ -59,9 +60,7 @@ namespace {
 
 bool read_temperature(float *celsius) {
 #if SENSOR == SENSOR_ANALOG
-  const int value = analogRead(PIN_TEMPERATURE);
-  *celsius = ANALOG_ZERO + ANALOG_PER_STEP * value;
-  return value > 2 && value < ANALOG_STEPS - 3;
+  return decoded(analogRead(PIN_TEMPERATURE), celsius);
 #else
   SPI.beginTransaction(SPISettings(1000000, MSBFIRST, SENSOR == SENSOR_MAX6675 ? SPI_MODE1 : SPI_MODE0));
   digitalWrite(PIN_SELECT, LOW);
@@ -69,32 +68,13 @@ bool read_temperature(float *celsius) {
   const uint16_t low = SENSOR == SENSOR_MAX31855 ? SPI.transfer16(0) : 0;
   digitalWrite(PIN_SELECT, HIGH);
   SPI.endTransaction();
-#if SENSOR == SENSOR_MAX31855
-  *celsius = (int16_t)high / 4 * 0.25f;
-  return !(high & 1) && !(low & 7) && high != 0xffff && (high || low);
-#else
-  (void)low;
-  *celsius = (high >> 3) * 0.25f;
-  return !(high & 4) && high != 0xffff;
-#endif
+  return decoded(high, low, celsius);
 #endif
 }
 
 } // namespace
 
-bool hardware_temperature(float *celsius) {
-  // A converter that is asked before it is ready begins anew, and never tells anything else.
-  static float last = 0;
-  static bool well = false;
-  static uint32_t next = 0;
-  const uint32_t now = millis();
-  if ((int32_t)(now - next) >= 0) {
-    well = read_temperature(&last);
-    next = now + SENSOR_MS;
-  }
-  *celsius = last;
-  return well;
-}
+bool hardware_temperature(float *celsius) { return when_ready(read_temperature, millis(), celsius); }
 
 bool hardware_electrics(float *volt, float *ampere_on, float *ampere_off) {
   *volt = *ampere_on = *ampere_off = 0;

@@ -10,6 +10,7 @@
 #include <avr/wdt.h>
 
 #include "board.h"
+#include "converter.h"
 #include "hardware.h"
 
 namespace {
@@ -139,16 +140,10 @@ void hardware_switch(uint8_t count) {
 namespace {
 
 bool read_temperature(float *celsius) {
-#if SENSOR == SENSOR_MAX31855
+#if SENSOR != SENSOR_ANALOG
   uint16_t low = 0;
-  const uint16_t high = spi_word(4, &low);
-  *celsius = (int16_t)high / 4 * 0.25f;
-  // Bits of the faults, and what a cut wire reads.
-  return !(high & 1) && !(low & 7) && high != 0xffff && (high || low);
-#elif SENSOR == SENSOR_MAX6675
-  const uint16_t high = spi_word(2, nullptr);
-  *celsius = (high >> 3) * 0.25f;
-  return !(high & 4) && high != 0xffff;
+  const uint16_t high = spi_word(SENSOR == SENSOR_MAX31855 ? 4 : 2, &low);
+  return decoded(high, low, celsius);
 #else
   // The converter is shared with the pulses' samples: wait for its turn, some 0.2 ms.
   for (;;) {
@@ -164,26 +159,13 @@ bool read_temperature(float *celsius) {
   ADCSRA |= _BV(ADIF);
   ADCSRA |= _BV(ADIE);
   sei();
-  *celsius = ANALOG_ZERO + ANALOG_PER_STEP * value;
-  return value > 2 && value < 1021;
+  return decoded(value, celsius);
 #endif
 }
 
 } // namespace
 
-bool hardware_temperature(float *celsius) {
-  // A converter that is asked before it is ready begins anew, and never tells anything else.
-  static float last = 0;
-  static bool well = false;
-  static uint32_t next = 0;
-  const uint32_t now = hardware_milliseconds();
-  if ((int32_t)(now - next) >= 0) {
-    well = read_temperature(&last);
-    next = now + SENSOR_MS;
-  }
-  *celsius = last;
-  return well;
-}
+bool hardware_temperature(float *celsius) { return when_ready(read_temperature, hardware_milliseconds(), celsius); }
 
 bool hardware_electrics(float *volt, float *ampere_on, float *ampere_off) {
   const uint8_t status = SREG;

@@ -1,0 +1,178 @@
+"""Designs over the pieces of tubes: derivatives beside differences, known optima, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import ConcentricRobot, DesignTask, InputError, Piece, Tube, optimize_design, snap_free_certificate
+from tubeopt.block.quantities import Quantity
+from tubeopt.design import (
+    Corridor,
+    Free,
+    Objective,
+    Poses,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Target,
+)
+from tubeopt.design.lookup import at_state
+from tubeopt.design.parameters import design_space
+from tubeopt.design.relaxation import InfeasibleDesignError
+from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.runs.design_parts import FreeEntry
+from tubeopt.typing import Array
+
+PATTERN = Free("piece_bending_factor", (0, 1, 2), 0.2, 1.0, torsion_share=0.5)
+
+
+def chained() -> ConcentricRobot:
+    """A helix and an arc in an S, in a slotted tube."""
+    inner = Tube.of_pieces(0.9e-3, 0.7e-3, [Piece(0.03, 12.5), Piece.helix(0.1, 0.014, 0.055)], straight_length=0.12)
+    middle = Tube.of_pieces(1.3e-3, 1e-3, [Piece(0.03, 14.0), Piece(0.03, -14.0)], straight_length=0.06)
+    slots = {"bending_stiffness": 0.01, "torsional_stiffness": 0.015}
+    outer = Tube.of_pieces(1.9e-3, 1.5e-3, [Piece(0.01, 0.0), Piece(0.03, 10.0, **slots)], straight_length=0.03)
+    return ConcentricRobot((inner, middle, outer))
+
+
+@pytest.mark.parametrize(
+    ("robot", "free"),
+    [
+        (
+            chained(),
+            [
+                Free("piece_curvature", (0, 1), -30.0, 30.0),
+                Free("piece_plane", (0, 1), -3.0, 3.0, pieces=(0,)),
+                Free("piece_twist", (0,), -50.0, 50.0, pieces=(1,)),
+                Free("piece_bending_factor", (0, 1, 2), 0.2, 1.0, torsion_share=0.4),
+                Free("piece_torsion_factor", (1,), 0.2, 1.0, tie="equal"),
+            ],
+        ),
+        (THESIS, [Free("piece_shape", (0, 1), -20.0, 20.0, coefficients=3), Free("piece_plane", (1,), -2.0, 2.0)]),
+    ],
+)
+def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: list[Free]) -> None:
+    shift, turned = (-0.033, -0.021, -0.0052), (0.3, 2.5, -1.0)
+    space = design_space(robot.tubes, free)
+    layout = Layout(space, (FreePose(0), FixedPose(turned, shift)), (shift,), ())
+    random, n = np.random.default_rng(3), robot.n_tubes
+    begin = np.clip(
+        0.9 * space.start + 0.05 * space.scale * random.standard_normal(len(space.start)), space.lower, space.upper
+    )
+    beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
+    x = np.concatenate([begin, turned, beta])
+    asked = [Quantity("tip_position", 0), Quantity("tip_direction", 1), Quantity("margin", 0), Quantity("margin", 1)]
+    asked += [Quantity("certificate", at=shift), Quantity("curvature")]
+
+    def look(at: Array) -> list[tuple[Array, Array]]:
+        return [at_state(State(layout, at))(one) for one in asked]
+
+    steps = np.concatenate([1e-5 * space.scale, np.full(n, 1e-5), np.full(n, 1e-7)])
+    sides = [[look(x + sign * np.diag(steps)[k]) for sign in (1, -1)] for k in range(len(x))]
+    for j, (_, slope) in enumerate(look(x)):
+        found = np.array([(up[j][0] - down[j][0]) / (2 * h) for (up, down), h in zip(sides, steps, strict=True)]).T
+        # The largest curvature of a shape is looked for at 2,000 places.
+        assert np.abs(slope - found).max() < (1e-3 if asked[j].name == "curvature" else 1e-7) * np.abs(found).max()
+
+
+def test_least_pattern_that_cannot_snap() -> None:
+    task = DesignTask(THESIS, [PATTERN], [SnapFree(0.05)], Objective("change"))
+    found = optimize_design(task, turns=2)
+    # As problems/own_patterned_thesis.py finds it by a program of its own.
+    assert [d.after for d in found.dimensions] == pytest.approx([0.37751, 0.93683, 1.0], abs=1e-4)
+    assert snap_free_certificate(found.robot) == pytest.approx(0.05, abs=1e-6)
+    for before, after in zip(THESIS.tubes, found.robot.tubes, strict=True):
+        assert after.curvature == before.curvature
+    assert found.verification.kept
+    assert "bending factor of piece 1 of tube 1" in found.dimensions[0].name
+    whole = optimize_design(
+        DesignTask(THESIS, [Free("piece_curvature", (0, 1, 2), 0.5, 15.0)], [SnapFree(0.05)], Objective("change")),
+        turns=0,
+    )
+    plain = optimize_design(
+        DesignTask(THESIS, [Free("curvature", (0, 1, 2), 0.5, 15.0)], [SnapFree(0.05)], Objective("change")), turns=0
+    )
+    assert [d.after for d in whole.dimensions] == pytest.approx([d.after for d in plain.dimensions], abs=1e-5)
+
+
+def test_a_shape_reaches_a_target_with_a_margin_and_a_strain() -> None:
+    free = [Free("piece_shape", (0,), -20.0, 20.0, coefficients=3), Free("piece_plane", (0,), -1.0, 1.0)]
+    pose = Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))
+    target = Reach((Target((0.01, -0.07, 0.17), 0.0005),))
+    task = DesignTask(THESIS, free, [SnapFreeInUse(0.2, paths=False), pose, target, Strain((0.012,), in_poses=False)])
+    found = optimize_design(task)
+    tip = found.equilibria[-1].tip_position
+    assert found.verification.kept
+    assert min(np.linalg.norm(e.tip_position - (0.01, -0.07, 0.17)) for e in found.equilibria) < 0.0005 + 1e-6
+    assert np.isfinite(tip).all()
+    inner = found.robot.tubes[0]
+    assert inner.outer_diameter / 2 * inner.curvature / (1 - inner.outer_diameter / 2 * inner.curvature) <= 0.012
+
+
+def test_what_is_asked_too_much_is_relaxed_in_words() -> None:
+    free = [Free("piece_bending_factor", (0, 1, 2), 0.8, 1.0, torsion_share=0.5)]
+    with pytest.raises(InfeasibleDesignError, match=r"certified margin must fall from 0.05 to -0\.6"):
+        optimize_design(DesignTask(THESIS, free, [SnapFree(0.05)], Objective("change")))
+
+
+@pytest.mark.parametrize(
+    ("free", "rest", "words"),
+    [
+        ([PATTERN, Free("curvature", (0,), 1, 2)], {}, "beside pieces only pieces are free"),
+        ([Free("piece_plane", (0,), 0, 1, pieces=(1,))], {}, "names piece 2 of tube 1; it has 1 pieces"),
+        ([Free("piece_plane", (3,), 0, 1)], {}, "names tube 4; the robot has tubes 1 to 3"),
+        ([PATTERN, PATTERN], {}, "free twice"),
+        (
+            [Free("piece_curvature", (0,), 0, 1), Free("piece_shape", (0,), 0, 1)],
+            {},
+            "a free curvature and a free shape",
+        ),
+        ([PATTERN], {"objective": Objective("tip_curvature")}, "it is not one number"),
+        (
+            [PATTERN],
+            {"requirements": [SnapFree(box=((-0.1, 0, 0), (0, 0, 0)))]},
+            "a design of pieces takes translations only",
+        ),
+    ],
+)
+def test_tasks_that_make_no_sense(free: list[Free], rest: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        DesignTask(THESIS, free, **rest)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"field": "piece_plane", "tie": "scaled"}, "must be 'each' or 'equal'"),
+        ({"field": "curvature", "pieces": (0,)}, "it is a dimension of whole tubes"),
+        ({"field": "piece_plane", "coefficients": 2}, "only a piece_shape has them"),
+        ({"field": "piece_shape", "coefficients": 13}, "it must be at most 12"),
+        ({"field": "piece_bending_factor", "upper": 1.2}, r"they must be in \(0, 1\]"),
+        ({"field": "piece_torsion_factor", "torsion_share": 0.5}, "it belongs to a piece_bending_factor"),
+        ({"field": "piece_bending_factor", "torsion_share": 2.0}, "torsion_share is 2; it must be 0 to 1"),
+    ],
+)
+def test_free_pieces_that_make_no_sense(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Free(**{"tubes": (0,), "lower": 0.1, "upper": 1.0, **given})
+
+
+def test_an_expression_along_the_arm_is_refused() -> None:
+    task = DesignTask(THESIS, [PATTERN], [Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))], Objective("change"))
+    state = State(Layout(task.space, (FixedPose((0.0,) * 3, (0.0,) * 3),), (), ()), task.space.start)
+    for name, at in (("strain", (0,)), ("clearance", (Corridor(((0, 0, 0), (0, 0, 0.2)), 0.05),))):
+        with pytest.raises(InputError, match=f"speaks of the {name} in a pose"):
+            at_state(state)(Quantity(name, 0, at))
+
+
+def test_keys_of_a_file() -> None:
+    entry = FreeEntry(tubes=[1, 2], pieces=[1], piece_plane_deg=[-90, 90])
+    assert entry.build() == Free("piece_plane", (0, 1), -math.pi / 2, math.pi / 2, pieces=(0,))
+    entry = FreeEntry(tubes=[3], piece_bending_factor=[0.2, 1], torsion_share=0.5)
+    assert entry.build() == Free("piece_bending_factor", (2,), 0.2, 1.0, torsion_share=0.5)

@@ -1,0 +1,139 @@
+"""Programs of whole molds, by an interpreter of their own: grooves, holes, outline, tools and safety."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, load_robot, plan_mold
+from tubeopt.shaping.mold.checks import beyond_edge
+from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
+from tubeopt.shaping.mold.gcode_reader import hazards, milled
+from tubeopt.shaping.mold.spec import PlateSpec, VentSpec, WorkshopSpec
+from tubeopt.shaping.mold.stl import write_stl
+
+from .gcode_machine import Block, mill
+from .heating_reference import CONFIGS
+
+SMALL = Tube(1.92e-3, 1.57e-3, 0.0, 30e-3, 1 / 0.12)
+PARTS = ("base", "lid")
+
+
+def small(**workshop: object) -> Mold:
+    """A little mold."""
+    spec = MoldSpec(
+        plate=PlateSpec(size=(0.09, 0.05)),
+        vents=VentSpec(profile=(0.1,)),
+        workshop=WorkshopSpec(**workshop),  # type: ignore[arg-type]
+    )
+    return plan_mold(SMALL, spec)
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "linuxcnc", "mach"])
+@pytest.mark.parametrize("touch_plate", [None, 15e-3])
+def test_nothing_is_done_that_breaks_a_tool(dialect: str, touch_plate: float | None) -> None:
+    mold = small(dialect=dialect, touch_plate=touch_plate, work_offset="G55")
+    for part in PARTS:
+        made, tools = programs(mold, part), len(stages_of(mold, part))
+        assert len(made) == (tools if touch_plate is None else 1)
+        for text in made.values():
+            seen = mill(text)
+            assert not seen.errors
+            assert not hazards(text)
+            assert seen.ended
+            assert seen.offsets == {"G55"}
+            assert max(map(len, text.splitlines())) < 75
+            assert ("G83" in text) <= (dialect != "grbl")
+        # The new tool is put in, and the touch plate laid and taken away.
+        changes = (tools - 1) * (2 if dialect == "grbl" else 3)
+        assert seen.pauses == (0 if touch_plate is None else changes)
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "linuxcnc"])
+def test_all_holes_are_there_and_go_through(dialect: str) -> None:
+    mold = small(dialect=dialect)
+    for part, thickness in zip(PARTS, (12.7, 6.35), strict=True):
+        wanted = {(round(1e3 * h.centre[0], 3), round(1e3 * h.centre[1], 3), h.diameter) for h in mold.holes}
+        if part == "lid":
+            wanted |= {(round(1e3 * h.centre[0], 3), round(1e3 * h.centre[1], 3), h.diameter) for h in mold.vents}
+        found = set()
+        for stage, text in zip(stages_of(mold, part), programs(mold, part).values(), strict=True):
+            if stage.tool.startswith("drill"):
+                deep = [way[-1] for way in mill(text).cuts if way[:, 2].min() < -thickness]
+                found |= {(round(x, 3), round(y, 3), stage.diameter) for x, y, _ in deep}
+        assert found == wanted
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_what_is_milled_away_is_what_the_solid_lacks(part: str, tmp_path: Path) -> None:
+    mold = plan_mold(load_robot(CONFIGS / "robots" / "thesis_ctr.yaml").tubes)
+    solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part=part))
+    thickness = 12.7 if part == "base" else 6.35
+    block = Block((1e3 * mold.size[0], 1e3 * mold.size[1]), thickness)
+    for stage, text in zip(stages_of(mold, part), programs(mold, part).values(), strict=True):
+        seen = mill(text)
+        assert not seen.errors
+        for way in seen.cuts:
+            block.cut(way, 1e3 * stage.diameter)
+    lacks = np.prod(1e3 * np.array(mold.size)) * thickness - solid.volume
+    assert block.removed == pytest.approx(lacks, rel=5e-3)
+
+
+def test_the_plate_is_cut_out_but_for_its_tabs() -> None:
+    mold = small(tab_pitch=60e-3)
+    stage, text = stages_of(mold, "base")[-1], list(programs(mold, "base").values())[-1]
+    outline = np.vstack([way for way in mill(text).cuts if way[0, 2] < -12.7 or way[-1, 2] < -12.7])
+    # Nothing of the plate is touched.
+    inside = np.abs(outline[:, :2] - 500 * np.array(mold.size)) - 500 * np.array(mold.size)
+    assert inside.max(1).min() == pytest.approx(500 * stage.diameter)
+    deepest = [way for way in mill(text).cuts if np.ptp(way[:, 2]) == 0 and way[0, 2] == pytest.approx(-10.7)]
+    assert len(deepest) >= 6
+    # Six tabs: two on each of the long sides, one on the others.
+    deep = outline[outline[:, 2] < -12.7]
+    along = np.sort(deep[np.isclose(deep[:, 1], -2.0), 0])
+    gaps = np.diff(along)
+    assert np.sort(gaps)[-2:] == pytest.approx([10.0, 10.0], abs=0.3)
+    assert np.sort(gaps)[-3] < 0.3
+
+
+def test_the_relief_is_that_of_the_machine() -> None:
+    mold = small()
+    stages, texts = stages_of(mold, "base"), programs(mold, "base").values()
+    relief = milled(mold.size, [(text, stage.diameter) for text, stage in zip(texts, stages, strict=True)])
+    block = Block((90.0, 50.0), 12.7, pixel=0.2)
+    for stage, text in zip(stages, texts, strict=True):
+        for way in mill(text).cuts:
+            block.cut(way, 1e3 * stage.diameter)
+    rows, columns = ((axis > 0) & (axis < side) for axis, side in ((relief.y, 0.05), (relief.x, 0.09)))
+    depth = 1e3 * relief.depth[np.ix_(rows, columns)]
+    assert np.mean(np.abs(depth + block.top) > 0.01) < 0.01
+
+
+def test_hazards_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mold = small()
+    good = programs(mold, "base")["base_1.nc"]
+    assert "rapid speed" in hazards(good.replace("G1 Z-", "G0 Z-"))[0]
+    assert "spindle still" in hazards(good.replace("M3", "M5"))[0]
+    monkeypatch.setattr("tubeopt.shaping.mold.gcode._up", lambda mold: iter(["G0 Z5.0000"]))
+    with pytest.raises(SolveError, match="rapid speed below the plate's face"):
+        write_gcode(mold, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_stock_and_end_mill_are_looked_at() -> None:
+    spec = MoldSpec(plate=PlateSpec(size=(0.09, 0.05)))
+    assert not [r for r in plan_mold(SMALL, spec).remarks if "stock" in r or "reaches" in r]
+    tight = replace(spec, workshop=WorkshopSpec(stock=(0.095, 0.06)))
+    assert any(
+        "the stock is 95 x 60 mm; with room for tools and clamps it must be" in r
+        for r in plan_mold(SMALL, tight).remarks
+    )
+    thick = replace(spec, plate=replace(spec.plate, thickness=30e-3))
+    assert any("reaches 25 mm deep, the plate is 30 mm thick" in r for r in plan_mold(SMALL, thick).remarks)
+    assert beyond_edge([], spec) == pytest.approx(9e-3)
+    with pytest.raises(InputError, match="dialect"):
+        WorkshopSpec(dialect="heidenhain")

@@ -1,0 +1,74 @@
+"""A solved pose of a design of pieces: tip, centreline and margin, and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ..equilibrium.general_derivatives import Change, Linearised, together
+from ..equilibrium.general_motion import GeneralMotion
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import Solution, to_equilibrium
+from ..robots.concentric import ConcentricRobot
+from ..robots.tubes import Tube
+from ..solvers.newton import NewtonResult
+from ..stability.certificate import worst_case
+from ..typing import Array
+from .solved import Solved
+
+
+class PiecePose:
+    """A solved pose, as `pose.Pose`, with derivatives (L,) by rotations, translations, and what `changes` lists."""
+
+    def __init__(
+        self, solved: Solved, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
+    ) -> None:
+        self.problem, self.margin = solved.problem, solved.margin
+        self._solved, self._tubes, self._changes = solved, tuple(tubes), changes
+
+    @cached_property
+    def _solution(self) -> Solution:
+        solved = self._solved
+        return Solution(solved.problem, solved.rotations, NewtonResult(solved.state, True, 0, 0.0), solved.margin)
+
+    @cached_property
+    def _equilibrium(self) -> Equilibrium:
+        assembly = self.problem.assembly
+        straight = np.array([tube.straight_length for tube in self._tubes])
+        shift = tuple((straight - assembly.transmission).tolist())
+        return to_equilibrium(ConcentricRobot(self._tubes), self._solution, shift, ("newton", "guess", 0.0))
+
+    @cached_property
+    def derivatives(self) -> GeneralMotion:
+        """Derivatives at fixed arc lengths."""
+        return GeneralMotion(self._equilibrium, more=self._changes)
+
+    @property
+    def position(self) -> Array:
+        """(m, 3) of the shape points, m."""
+        return self._equilibrium.position
+
+    @property
+    def frame(self) -> Array:
+        """(m, 3, 3) Bishop frame at the shape points."""
+        return self._equilibrium.frame
+
+    @property
+    def tip_slopes(self) -> tuple[Array, Array]:
+        """(3, L) change of the tip's position and of its frame (turn vector)."""
+        return self.derivatives.tip_position, self.derivatives.tip_rotation
+
+    @property
+    def margin_slope(self) -> Array:
+        """(L,) change of the margin; NaN of a double eigenvalue."""
+        return self.derivatives.margin
+
+    @cached_property
+    def certificate(self) -> tuple[float, Array]:
+        """mu_cert at this pose's translations, and its change (L,), nought with the joints."""
+        value, mode, _ = worst_case(self.problem)
+        here = Linearised(self._solution, self._equilibrium)
+        changed = here.certificate(value, mode, together(self._changes(here)))
+        return value, np.concatenate([np.zeros(2 * len(self._tubes)), changed])

@@ -1,0 +1,210 @@
+"""Programs of a mold read again: where the tools go, how fast, and what they must not do.
+
+It reads what `gcode` writes: mm, absolute coordinates, G0 to G3 with I and J, the drill cycle G83; arcs in the plane.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError
+from ...files.units import TO_MM
+from ...typing import Array
+from .checks import overrun
+from .groove import Arc, Centreline, Line, Piece, Point
+from .mold import Groove, Mold
+
+PER_MINUTE = 60.0
+TOLERANCE = 1e-5
+"""Greatest distance (m) of the cutter's way from where it is meant to be."""
+
+RAPID = 50e-3
+"""Speed of rapid moves that is reckoned with, m/s."""
+
+WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+IN_FORCE = {0, 1, 2, 3, 83}
+"""Motions that stay in force."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A move.   line: number.   piece: in the plane (m), a point's where it only goes up or down.   start, end: z (m).
+    feed: m/s, None for a rapid one.   spindle: whether it turns.   cycle: whether it is a drill cycle."""
+
+    line: int
+    piece: Piece
+    start: float
+    end: float
+    feed: float | None
+    spindle: bool
+    cycle: bool = False
+
+    @property
+    def time(self) -> float:
+        """How long it takes, s; a drill cycle at its feed, down and up."""
+        way = math.hypot(self.piece.length, self.end - self.start) * (2 if self.cycle else 1)
+        return way / (RAPID if self.feed is None else self.feed)
+
+
+@dataclass
+class _Machine:
+    """What is in force: motion, place (m), feed (m/s), spindle; height above which drill cycles are quick (m)."""
+
+    motion: int = 0
+    place: Point = (0.0, 0.0)
+    z: float = 0.0
+    feed: float = 0.0
+    spindle: bool = False
+    depth: float = 0.0
+    above: float = 0.0
+
+
+def read_gcode(text: str) -> tuple[Motion, ...]:
+    """The moves of a program.
+
+    Raises:
+        InputError: a line that is no words of a letter and a number, or an arc whose ends are not on one circle.
+    """
+    machine = _Machine()
+    found: list[Motion] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        bare = re.sub(r"\([^)]*\)", "", line).strip()
+        words = [(letter, float(value)) for letter, value in WORD.findall(bare)]
+        if re.sub(r"\s", "", WORD.sub("", bare)):
+            raise InputError(f"line {number} of the G-code is {line!r}; it must be words of a letter and a number")
+        found += _motions(machine, number, words)
+    return tuple(found)
+
+
+def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> Iterator[Motion]:
+    """What a line moves, and what it leaves in force."""
+    for letter, value in words:
+        if letter == "M" and value in (3, 5, 30):
+            machine.spindle = value == 3
+        if letter == "G" and value in IN_FORCE:
+            machine.motion = int(value)
+        if letter == "G" and value == 80:
+            machine.motion = 0
+    # What sets offsets, dwells or probes moves nothing that cuts.
+    if any(letter == "G" and value in (4, 10, 31, 38.2, 92) for letter, value in words):
+        return
+    given = {letter: value / TO_MM for letter, value in words if letter in "XYZIJRF"}
+    machine.feed = given.get("F", machine.feed * PER_MINUTE) / PER_MINUTE
+    if not given.keys() & set("XYZ"):
+        return
+    end = given.get("X", machine.place[0]), given.get("Y", machine.place[1])
+    if machine.motion == 83:
+        machine.depth, machine.above = given.get("Z", machine.depth), given.get("R", machine.above)
+        yield Motion(number, Line(machine.place, end), machine.z, machine.z, None, machine.spindle)
+        machine.place = end
+        yield Motion(number, Line(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True)
+        return
+    z = given.get("Z", machine.z)
+    piece: Piece = Line(machine.place, end)
+    if machine.motion > 1:
+        centre = machine.place[0] + given.get("I", 0.0), machine.place[1] + given.get("J", 0.0)
+        piece = _arc(number, machine.place, end, centre=centre, left=machine.motion == 3)
+    yield Motion(number, piece, machine.z, z, machine.feed if machine.motion else None, machine.spindle)
+    machine.place, machine.z = end, z
+
+
+def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
+    radius, other = math.dist(start, centre), math.dist(end, centre)
+    if abs(radius - other) > 5e-6:
+        raise InputError(
+            f"line {number} of the G-code: the arc's ends lie {radius * TO_MM:g} and {other * TO_MM:g} mm off centre"
+        )
+    first = math.atan2(start[1] - centre[1], start[0] - centre[0])
+    turn = (math.atan2(end[1] - centre[1], end[0] - centre[0]) - first) % (2 * math.pi)
+    return Arc(centre, radius, first, turn if left else turn - 2 * math.pi)
+
+
+def hazards(text: str) -> list[str]:
+    """What a program must not do: rapid moves below the plate's face, cuts without feed or with the spindle still."""
+    found = []
+    for motion in read_gcode(text):
+        if min(motion.start, motion.end) >= 0:
+            continue
+        if motion.feed is None:
+            found.append(f"line {motion.line} moves at rapid speed below the plate's face")
+        elif not motion.spindle or motion.feed <= 0:
+            found.append(f"line {motion.line} cuts with the spindle still, or without a feed")
+    return found
+
+
+def cutter_ways(groove: Groove) -> tuple[Centreline, ...]:
+    """The ways of the cutter in one pass (m), with the overrun beyond the plate's edge."""
+    return tuple(groove.centreline.offset(d).lengthened(overrun(groove.width)) for d in groove.cutter_offsets)
+
+
+def toolpath_deviation(mold: Mold, text: str, step: float = 1e-3) -> float:
+    """Greatest distance (m), either way, between where cutters of grooves go and where they are meant to; inf if too
+    shallow.
+
+    At full depth, every way of every groove must be there.
+    """
+    cuts = [m for m in read_gcode(text) if m.feed is not None and m.piece.length > 0]
+    worst = 0.0
+    for groove in mold.grooves:
+        deep = [cut.piece for cut in cuts if abs(cut.end + groove.depth) < 1e-6]
+        if not deep:
+            return math.inf
+        for way in cutter_ways(groove):
+            there = np.min([piece.distance(way.sample(step)) for piece in deep], axis=0)
+            worst = max(worst, float(there.max()))
+    ways = [way for groove in mold.grooves for way in cutter_ways(groove)]
+    gone = [cut.piece.point(np.linspace(0.0, cut.piece.length, math.ceil(cut.piece.length / step) + 1)) for cut in cuts]
+    points = np.asarray(np.unique(np.round(np.vstack(gone), 9), axis=0), dtype=float)
+    return max(worst, float(np.min([way.distance(points) for way in ways], axis=0).max()))
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """The plate after milling, seen from above.   x, y: (W,), (H,) of the pixels, m.   depth: (H, W) m cut away."""
+
+    x: Array
+    y: Array
+    depth: Array
+
+
+def milled(size: Point, cuts: list[tuple[str, float]], pixel: float = 0.2e-3, margin: float = 8e-3) -> Relief:
+    """What flat cutters leave of the stock: programs with the diameters (m) of their tools, one after the other."""
+    x, y = (np.arange(-margin, side + margin, pixel) + pixel / 2 for side in size)
+    depth = np.zeros((len(y), len(x)))
+    for text, diameter in cuts:
+        for motion in read_gcode(text):
+            if min(motion.start, motion.end) < 0:
+                _cut(depth, (x, y), motion, diameter / 2)
+    return Relief(x, y, depth)
+
+
+def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
+    """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
+    piece = motion.piece
+    way = (
+        piece.point(np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / 0.5e-3))))
+        if piece.length
+        else (np.array([piece.start]))
+    )
+    low, high = way.min(0) - radius, way.max(0) + radius
+    window = tuple(
+        slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)
+    )
+    gx, gy = np.meshgrid(axes[0][window[1]], axes[1][window[0]])
+    points = np.column_stack([gx.ravel(), gy.ravel()])
+    if not len(points):
+        return
+    away = piece.distance(points) if piece.length else np.linalg.norm(points - way[0], axis=1)
+    level = -motion.end if piece.length else -min(motion.start, motion.end)
+    view = depth[window]
+    np.maximum(view, np.where(away <= radius, level, 0.0).reshape(gx.shape), out=view)
+
+
+def machining_time(text: str) -> float:
+    """How long the moves of a program take, s; without dwells and changes of tools."""
+    return sum(motion.time for motion in read_gcode(text))
