@@ -33,7 +33,7 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("status", "how the solve ended", lambda e: e.status.name),
     Quantity("stable", "whether it is stable"),
     Quantity("tip_position_mm", "tip position", form=".4f"),
-    Quantity("tipby_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
+    Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
              "before, to first order; absent without friction", lambda e: by_history(e), optional=True),
     line("friction holds it", lambda e: _held_within(e)),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
