@@ -24,6 +24,8 @@ websockets = pytest.importorskip("websockets")
 
 SEED = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 CLIENTS = Path("integrations/clients")
+CONNECTED: list[Any] = []
+"""Clients of the test that runs, to be closed at its end."""
 
 
 def robot(**options: float) -> CrtkRobot:
@@ -119,6 +121,8 @@ def run(talk: Callable[[RobotServer], Awaitable[None]], **options: Any) -> Robot
         try:
             await talk(server)
         finally:
+            await asyncio.gather(*(each.close() for each in CONNECTED), return_exceptions=True)
+            CONNECTED.clear()
             serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
         return server
@@ -128,6 +132,7 @@ def run(talk: Callable[[RobotServer], Awaitable[None]], **options: Any) -> Robot
 
 async def client(server: RobotServer, role: str = "commander", token: str | None = None) -> Any:
     socket = await websockets.connect(f"ws://127.0.0.1:{server.port}", compression=None)
+    CONNECTED.append(socket)
     await socket.send(json.dumps({"op": "hello", "token": token or server.token, "role": role}))
     return socket
 
