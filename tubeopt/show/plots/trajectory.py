@@ -63,10 +63,11 @@ def plot_trajectory(
     arms = arms_at(t, np.linspace(0, len(t.time) - 1, min(SHOWN, len(t.time))).astype(int))
     seen, box = _stage(t, arms, view)
     _draw_scene(scene, t, arms, (seen, box))
-    scene.legend(loc="lower left", ncols=3, bbox_to_anchor=(0.0, -0.02), handlelength=1.4)
     first: Axes = figure.add_subplot(grid[0, 1])
     axes = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, curves))]
     _draw_curves(axes, t)
+    signs, names = scene.get_legend_handles_labels()
+    axes[1].legend(signs, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     figure.align_ylabels(axes)
     headed(figure, _heading(t, title))
     return figure
@@ -151,7 +152,7 @@ def _draw_scene(
         parts += [_arm(arm, strong)]
     scene.add_collection(facets(Mesh.join(parts), seen))
     tips = seen.project(trajectory.tip_position[: None if upto is None else upto + 1])
-    scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5, label="way of the tip")
+    scene.plot(tips[:, 0], tips[:, 1], color=INK, lw=0.9, zorder=5, label="tip")
     scene.plot(*tips[0, :2], "o", mfc="white", mec=INK, ms=4, zorder=6, label="start")
     scene.plot(*tips[-1, :2], "o", color=INK, ms=4, zorder=6, label="end")
 
