@@ -336,12 +336,21 @@ class _Look:
 
     def __init__(self, at: Posture) -> None:
         self.at = at
-        spread = at.space.spread
-        slopes = None if at.space.only_backward(at.q).any() else _compiled_slopes(at.equilibrium)
-        if slopes is None:
-            self.tip, self.turn, self.margin = at.jacobian[0], at.jacobian[1], at.margin_slope()
-        else:
-            self.tip, self.turn, self.margin = slopes.position @ spread, slopes.turn @ spread, slopes.margin @ spread
+        found = self._compiled()
+        known = (at.jacobian[0], at.jacobian[1], at.margin_slope()) if found is None else found
+        self.tip, self.turn, self.margin = known
+
+    def _compiled(self) -> tuple[Array, Array, Array] | None:
+        """All three by the kernel, of the side to which each joint is free to move; None where it has none."""
+        at, tables = self.at, []
+        blocked = at.space.only_backward(at.q)
+        for side in (1, -1) if blocked.any() else (1,):
+            slopes = _compiled_slopes(at.equilibrium, side)
+            if slopes is None:
+                return None
+            tables.append([part @ at.space.spread for part in (slopes.position, slopes.turn, slopes.margin)])
+        tip, turn, margin = (np.where(blocked, back, on) for on, back in zip(tables[0], tables[-1], strict=True))
+        return tip, turn, margin
 
     def softness(self, space: JointSpace, turn: float = 1e-4) -> Array:
         """(m,) relative change of the translational compliance of the tip by the joints, by differences; 0 without a
@@ -359,10 +368,10 @@ class _Look:
         return out
 
 
-def _compiled_slopes(at: Equilibrium) -> Slopes | None:
+def _compiled_slopes(at: Equilibrium, side: int = 1) -> Slopes | None:
     still = np.zeros(at.robot.n_tubes)
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
-    return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations))
+    return slopes_compiled(at.robot, at.rotations, at.translations, Start(*arm, still, at.translations), side)
 
 
 def _in_turn(
