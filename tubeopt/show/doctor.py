@@ -30,6 +30,7 @@ EXTRAS = {
     "fabrication": ("ezdxf", "trimesh", "manifold3d"),
     "view": ("viser", "manifold3d"),
     "anatomy": ("nibabel", "nrrd", "trimesh"),
+    "control": ("websockets",),
     "cluster": ("dask", "distributed"),
     "data": ("pandas", "pyarrow", "xarray"),
     "notebook": ("ipykernel", "plotly"),

@@ -213,6 +213,15 @@ def _capsule(start: Array, end: Array, radius: float) -> Surface:
     return Surface(start + body.vertices @ axes, body.faces)
 
 
+def arrow_surface(start: Array, end: Array) -> Surface:
+    """An arrow from one place to another."""
+    length = float(np.linalg.norm(end - start))
+    shaft, head, tall = 0.015 * length, 0.05 * length, 0.8 * length
+    profile = [(0.0, length), (head, tall), (head, tall), (shaft, tall), (shaft, 0.0), (shaft, 0.0), (0.0, 0.0)]
+    body = _revolved(np.array(profile))
+    return Surface(start + body.vertices @ _axes((end - start) / length), body.faces)
+
+
 def _axes(z: Array) -> Array:
     """(3, 3) rows of a right-handed frame whose third axis is `z`."""
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
