@@ -254,6 +254,7 @@ static double least_factorised(const Stage *s, double small, int most, Step *ste
 /* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
 static double rough_margin(const Stage *s, Step *step, Room *room) {
     int settled;
+    anywhere(room->vector, unknowns_of(s));
     return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
 }
 
@@ -284,11 +285,10 @@ static int at_ease(Stage *s, State *state, const double *alpha, double factor, S
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
-   shortened where that fails. Leaves in the room about the softest direction. */
+   shortened where that fails. */
 static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
                 Answer *out) {
     double longest = 1;
-    anywhere(room->vector, unknowns_of(s));
     evaluate(s, state, 0);
     if (!factorise(s, state, 0, 1)) return DECLINED;
     for (double t = 0; t < 1;) {
