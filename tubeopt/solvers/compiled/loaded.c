@@ -117,8 +117,7 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
 }
 
 /* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
-   what that changes carried over, and settled; the direction that is softest is left in the room. Returns about the margin,
-   NaN where this fails. */
+   what that changes carried over, and settled. Returns about the margin, NaN where this fails. */
 static double grow_roughly(const Rules *rules, const double *alpha, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage, *rough = &w->rough;
     State *here = &w->rough_state;
@@ -134,13 +133,7 @@ static double grow_roughly(const Rules *rules, const double *alpha, double margi
         for (int i = 0; i < N; i++) w->trial.theta[x][i] += w->state.theta[x][i];
     w->state = w->trial;
     if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return NAN;
-    /* Few points may have taken another direction for the softest: with something of every other it is found. */
-    int n = unknowns_of(stage);
-    double *carried = w->room.basis[0], *start = w->room.vector;
-    carry_direction(rough, start, stage, rules->from_rough, carried);
-    anywhere(start, n);
-    double scale = sqrt(dot(carried, carried, n) / dot(start, start, n)) * ELSEWHERE;
-    for (int i = 0; i < n; i++) start[i] = carried[i] + scale * start[i];
+    anywhere(w->room.vector, unknowns_of(stage));
     return margin;
 }
 

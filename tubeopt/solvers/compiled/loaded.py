@@ -36,9 +36,6 @@ FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
 """Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
 times as far below 1 as the margin expected that place is."""
 
-ELSEWHERE = 0.03
-"""Part of the softest direction on few points that is replaced by something of every direction, to begin with."""
-
 ROUGH_STEP = 1e-2
 """A step of Newton's method, rad, that is the last on few points, which are no better."""
 
@@ -67,7 +64,6 @@ def loaded_source(n: int) -> str:
         "FIRST_LANCZOS": FIRST_LANCZOS,
         "LEAST_SOFTENING": LEAST_SOFTENING,
         "BEYOND": BEYOND,
-        "ELSEWHERE": ELSEWHERE,
         "ROUGH_STEP": ROUGH_STEP,
         "PREDICTED_PART": PREDICTED_PART,
         "CHORD_STEP": CHORD_STEP,

@@ -264,9 +264,9 @@ static double rough_margin(const Stage *s, Step *step, Room *room) {
    variation, and leaves others. */
 static double margin_of(Stage *s, const State *state, double near, double small, Step *step, Room *room) {
     double elastic = isnan(near) ? 1 : fmin(1, fmax(BEYOND * (1 - near), LEAST_SOFTENING)), margin = 1;
-    int settled = 0;
-    for (int tries = 0; tries < 6 && !settled; tries++) {
-        while ((tries || elastic < 1) && !factorise(s, state, 1, elastic)) {
+    int settled = 0, ready = elastic == 1; /* factors of the second variation itself are there */
+    for (int tries = 0; tries < 6 && !settled; tries++, ready = 0) {
+        while (!ready && !factorise(s, state, 1, elastic)) {
             if (elastic == 1) return -1;
             elastic = fmin(1, 3 * elastic);
         }
