@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, SolveError, Tube, forward_kinematics
+from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, SolveError, Tube, forward_kinematics, load_robot
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
 from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel
 from tubeopt.shaping.mold.mandrel_files import check_mandrel_stl
 from tubeopt.shaping.mold.robot import chosen_tubes
+from tubeopt.show.mandrel_report import MandrelReport
 from tubeopt.show.plots.mandrel import plot_mandrel
+from tubeopt.show.plots.mandrel_sheet import plot_mandrel_sheet
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")
@@ -137,7 +139,15 @@ def test_a_solid_of_another_mandrel_is_seen(made: tuple[Tube, Mandrel, Path]) ->
 
 def test_pictures(made: tuple[Tube, Mandrel, Path], tmp_path: Path) -> None:
     plot_mandrel(made[1], tmp_path / "mandrel.png")
-    assert (tmp_path / "mandrel.png").stat().st_size > 10_000
+    plot_mandrel_sheet(made[1], tmp_path / "setup.png")
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in ("mandrel.png", "setup.png"))
+
+
+def test_a_printed_mandrel_is_told() -> None:
+    tube = load_robot(Path(__file__).parents[2] / "configs/robots/example_pieces.yaml").tubes[0]
+    rows = dict(MandrelReport(plan_mandrel(tube)).rows())
+    assert rows["turned or printed"] == "printed"
+    assert "helix, pitch" not in rows
 
 
 @pytest.mark.parametrize(

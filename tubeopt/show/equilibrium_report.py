@@ -33,8 +33,8 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("status", "how the solve ended", lambda e: e.status.name),
     Quantity("stable", "whether it is stable"),
     Quantity("tip_position_mm", "tip position", form=".4f"),
-    Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
-             "before, to first order; absent without friction", lambda e: _by_history(e), optional=True),
+    Quantity("tipby_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
+             "before, to first order; absent without friction", lambda e: by_history(e), optional=True),
     line("friction holds it", lambda e: _held_within(e)),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
     Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
@@ -53,8 +53,8 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
 )  # fmt: skip
 
 
-def _by_history(e: Equilibrium) -> Array | None:
-    """(3,) m; None where the robot's file tells of no friction."""
+def by_history(e: Equilibrium) -> Array | None:
+    """(3,) half widths (m) to first order of where friction can hold the tip; None where the robot tells of none."""
     friction = friction_of(e.robot)
     if friction is None or e.load is not None or e.friction is not None or not e.stable:
         return None
@@ -62,7 +62,7 @@ def _by_history(e: Equilibrium) -> Array | None:
 
 
 def _held_within(e: Equilibrium) -> str | None:
-    half = _by_history(e)
+    half = by_history(e)
     return None if half is None else f"within ± {millimetres(half, '.3f')} along x, y, z, to first order"
 
 

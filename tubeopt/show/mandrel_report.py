@@ -66,8 +66,12 @@ class MandrelReport(Report[Mandrel]):
         return Group(two_columns(self.title(), self.rows()), *remarks(self.answer.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:
-        """Write mandrel.json, mandrel.stl, and of a turned one mandrel.csv and mandrel.nc."""
-        return [self.save_record(directory), *write_mandrel(self.answer, directory)]
+        """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
+        from .plots.mandrel_sheet import plot_mandrel_sheet
+
+        paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
+        plot_mandrel_sheet(self.answer, directory / "setup.pdf")
+        return [*paths, directory / "setup.pdf"]
 
     def pictures(self) -> dict[str, Drawing]:
         """The mandrel, with the tube on it."""

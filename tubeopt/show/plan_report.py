@@ -21,13 +21,19 @@ from ..robots.file import save_robot
 from ..runs.verify_study import Checked
 from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
+from ..typing import Array
+from .equilibrium_report import by_history
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, report, two_columns
+
+FELT = 25
+"""Samples at which it is told how far friction can hold the tip."""
 
 HOW = {
     "straight": "straight",
     "detour": "by translations at which nothing can snap",
     "search": "by random search",
+    "roadmap": "over a roadmap",
     "tip path": "by inverse kinematics along the curve",
     "leader": "by withdrawing the arm along itself",
     "partial": "as far as the search came",
@@ -127,6 +133,9 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("status", "how the planning ended"),
     Quantity("largest_deviation_mm", "largest deviation", lambda t: None if t.deviation is None else t.deviation.max(),
              form=".3f"),
+    Quantity("tip_by_history_mm", "how far friction can hold the tip off along x, y and z, at the worst of samples, "
+             "to first order; absent without friction", lambda t: largest_by_history(t), optional=True,
+             label="friction holds it", words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     Quantity("proof", "what was proved", of=PROOF),
     Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
 )  # fmt: skip
@@ -137,6 +146,13 @@ FOUND: tuple[Quantity[Trajectory], ...] = (
     line("smoothed", _smoothed),
 )
 """What is told below the motion itself."""
+
+
+def largest_by_history(t: Trajectory) -> Array | None:
+    """(3,) m, the largest of FELT samples evenly spaced in time; None where the robot tells of no friction."""
+    chosen = np.unique(np.linspace(0, len(t.arms) - 1, FELT).round().astype(int)).tolist()
+    found = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
+    return np.max(found, axis=0) if found else None
 
 
 def _found(t: Trajectory) -> str:

@@ -84,7 +84,7 @@ class Quantity(Generic[A]):
         """What its row of the table says, None for no row."""
         if callable(self.words):
             return self.words(answer)
-        if not (self.words or self.form) or (self.key and known[self.key] is None):
+        if not (self.words or self.form) or (self.key and known.get(self.key) is None):
             return None
         if self.words is not None:
             return _TEMPLATE.vformat(self.words, (), known)

@@ -31,42 +31,51 @@ def plot_mandrel(mandrel: Mandrel, *, title: str = "") -> Figure:
     figure = new_figure(8.6, 4.0)
     space = figure.add_subplot(1, 2, 1, projection="3d")
     side = figure.add_subplot(1, 2, 2)
-    _draw_space(space, mandrel)
-    body, colour = mandrel.body, tube_colour(mandrel.number - 1)
-    w = mandrel.winding
+    draw_space(space, mandrel)
+    draw_plan(side, mandrel)
+    figure.suptitle(f"{title or f'Mandrel of tube {mandrel.number}'}, {_made(mandrel)}", x=0.02, ha="left", fontsize=9)
+    return figure
+
+
+def _made(mandrel: Mandrel) -> str:
+    body = mandrel.body
+    if isinstance(body, Cylinder):
+        pitch = 2 * math.pi * abs(body.lead) * TO_MM
+        return (
+            f"turned: cylinder {2 * body.radius * TO_MM:.2f} × {body.length * TO_MM:.1f} mm\n"
+            f"groove {mandrel.width * TO_MM:g} mm, radius {body.helix_radius * TO_MM:.3f} mm, "
+            f"pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}-handed"
+        )
+    size = np.array(body.size) * TO_MM
+    return f"printed: block {size[0]:.1f} × {size[1]:.1f} × {size[2]:.1f} mm\ngroove {mandrel.width * TO_MM:g} mm wide"
+
+
+def draw_plan(side: Axes, mandrel: Mandrel) -> None:
+    """Rotation over feed of a turned mandrel, or the groove of a printed one from above."""
+    body, w = mandrel.body, mandrel.winding
     if isinstance(body, Cylinder):
         table = rotation_table(mandrel)
         bend = (table[:, 0] >= 0) & (table[:, 0] <= mandrel.held.curved_length + 1e-12)
         feed, turn = table[:, 1] * TO_MM, np.degrees(table[:, 2])
         side.plot(turn, feed, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
-        side.plot(turn[bend], feed[bend], color=colour, lw=1.8, label="bend")
+        side.plot(turn[bend], feed[bend], color=tube_colour(mandrel.number - 1), lw=1.8, label="bend")
         side.set_xlabel("rotation (deg)")
         side.set_ylabel("feed from the chuck's end (mm)")
         side.legend(loc="best")
-        pitch = 2 * math.pi * abs(body.lead) * TO_MM
-        words = (
-            f"turned: cylinder {2 * body.radius * TO_MM:.2f} × {body.length * TO_MM:.1f} mm\n"
-            f"groove {mandrel.width * TO_MM:g} mm, radius {body.helix_radius * TO_MM:.3f} mm, "
-            f"pitch {pitch:.3f} mm, {'left' if body.lead < 0 else 'right'}-handed"
-        )
-    else:
-        size = np.array(body.size) * TO_MM
-        side.plot(*(w.points[:, :2] * TO_MM).T, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
-        points = w.points[w.bend] * TO_MM
-        drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
-        side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
-        side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
-        side.set_aspect("equal")
-        side.set_xlabel("x (mm)")
-        side.set_ylabel("y (mm)")
-        words = (
-            f"printed: block {size[0]:.1f} × {size[1]:.1f} × {size[2]:.1f} mm\ngroove {mandrel.width * TO_MM:g} mm wide"
-        )
-    figure.suptitle(f"{title or f'Mandrel of tube {mandrel.number}'}, {words}", x=0.02, ha="left", fontsize=9)
-    return figure
+        return
+    size = np.array(body.size) * TO_MM
+    side.plot(*(w.points[:, :2] * TO_MM).T, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
+    points = w.points[w.bend] * TO_MM
+    drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
+    side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
+    side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
+    side.set_aspect("equal")
+    side.set_xlabel("x (mm)")
+    side.set_ylabel("y (mm)")
 
 
-def _draw_space(axes: Axes, mandrel: Mandrel) -> None:
+def draw_space(axes: Axes, mandrel: Mandrel) -> None:
+    """The mandrel in space, with the tube's centreline in its groove."""
     body, w = mandrel.body, mandrel.winding
     if isinstance(body, Cylinder):
         angle, x = np.meshgrid(np.linspace(0, 2 * math.pi, 61), np.array([0.0, body.length]) * TO_MM)

@@ -176,17 +176,18 @@ def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
     axes = figure.add_axes((EDGE / A4[0], top / A4[1], wide / A4[0], tall / A4[1]))
     draw_mold(axes, mold)
     axes.set_axis_off()
-    _text(figure, EDGE, A4[1] - EDGE, f"Set-up sheet{': ' + title if title else ''}", size=13, weight="bold")
+    sheet_text(figure, EDGE, A4[1] - EDGE, f"Set-up sheet{': ' + title if title else ''}", size=13, weight="bold")
     key = "White: bolts; dark: dowels; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
     where = f"drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
-    _text(figure, EDGE, A4[1] - EDGE - 6, f"{_heading(mold)}, {where}")
-    _text(figure, EDGE, EDGE + 3, key)
+    sheet_text(figure, EDGE, A4[1] - EDGE - 6, f"{_heading(mold)}, {where}")
+    sheet_text(figure, EDGE, EDGE + 3, key)
     _numbers(figure, mold, top - 4)
     _steps(figure, mold, top - 4)
     return figure
 
 
-def _text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+def sheet_text(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+    """Words on a sheet, their upper left corner at x, y (mm)."""
     figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
 
 
@@ -237,19 +238,19 @@ def _travel(groove: Groove) -> float:
 def _numbers(figure: Figure, mold: Mold, top: float) -> None:
     column, step, first = 30.0, 4.5, EDGE + 52.0
     shown = mold.grooves[:3]
-    _text(figure, EDGE, top, "mm, tubes cold", weight="bold")
+    sheet_text(figure, EDGE, top, "mm, tubes cold", weight="bold")
     for k, groove in enumerate(shown):
         x = first + k * column
-        _text(figure, x, top, f"tube {groove.number}", weight="bold")
+        sheet_text(figure, x, top, f"tube {groove.number}", weight="bold")
         for row, (name, value) in enumerate(_rows(groove, mold)):
             y = top - (row + 1) * step
             if k == 0:
-                _text(figure, EDGE, y, name)
-            _text(figure, x, y, value)
+                sheet_text(figure, EDGE, y, name)
+            sheet_text(figure, x, y, value)
     if len(mold.grooves) > len(shown):
         y = top - (len(_rows(shown[0], mold)) + 1.4) * step
         rest = ", ".join(str(groove.number) for groove in mold.grooves[len(shown) :])
-        _text(figure, EDGE, y, f"tubes {rest}: see mold.json")
+        sheet_text(figure, EDGE, y, f"tubes {rest}: see mold.json")
 
 
 def _steps(figure: Figure, mold: Mold, top: float) -> None:
@@ -272,7 +273,7 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     ]
     lines = [f"{k}.  " + textwrap.fill(step, 78, subsequent_indent="      ") for k, step in enumerate(steps, start=1)]
     lines += ["!  " + textwrap.fill(remark, 78, subsequent_indent="      ") for remark in mold.remarks]
-    _text(figure, 158.0, top, "\n".join(lines))
+    sheet_text(figure, 158.0, top, "\n".join(lines))
 
 
 @picture

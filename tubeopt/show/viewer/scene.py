@@ -5,6 +5,7 @@ Lengths are drawn `SCALE` times as large, since the viewer's camera is made for 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -13,10 +14,21 @@ import numpy as np
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import HalfSpace, Obstacle
 from ...equilibrium.result import Equilibrium
+from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
 from .session import Session
-from .surfaces import Part, Surface, arrow_surface, join, margin_colour, obstacle_surface, plate_part, robot_parts
+from .surfaces import (
+    Part,
+    Surface,
+    arrow_surface,
+    between,
+    join,
+    margin_colour,
+    obstacle_surface,
+    plate_part,
+    robot_parts,
+)
 
 SCALE = 10.0
 """Units of the scene per metre."""
@@ -33,6 +45,9 @@ FORCE_COLOUR = (220, 120, 30)
 SHORTEST_ARROW = 1e-6
 """Of a force that is drawn, m."""
 SWEPT_COLOUR = (120, 90, 200)
+
+FRAMES, SNAP_SECONDS = 12, 0.36
+"""Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
 
 
 class Scene:
@@ -197,7 +212,7 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
             f"obstacle_{k + 1}",
             obstacle_surface(body, reach),
             OBSTACLE_COLOUR,
-            0.3 if isinstance(body, HalfSpace | Corridor) else 1.0,
+            0.3 if isinstance(body, HalfSpace | Corridor) or not getattr(body, "bounded", True) else 1.0,
         )
         for k, body in enumerate(obstacles)
     ]
@@ -212,3 +227,14 @@ def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
     """Where to look from and what at, in the scene's units: the whole robot, at any joint values."""
     length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
     return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length
+
+
+def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
+    """Show snaps one after the other."""
+    for snap in snaps:
+        for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
+            began = time.monotonic()
+            with client.atomic():
+                scene.show(shape)
+            client.flush()
+            time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))

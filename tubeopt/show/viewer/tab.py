@@ -19,7 +19,6 @@ from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
 from ...robots.load import Load
 from ...runs.obstacle_file import load_obstacles
-from ...stability import Snap
 from ...workspaces import workspace
 from . import export
 from .arrow import ForceArrow, handle_size
@@ -30,17 +29,14 @@ from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
 from .pushing import push_on
-from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
+from .scene import SCALE, Scene, animate, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
-from .surfaces import between
 from .swept import swept_volume
 from .view import View
 from .wishes import MIRROR, Wishes
+from .words import others_words
 from .worker import Worker
-
-FRAMES, SNAP_SECONDS = 12, 0.36
-"""Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
 
 TICK = 0.04
 """Time between pictures of a trajectory, s."""
@@ -237,7 +233,7 @@ class Tab(Wishes):
             self._mark = mark
             self.scene.clear("ghosts")
         if moved and self.session.last:
-            self._animate(self.session.last)
+            animate(self._client, self.scene, self.session.last)
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
             self.panel.untick("workspace", "swept")
@@ -263,15 +259,6 @@ class Tab(Wishes):
             self._insights.plot()
         self.panel.sync(self.session, dragged)
 
-    def _animate(self, snaps: Sequence[Snap]) -> None:
-        for snap in snaps:
-            for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
-                began = time.monotonic()
-                with self._client.atomic():
-                    self.scene.show(shape)
-                self._client.flush()
-                time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))
-
     def _say(self, text: str, *, bad: bool = False) -> None:
         self.panel.say(text, bad=bad)
 
@@ -286,10 +273,7 @@ class Tab(Wishes):
             self._say(str(error), bad=True)
             return
         self.scene.layer("ghosts", ghost_parts(others))
-        stable = sum(each.stable for each in others)
-        many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
-        kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
-        self._say(f"{many} at these joint values{kinds}")
+        self._say(others_words(others))
 
     def _show(self, layer: str, on: bool) -> None:
         if layer == "trail":
