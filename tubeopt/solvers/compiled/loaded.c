@@ -117,14 +117,14 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
 }
 
 /* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
-   what that changes carried over, and settled; the direction that is softest is left in the room. Returns about the margin,
-   NaN where this fails. */
+   what that changes carried over, and settled. Returns about the margin, NaN where this fails. */
 static double grow_roughly(const Rules *rules, const double *alpha, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage, *rough = &w->rough;
     State *here = &w->rough_state;
     carry_over(stage, &w->state, rough, rules->to_rough, here);
     for (int x = 0; x < rough->points; x++) memcpy(w->other.theta[x], here->theta[x], sizeof here->theta[x]);
     if (grow(rough, alpha, margin, &w->room, here, &w->trial, &w->step, out)) return NAN;
+    anywhere(w->room.vector, unknowns_of(rough));
     margin = margin_of(rough, here, NAN, SOFTENING_ERROR, &w->step, &w->room);
     for (int x = 0; x < rough->points; x++)
         for (int i = 0; i < N; i++) here->theta[x][i] -= w->other.theta[x][i];
@@ -133,8 +133,7 @@ static double grow_roughly(const Rules *rules, const double *alpha, double margi
         for (int i = 0; i < N; i++) w->trial.theta[x][i] += w->state.theta[x][i];
     w->state = w->trial;
     if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return NAN;
-    carry_direction(rough, w->room.vector, stage, rules->from_rough, w->room.basis[0]);
-    memcpy(w->room.vector, w->room.basis[0], sizeof w->room.vector);
+    anywhere(w->room.vector, unknowns_of(stage));
     return margin;
 }
 
@@ -156,6 +155,7 @@ static int solve_prepared(const Rules *rules, const double *alpha, const double 
     } else if (isnan(near = grow_roughly(rules, alpha, margin, w, out))) {
         take_up(stage, alpha, theta, turn, curvature, &w->state);
         if (grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out)) return DECLINED;
+        anywhere(w->room.vector, unknowns_of(stage));
     }
     tip_compliance(stage, &w->state, &w->step, w->room.basis[0], out->compliance);
     lay_arm(stage, &w->state, alpha, out);

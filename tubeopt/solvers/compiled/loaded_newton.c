@@ -254,6 +254,7 @@ static double least_factorised(const Stage *s, double small, int most, Step *ste
 /* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
 static double rough_margin(const Stage *s, Step *step, Room *room) {
     int settled;
+    anywhere(room->vector, unknowns_of(s));
     return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
 }
 
@@ -263,9 +264,9 @@ static double rough_margin(const Stage *s, Step *step, Room *room) {
    variation, and leaves others. */
 static double margin_of(Stage *s, const State *state, double near, double small, Step *step, Room *room) {
     double elastic = isnan(near) ? 1 : fmin(1, fmax(BEYOND * (1 - near), LEAST_SOFTENING)), margin = 1;
-    int settled = 0;
-    for (int tries = 0; tries < 6 && !settled; tries++) {
-        while ((tries || elastic < 1) && !factorise(s, state, 1, elastic)) {
+    int settled = 0, ready = elastic == 1; /* factors of the second variation itself are there */
+    for (int tries = 0; tries < 6 && !settled; tries++, ready = 0) {
+        while (!ready && !factorise(s, state, 1, elastic)) {
             if (elastic == 1) return -1;
             elastic = fmin(1, 3 * elastic);
         }
@@ -284,11 +285,10 @@ static int at_ease(Stage *s, State *state, const double *alpha, double factor, S
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
-   shortened where that fails. Leaves in the room about the softest direction. */
+   shortened where that fails. */
 static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
                 Answer *out) {
     double longest = 1;
-    anywhere(room->vector, unknowns_of(s));
     evaluate(s, state, 0);
     if (!factorise(s, state, 0, 1)) return DECLINED;
     for (double t = 0; t < 1;) {
