@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.examples import DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
-from tubeopt import find_snap, forward_kinematics, verify_trajectory
+from tubeopt import EccentricRobot, find_snap, forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
@@ -229,3 +229,12 @@ def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
     # The body is convex: a place beyond the plane of a face is outside.
     assert (side * ((place - corners[flat[:, 0]]) * normals).sum(1) < 0).any()
     assert MeshObstacle(vertices, faces).signed_distance(place)[0] == pytest.approx(0.0303998881, abs=1e-9)
+
+
+def test_what_cannot_be_bounded_is_given_up_soon() -> None:
+    """Three tubes so curved and so far off their middle that no interval, however short, bounds how they turn."""
+    robot = EccentricRobot(Tube(1.9e-3, 1.6e-3, 0.02, 0.12, 60.0))
+    proof = verify_trajectory(robot, [0, 1], [[0.5, -0.3, 0.1], [0.54, -0.3, 0.1]])
+    assert proof.snap is None
+    assert "nothing shows that one stable branch" in proof.faults[0]
+    assert proof.equilibria < 50

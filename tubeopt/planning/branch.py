@@ -37,10 +37,12 @@ Turn = tuple[Array, Array]
 @dataclass(frozen=True, eq=False)
 class Branch:
     """What is known between neighbouring equilibria: `unbroken` (B,) whether one stable branch joins them; `off` (B, K)
-    by how much, m, a point in a section may be off the straight line between its places at both ends."""
+    by how much, m, a point in a section may be off the straight line between its places at both ends; `turned` (B,)
+    whether the turn of the tubes is bounded between its samples along the arm, which shorter intervals hardly help."""
 
     unbroken: Mask
     off: Array
+    turned: Mask
 
 
 def branch(intervals: Intervals, stiffness: Array) -> Branch:
@@ -51,7 +53,7 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
         error, kept = found.error(turn)
         unbroken = sure & kept & intervals.ordered
         off = found.off(turn, error)
-    return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf))
+    return Branch(np.asarray(unbroken & np.isfinite(off).all(1)), np.where(unbroken[:, None], off, np.inf), sure)
 
 
 class _Bounds:

@@ -42,6 +42,9 @@ MOST = 20_000
 TOLERANCE = 1.2e-5
 """How far (m) the bound of the clearance may lie below the least distance that was measured."""
 
+HALVINGS = 4
+"""Of an interval in which nothing bounds how tubes turn between samples along the arm, before it is given up."""
+
 DIP = 1e-7
 """Depth of a least margin between equilibria that does not matter."""
 
@@ -61,12 +64,13 @@ class Step:
 @dataclass(frozen=True, eq=False)
 class Link:
     """Two neighbouring steps; by how much (K,) m the arm is off the straight line in between; bound of the clearance
-    there, m."""
+    there, m; of how many intervals, each half of the one before, nothing bounds the turn."""
 
     one: Step
     other: Step
     off: Array = field(default_factory=lambda: np.zeros(0))
     bound: float = math.inf
+    unbounded: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,9 +227,10 @@ def _joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tup
     while links:
         fresh: list[Link] = []
         for link, unbroken, off in _looked_at(follower, links):
+            short = link.other.at - link.one.at < SHORTEST or link.unbounded > HALVINGS
             if unbroken:
                 done.append(replace(link, off=off))
-            elif follower.over or link.other.at - link.one.at < SHORTEST:
+            elif follower.over or short:
                 lost.append((link.one.at, link.other.at))
                 done.append(replace(link, off=np.full_like(off, np.inf)))
             else:
@@ -240,7 +245,8 @@ def _halves(follower: Follower, link: Link) -> list[Link]:
     if middle is None:
         end = follower.ends(link.one, link.other.at, link.other.joints)
         raise _SnapError(link.one.at if end is None else end)
-    return [Link(link.one, middle), Link(middle, link.other)]
+    halves = Link(link.one, middle), Link(middle, link.other)
+    return [replace(half, unbounded=link.unbounded) for half in halves]
 
 
 def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bool, Array]]:
@@ -250,7 +256,11 @@ def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bo
         some = links[k : k + BATCH]
         intervals = _intervals(follower, some)
         found = branch(intervals, _stiffness(intervals.arms))
-        out += list(zip(some, found.unbroken.tolist(), found.off, strict=True))
+        counted = (
+            replace(link, unbounded=0 if turned else link.unbounded + 1)
+            for link, turned in zip(some, found.turned.tolist(), strict=True)
+        )
+        out += list(zip(counted, found.unbroken.tolist(), found.off, strict=True))
     return out
 
 
