@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import gc
 import os
 import sys
@@ -51,6 +53,8 @@ def _memory() -> Iterator[None]:
                     if hasattr(each, "cache_clear"):
                         each.cache_clear()
         gc.collect()
+        with contextlib.suppress(AttributeError, OSError):
+            ctypes.CDLL(None).malloc_trim(0)  # the C library keeps what is free otherwise
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from tubeopt.runs.inverse_study import InverseStudy
 from tubeopt.runs.obstacle_file import load_obstacles
 from tubeopt.runs.plan_study import PlanStudy
 
-KINDS = "its kind must be one of sphere, capsule, half_space, box, corridor, mesh"
+KINDS = "its kind must be one of sphere, capsule, half_space, box, corridor, mesh, anatomy"
 
 BODIES: list[tuple[dict[str, Any], Obstacle]] = [
     ({"kind": "sphere", "centre_mm": [1, 2, 3], "radius_mm": 4}, Sphere((1e-3, 2e-3, 3e-3), 4e-3)),

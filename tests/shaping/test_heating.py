@@ -416,8 +416,10 @@ def test_bad_tubes() -> None:
         plan_heating(TUBE, None)  # type: ignore[arg-type]
 
 
-def test_open_circuit_voltage_there_and_back() -> None:
+def test_open_circuit_voltage_there_and_back(caplog: pytest.LogCaptureFixture) -> None:
     battery = Battery()
     for charge in (0.1, 0.37, 1.0):
         assert battery.charge_at(replace(battery, state_of_charge=charge).voltage) == pytest.approx(charge)
+    assert battery.charge_at(13.1) == 1.0
+    assert "the battery shows 13.1 V, a full one 12.73 V at rest" in caplog.text
     assert Battery(state_of_charge=0.65).voltage_slope == pytest.approx(1.3)

@@ -147,3 +147,12 @@ def test_nothing_is_said_about_what_is_no_answer() -> None:
         report(Path())
     with pytest.raises(TypeError, match="there is no report on a dict"):
         to_dict({})
+
+
+def test_an_optional_quantity_that_is_not_there_has_no_row() -> None:
+    lone = (
+        Quantity[complex]("real", "real part", form=".1f"),
+        Quantity[complex]("x_mm", "size", lambda z: None, form=".1f", optional=True),
+    )
+    assert record(2 + 0j, lone) == {"real": 2.0}
+    assert rows(2 + 0j, lone) == [("real part", "2.0")]

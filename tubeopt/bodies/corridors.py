@@ -11,9 +11,12 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, positive
+from ..errors import InputError, extra, positive
+from ..files.csv_file import read_csv
 from ..files.marks import POSITIVE, unit
+from ..files.units import MM
 from ..typing import Array
+from .frames import ras
 from .obstacles import Capsule, Point3, as_points, greater, triple
 from .scene import Scene
 from .triangles import Triangles
@@ -165,17 +168,18 @@ class MeshObstacle:
         return np.where(beyond > 0, np.maximum(near - beyond, beyond), near), cell
 
     @cached_property
-    def _surface(self) -> Triangles:
+    def surface(self) -> Triangles:
+        """Its triangles, their normals outwards."""
         return Triangles(np.asarray(self._mesh.triangles))
 
     def _exact(self, points: Array) -> Array:
-        return self._surface.signed_distance(points)
+        return self.surface.signed_distance(points)
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
         array = as_points(points)
         flat = array.reshape(-1, 3)
-        distance, nearest, normal = self._surface.nearest(flat)
+        distance, nearest, normal = self.surface.nearest(flat)
         far = np.abs(distance)[:, None] > 1e-12
         away = np.where(far, (flat - nearest) / np.where(far, distance[:, None], 1.0), normal)
         return np.asarray(away.reshape(array.shape))
@@ -193,20 +197,65 @@ class MeshObstacle:
         return (axes[0], axes[1], axes[2]), distance
 
 
-def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3) -> MeshObstacle:
-    """The body in an STL (or other mesh) file, whose unit is `scale` m: by default mm.
+def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> MeshObstacle:
+    """The body in an STL, PLY, OBJ (or other mesh) file, whose unit is `scale` m: by default mm; `axes` RAS or LPS.
 
     Raises:
-        InputError: no such file, or one without a closed surface; trimesh is not installed.
+        InputError: no such file, one without a closed surface, or of a size that no body has; trimesh is not installed.
     """
+    mesh = _loaded(path, "mesh")
+    vertices = ras(_lengths(path, mesh.vertices, scale), axes)
+    if not len(mesh.faces):
+        raise InputError(f"{path}: it has no triangles; it must be the closed surface of a body")
     try:
-        import trimesh
-    except ImportError:
-        raise InputError("meshes need trimesh: pip install 'tubeopt[planning]'") from None
-    positive("scale", scale)
+        return MeshObstacle(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, np.asarray(mesh.faces).tolist())))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str = "RAS") -> Array:
+    """(N, 3) m: the points in a PLY file (or the corners of another mesh), or in a CSV file with the columns x_mm, y_mm
+    and z_mm, in the unit and axes of `load_mesh`.
+
+    Raises:
+        InputError: no such file, no points in it, numbers that are not finite.
+    """
+    if str(path).lower().endswith(".csv"):
+        table = read_csv(path)
+        table.expect(PLACE)
+        points = table.numbers(PLACE, MM)
+        table.check()
+        return ras(points, axes)
+    return ras(_lengths(path, _loaded(path, None).vertices, scale), axes)
+
+
+PLACE = ("x_mm", "y_mm", "z_mm")
+
+SMALLEST, LARGEST = 2e-4, 5.0
+"""Sizes (m) between which bodies are."""
+
+
+def _loaded(path: str | PathLike[str], force: str | None) -> Any:
+    """What trimesh reads."""
+    trimesh = extra("trimesh", "anatomy", "meshes")
     try:
-        mesh: Any = trimesh.load(str(path), force="mesh")
-    except (OSError, ValueError, NotImplementedError) as error:
-        raise InputError(f"{path}: no mesh can be read from it: {error}") from None
-    vertices, faces = np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces)
-    return MeshObstacle(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
+        found: Any = trimesh.load(str(path), force=force)
+    except Exception as error:  # whatever it raises of a file that is not what it says
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no mesh can be read from it: {words}") from None
+    if not hasattr(found, "vertices") or not len(found.vertices):
+        raise InputError(f"{path}: it has no points")
+    return found
+
+
+def _lengths(path: str | PathLike[str], vertices: Any, scale: float) -> Array:
+    """(N, 3) m; raises InputError for numbers that are not finite, and a size that no body has."""
+    points = np.asarray(vertices, dtype=float) * positive("scale", scale)
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: it has points that are NaN or infinite; every number must be finite")
+    size = float(np.ptp(points, axis=0).max())
+    if not SMALLEST <= size <= LARGEST:
+        raise InputError(
+            f"{path}: it is {size * 1e3:.3g} mm across, in a unit of {scale * 1e3:g} mm; is the unit another?"
+        )
+    return points

@@ -54,7 +54,7 @@ def greater(a: Any, b: Any) -> Any:
     return (a + b + _root((a - b) ** 2)) / 2
 
 
-def _unit(vectors: Array, otherwise: Array) -> Array:
+def unit_vectors(vectors: Array, otherwise: Array) -> Array:
     """Vectors (..., 3) over their length; `otherwise` (3,) where that is 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise)
@@ -118,7 +118,7 @@ class Sphere:
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
         """(..., 3) unit vectors from the centres of spheres of `numbers` (..., 4) to points (..., 3)."""
-        return _unit(points - numbers[..., :3], np.array([0.0, 0.0, 1.0]))
+        return unit_vectors(points - numbers[..., :3], np.array([0.0, 0.0, 1.0]))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the centre."""
@@ -196,7 +196,7 @@ class Capsule:
         square to it."""
         axis = numbers[..., 3:6] - numbers[..., :3]
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
-        return _unit(Capsule._from_axis(points, numbers), _unit(aside, np.array([0.0, 0.0, 1.0])))
+        return unit_vectors(Capsule._from_axis(points, numbers), unit_vectors(aside, np.array([0.0, 0.0, 1.0])))
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the axis; on it, one square to it."""
@@ -302,7 +302,7 @@ class Box:
         beyond, side = Box._beyond(points, numbers)
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
-        return np.where((beyond.max(-1) > 0)[..., None], _unit(outside, np.array([0.0, 0.0, 1.0])), nearest)
+        return np.where((beyond.max(-1) > 0)[..., None], unit_vectors(outside, np.array([0.0, 0.0, 1.0])), nearest)
 
     def gradient(self, points: ArrayLike) -> Array:
         """(..., 3) unit vectors away from the nearest point of the surface; inside, through the nearest face."""

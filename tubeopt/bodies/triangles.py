@@ -29,6 +29,21 @@ TIE = 1e-9
 """Triangles are equally near to within this share of the size of the body."""
 
 
+def bisected(corners: Array, longest: float) -> Array:
+    """(g, 3, 3) a surface of triangles (f, 3, 3), cut across their longest sides until none is longer than this."""
+    done = []
+    while len(corners):
+        side = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        most = side.argmax(1)
+        long = side.max(1) > longest
+        done.append(corners[~long])
+        order = (most[long, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(corners[long], order[..., None], axis=1), 1, 0)
+        middle = (a + b) / 2
+        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate([corners, *done])
+
+
 @dataclass(frozen=True, eq=False)
 class Triangles:
     """A closed surface, its normals outwards: corners (f, 3, 3) of the triangles, m."""
@@ -43,13 +58,7 @@ class Triangles:
     @cached_property
     def _cut(self) -> Array:
         """The same surface of smaller triangles."""
-        from trimesh.remesh import subdivide_to_size
-
-        faces = np.arange(3 * len(self.corners)).reshape(-1, 3)
-        longest = max(self.size / FINEST, 1e-12)
-        points = self.corners.reshape(-1, 3)
-        vertices, cut = subdivide_to_size(points, faces, longest, max_iter=40)  # type: ignore[no-untyped-call]
-        corners: Array = np.asarray(vertices)[np.asarray(cut)]
+        corners = bisected(self.corners, max(self.size / FINEST, 1e-12))
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         return np.asarray(corners[area > 0])
 

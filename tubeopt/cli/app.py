@@ -45,6 +45,8 @@ COMMANDS = {
     "view": "view.view",
     "plan": "plan.plan",
     "verify": "plan.verify",
+    "export": "export.export",
+    "serve": "serve.serve",
     "doctor": "doctor.doctor",
     "mold plan": "mold.plan",
     "mold mandrel": "mold.mandrel",

@@ -113,11 +113,11 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
         at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
         return _joints(radians(study.from_deg, at_home[0]), metres(study.from_mm, at_home[1]))
     if isinstance(study, InverseStudy):
-        out: dict[str, Any] = {"obstacles": study.obstacles or (), "min_margin": float(study.min_margin)}
+        out: dict[str, Any] = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
         return out | (_joints(*study.start) if study.start is not None else {})
     if isinstance(study, PlanStudy):
         at_home = np.zeros(study.robot.n_tubes), study.robot.home_translations
-        out = {"obstacles": study.obstacles, "min_margin": float(study.min_margin)}
+        out = {"obstacles": study.bodies, "min_margin": float(study.min_margin)}
         return out | _joints(radians(study.start_deg, at_home[0]), metres(study.start_mm, at_home[1]))
     raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
 

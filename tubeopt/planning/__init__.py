@@ -6,6 +6,7 @@ from .motion import RateLimits
 from .options import PlanOptions
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
+from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import follow_tip_path
 from .trajectory import PlanStatistics, Trajectory
 
@@ -14,10 +15,13 @@ __all__ = [
     "PlanStatistics",
     "Proof",
     "RateLimits",
+    "Roadmap",
     "TipGoal",
     "Trajectory",
+    "build_roadmap",
     "follow_the_leader",
     "follow_tip_path",
+    "load_roadmap",
     "plan_trajectory",
     "verify_trajectory",
 ]

@@ -30,6 +30,12 @@ from .tracking import clearance_of
 MOST_GOALS = 12
 """Goals that are tried, the nearest to the start first."""
 
+MOST_PLACES = 6
+"""Places of a region that are tried for the tip."""
+
+FEW_PLACES = 2
+"""Places of a region whose other postures are looked for."""
+
 MOST_TURNS = 3
 """Whole turns of one tube that are tried."""
 
@@ -50,10 +56,27 @@ LEAST_SECONDS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TipGoal(Displayed):
-    """A pose of the tip: position (3,), m, and the direction (3,) along which it points; None is free."""
+    """A pose of the tip: position (3,), m, and the direction (3,) along which it points; None is free.
+
+    A region is a table of positions (N, 3), m, any of which meets the goal, those first that are tried first.
+    """
 
     position: Array
     direction: Array | None = None
+
+    def places(self) -> list[TipGoal]:
+        """Goals of one position each: of a region the first, and some as far apart as can be."""
+        position = np.asarray(self.position, dtype=float)
+        if position.ndim != 2:
+            return [self]
+        if not len(position) or position.shape[1] != 3 or not np.isfinite(position).all():
+            raise InputError("goal is a region that is no table of finite positions x, y, z in m")
+        chosen = [0]
+        far = np.linalg.norm(position - position[0], axis=1)
+        while len(chosen) < MOST_PLACES and far.max() > 0:
+            chosen.append(int(far.argmax()))
+            far = np.minimum(far, np.linalg.norm(position - position[chosen[-1]], axis=1))
+        return [TipGoal(position[k], self.direction) for k in chosen]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +151,10 @@ def other_ends(
     if wanted is None:
         return []
     here, found = task.chart.of(start), []
-    try:
-        postures = _postures(task, start, wanted, clock)
-    except SolveError:  # none in so short a time
-        return []
+    postures: list[Equilibrium] = []
+    for place in wanted.places()[:FEW_PLACES]:
+        with suppress(SolveError):  # none in so short a time
+            postures += _postures(task, start, place, clock)
     for e in postures:
         try:
             _allowed(task, "goal", e)
@@ -169,7 +192,7 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
         return [goal], True
     wanted = _tip_goal(goal)
     if wanted is not None:
-        return _posed(task, start, wanted, clock), False
+        return _somewhere(task, start, wanted.places(), clock), False
     q = configuration(space, "goal", goal)
     rotations, shift = space.split(q)
     found: list[Equilibrium] = []
@@ -181,6 +204,19 @@ def _equilibria(task: Task, start: Equilibrium, goal: Any, clock: Clock) -> tupl
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.
     return sorted(found, key=lambda e: -e.margin), whole
+
+
+def _somewhere(task: Task, start: Equilibrium, places: list[TipGoal], clock: Clock) -> list[Equilibrium]:
+    """The equilibrium near the start whose tip has the first of some poses for which there is one."""
+    refused: list[SolveError] = []
+    for k, place in enumerate(places):
+        try:
+            return _posed(task, start, place, clock if len(places) == 1 else Clock(clock.left / (len(places) - k)))
+        except SolveError as error:
+            refused.append(error)
+    if len(places) == 1:
+        raise refused[0]
+    raise SolveError(f"no plan was found to {len(places)} places of the region; to the first: {refused[0]}")
 
 
 def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from ..block.own import OwnObjective
 from ..display import Displayed
 from ..errors import InputError, choice, positive
-from ..inverse.search import SEARCHES
+from ..inverse.clock import Clock
+from ..inverse.search import SEARCHES, Way
+from ..inverse.task import Task
+from ..typing import Array
 from .smooth import OBJECTIVES
+
+
+class Ways(Protocol):
+    """What knows ways among bodies from earlier on, as a `Roadmap`."""
+
+    def way(self, task: Task, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+        """A way from a point of the chart to one of goals; without points where it knows none."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +43,7 @@ class PlanOptions(Displayed):
         carriage_gap, section_length: as in `InverseOptions`, m.
         modulo_turns: a goal rotation may be reached with any number of whole turns; the plan tells how many.
         seed: of the random numbers.
+        roadmap: what is asked for a way before any is searched for, see `build_roadmap`.
 
     Raises:
         InputError: a value that is not allowed.
@@ -47,6 +60,7 @@ class PlanOptions(Displayed):
     modulo_turns: bool = False
     seed: int = 0
     extra_cost: OwnObjective | None = None
+    roadmap: Ways | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         choice("search", self.search, SEARCHES)
@@ -56,6 +70,8 @@ class PlanOptions(Displayed):
             raise InputError(f"extra_cost is {extra!r}; it must be an OwnObjective")
         if extra is not None and self.objective == "none":
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
+        if self.roadmap is not None and not hasattr(self.roadmap, "way"):
+            raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
         positive("time_limit", self.time_limit)
         positive("search_seconds", self.search_seconds)
         for name in ("clearance", "max_force", "carriage_gap", "section_length"):

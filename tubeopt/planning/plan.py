@@ -32,6 +32,9 @@ from .trajectory import PlanStatistics, Trajectory
 FOR_SEARCH = 0.9
 """Share of the time limit after which the search ends, so that what was found can be reported in time."""
 
+SHARE_OF_ROADMAP = 0.3
+"""Share of the time for the search which a roadmap is given first."""
+
 FOR_REPORT, MOST_FOR_REPORT = 2.0, 0.35
 """Seconds that are kept for the report at least, but no more than this share of the time limit."""
 
@@ -151,6 +154,11 @@ def _way(
     left = max(0.0, min(FOR_SEARCH * options.time_limit, until) - clock.seconds)
     postures = of_the_tip(goal) and left > FOR_POSTURES
     begin = task.chart.of(first)
+    if options.roadmap is not None:
+        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(SHARE_OF_ROADMAP * left))
+        if way.points is not None:
+            return task, goals, way
+        left = max(0.0, until - clock.seconds)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
     if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):

@@ -10,6 +10,7 @@ import numpy as np
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, recorded
 from ..bodies.corridors import MeshObstacle
+from ..bodies.distance_field import DistanceField
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.clock import Clock
@@ -71,7 +72,10 @@ class Smoothed:
 
 
 def building(task: Task) -> float:
-    """Seconds of work that it may take to build the program of a task and to begin to solve it."""
+    """Seconds of work that it may take to build the program of a task and to begin to solve it; infinite where a body
+    is a table of more cells than a program can hold."""
+    if any(isinstance(body, DistanceField) for body in task.obstacles):
+        return float("inf")
     cells = sum(body.grid[1].size for body in task.obstacles if isinstance(body, MeshObstacle))
     return BUILDING * task.chart.size + PER_BODY * len(task.obstacles) + PER_CELL * cells
 

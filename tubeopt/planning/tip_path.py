@@ -29,6 +29,9 @@ from .reach import least_miss
 from .timing import through
 from .trajectory import PlanStatistics, Trajectory
 
+LONGEST = 1000
+"""Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
+
 SPACING = 0.008
 """Distance of the points at which the tip is solved for, at first, as a share of the robot's length."""
 
@@ -72,12 +75,19 @@ def follow_tip_path(  # noqa: PLR0913
         The trajectory; `.deviation` (T,) is the distance of the tip from the curve.
 
     Raises:
-        InputError: fewer than two points, a start whose tip is elsewhere, numbers that make no sense.
+        InputError: fewer than two points, a curve longer than 1000 tubes, a start whose tip is elsewhere, numbers that
+            make no sense.
         SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
     """
     positive("tolerance", tolerance)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
     curve = _curve(path, spline)
+    length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
+    longest = LONGEST * max(tube.length for tube in robot.tubes)
+    if length > longest:
+        raise InputError(
+            f"path is {length:.6g} m long; it must be at most {longest:g} m, {LONGEST} times the longest tube"
+        )
     furthest, reason = 0.0, "the first point is out of reach"
     for first in _starts(task, curve, start, tolerance, limits, options, clock):
         spacing = SPACING * task.chart.space.length

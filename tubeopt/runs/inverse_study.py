@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import NotNegative, Positive, Whole, in_file
@@ -18,6 +19,7 @@ from ..robots.readings import to_model
 from ..robots.robot import Robot
 from ..stability.following import follow
 from ..typing import Array
+from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, Triple, point
@@ -99,6 +101,9 @@ class InverseStudy(LoadedStudy):
         description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
         examples=["OBSTACLES.yaml"],
     )
+    anatomy: AnatomyKey | None = Field(
+        None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
+    )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     method: Literal["auto", "gauss_newton", "nlp"] = Field(
         "auto", description="how to solve: auto, gauss_newton or nlp"
@@ -128,6 +133,11 @@ class InverseStudy(LoadedStudy):
             raise ValueError("all, follow and closest are for a robot without load")
         return self
 
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return (self.obstacles or ()) + (() if self.anatomy is None else self.anatomy.bodies)
+
     def _reference(self) -> tuple[Array, Array] | None:
         if self.reference_deg is None and self.reference_mm is None:
             return None
@@ -150,7 +160,7 @@ class InverseStudy(LoadedStudy):
     def _common(self) -> dict[str, Any]:
         return {
             "min_margin": float(self.min_margin),
-            "obstacles": self.obstacles or (),
+            "obstacles": self.bodies,
             "options": self._options(),
         }
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
+from ..bodies.anatomy import Anatomy
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..errors import nearest
@@ -17,6 +18,7 @@ from ..files.fields import Part, entry_of
 from ..files.marks import Usual
 from ..files.units import MM, shown, to_si
 from ..files.yaml_file import load_yaml
+from .anatomy_file import load_anatomy
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
@@ -42,6 +44,17 @@ class MeshEntry(Part):
         return self.file
 
 
+class AnatomyEntry(Entry):
+    """All bodies of the anatomy in a file."""
+
+    kind: Literal["anatomy"]
+    file: Annotated[Anatomy, in_file(load_anatomy, "a YAML file of an anatomy", kind=Anatomy)]
+
+    def build(self) -> tuple[Obstacle, ...]:
+        """The bodies in SI, as the plate has them."""
+        return self.file.bodies
+
+
 BODIES: dict[str, type[Any]] = {
     "sphere": Sphere,
     "capsule": Capsule,
@@ -53,7 +66,7 @@ BODIES: dict[str, type[Any]] = {
 
 ENTRIES: dict[str, Any] = {
     kind: entry_of(body, extra={"kind": (Literal[kind], kind)}) for kind, body in BODIES.items()
-} | {"mesh": MeshEntry}
+} | {"mesh": MeshEntry, "anatomy": AnatomyEntry}
 
 KINDS = tuple(ENTRIES)
 
@@ -108,7 +121,8 @@ def load_obstacles(path: str | PathLike[str]) -> tuple[Obstacle, ...]:
 
 
 def _built(entries: Sequence[Part]) -> tuple[Obstacle, ...]:
-    return tuple(entry.build() for entry in entries)
+    built = [entry.build() for entry in entries]
+    return tuple(body for one in built for body in (one if isinstance(one, tuple) else (one,)))
 
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..bodies.obstacles import Obstacle
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import Part, entry_of
 from ..files.units import MM, UNITS, to_si
@@ -15,6 +16,7 @@ from ..planning import PlanOptions, RateLimits, TipGoal, Trajectory, plan_trajec
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
+from .anatomy_file import AnatomyKey
 from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
 from .obstacle_file import Bodies, Place, Triple, point
 
@@ -37,6 +39,7 @@ class PlanStudy(Study):
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
     modulo_turns: bool = Field(False, description="goal rotations may be reached with any number of whole turns")
     tip_mm: Place | None = Field(None, description="goal as a position of the tip")
+    tip_at: str | None = Field(None, description="goal of the tip: a landmark of the anatomy, or its target")
     tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
@@ -47,6 +50,9 @@ class PlanStudy(Study):
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
     obstacles: Bodies = Field(
         (), description="bodies that the whole arm keeps away from: a list of them, or a YAML file"
+    )
+    anatomy: AnatomyKey | None = Field(
+        None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
     )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     max_tip_force_mN: NotNegative = Field(
@@ -66,20 +72,32 @@ class PlanStudy(Study):
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
         joints = self.goal_deg is not None or self.goal_mm is not None
-        if joints + (self.tip_mm is not None) + (self.tip_path_mm is not None) != 1:
-            raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, or tip_path_mm")
-        if self.tip_direction is not None and self.tip_mm is None:
-            raise ValueError("tip_direction is given without tip_mm")
+        tips = [each for each in (self.tip_mm, self.tip_at, self.tip_path_mm) if each is not None]
+        if joints + len(tips) != 1:
+            raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, tip_at, or tip_path_mm")
+        if self.tip_direction is not None and self.tip_mm is None and self.tip_at is None:
+            raise ValueError("tip_direction is given without tip_mm or tip_at")
+        if self.tip_at is not None:
+            if self.anatomy is None:
+                raise ValueError("tip_at is given without an anatomy, whose landmarks it names")
+            self.anatomy.place(self.tip_at)
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
         return self
 
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
+
     def _ends(self) -> tuple[tuple[Array, Array], Any]:
         alpha = radians(self.start_deg, np.zeros(self.robot.n_tubes))
         shift = metres(self.start_mm, self.robot.home_translations)
+        towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
         if self.tip_mm is not None:
-            towards = None if self.tip_direction is None else np.array([float(x) for x in self.tip_direction])
             return (alpha, shift), TipGoal(np.array(point(self.tip_mm)), towards)
+        if self.tip_at is not None and self.anatomy is not None:
+            return (alpha, shift), TipGoal(self.anatomy.place(self.tip_at), towards)
         return (alpha, shift), (radians(self.goal_deg, alpha), metres(self.goal_mm, shift))
 
     def run(self, progress: Progress | None = None) -> Trajectory:
@@ -96,7 +114,7 @@ class PlanStudy(Study):
             seed=self.seed,
         )
         common: dict[str, Any] = {
-            "obstacles": self.obstacles,
+            "obstacles": self.bodies,
             "min_margin": float(self.min_margin),
             "rate_limits": self.rates.build(),
             "options": options,

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..files.checked import NotNegative, check_kind, in_file
 from ..files.units import MM, UNITS, to_si
@@ -16,6 +17,7 @@ from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
 from ..robots.robot import Robot
+from .anatomy_file import AnatomyKey
 from .base import Progress, RobotPath, Study
 from .obstacle_file import Bodies
 from .plan_study import PlanStudy, RatesEntry
@@ -57,6 +59,9 @@ class VerifyStudy(Study):
         description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
         examples=["OBSTACLES.yaml"],
     )
+    anatomy: AnatomyKey | None = Field(
+        None, description="images, meshes and clouds of a patient: a YAML file", examples=["ANATOMY.yaml"]
+    )
     clearance_mm: NotNegative = Field(Decimal(0), description="least distance of the arm from obstacles")
     max_tip_force_mN: NotNegative = Field(
         Decimal(0),
@@ -70,6 +75,11 @@ class VerifyStudy(Study):
         examples=["STUDY.yaml"],
     )
 
+    @property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """Obstacles, and those of the anatomy."""
+        return self.obstacles + (() if self.anatomy is None else self.anatomy.bodies)
+
     def run(self, progress: Progress | None = None) -> Checked:
         """What is found on the trajectory; raises SolveError where it cannot be followed."""
         if progress is not None:
@@ -82,7 +92,7 @@ class VerifyStudy(Study):
             joints.rotations,
             joints.translations,
             start=joints.start(),
-            obstacles=asked.obstacles,
+            obstacles=asked.bodies,
             min_margin=float(asked.min_margin),
             clearance=to_si(asked.clearance_mm, MM),
             rate_limits=None if asked.rates is None else asked.rates.build(),

@@ -29,6 +29,8 @@ EXTRAS = {
     "planning": ("ompl", "trimesh", "rtree", "manifold3d"),
     "fabrication": ("ezdxf", "trimesh", "manifold3d"),
     "view": ("viser", "manifold3d"),
+    "anatomy": ("nibabel", "nrrd", "trimesh"),
+    "control": ("websockets",),
     "cluster": ("dask", "distributed"),
     "data": ("pandas", "pyarrow", "xarray"),
     "notebook": ("ipykernel", "plotly"),

@@ -33,6 +33,7 @@ HOW = {
     "straight": "straight",
     "detour": "by translations at which nothing can snap",
     "search": "by random search",
+    "roadmap": "over a roadmap",
     "tip path": "by inverse kinematics along the curve",
     "leader": "by withdrawing the arm along itself",
     "partial": "as far as the search came",

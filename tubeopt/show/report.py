@@ -112,17 +112,19 @@ class Report(Generic[A]):
 
     def convert(self, directory: Path) -> list[Path]:
         """Write tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
-        from . import solids, tables  # what they convert with is loaded only where it is asked for
+        # What they are converted with is loaded only where it is asked for.
+        wanted, paths = FORMATS.get(), []
+        if forms := [form for form in TABLE_FORMATS if form in wanted]:
+            from .tables import save_table
 
-        wanted = FORMATS.get()
-        paths = [
-            tables.save_table(table, directory / f"{name}.{form}")
-            for form in TABLE_FORMATS if form in wanted for name, table in self.tables().items()
-        ]  # fmt: skip
-        return paths + [
-            solids.save_solid(arm, directory / f"{name}.{'xml' if form == 'mjcf' else form}")
-            for form in SOLID_FORMATS if form in wanted for name, arm in self.solids().items()
-        ]  # fmt: skip
+            made = [(form, *each) for form in forms for each in self.tables().items()]
+            paths += [save_table(table, directory / f"{name}.{form}") for form, name, table in made]
+        if forms := [form for form in SOLID_FORMATS if form in wanted]:
+            from .solids import save_solid
+
+            built = [("xml" if form == "mjcf" else form, *each) for form in forms for each in self.solids().items()]
+            paths += [save_solid(arm, directory / f"{name}.{suffix}") for suffix, name, arm in built]
+        return paths
 
     def conclude(self) -> None:
         """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""

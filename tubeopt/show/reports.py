@@ -21,6 +21,7 @@ MODULES = {
     "design_report": ("DesignAnswer",),
     "doctor": ("Doctor",),
     "equilibrium_report": ("Equilibrium",),
+    "export_report": ("CLibrary",),
     "fabrication_report": ("Fabrication",),
     "firmware_report": ("LedHeating",),
     "heat_report": ("Heating", "RigFit", "TrialFit"),

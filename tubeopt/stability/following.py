@@ -169,7 +169,7 @@ def _follow_rubbing(
             ends = [
                 to_held_equilibrium(robot, side, how) for side, how in ((each.before, "fold"), (each.after, "flow"))
             ]
-            snaps.append(_snap_between(k - 1, each.fraction, *ends))
+            snaps.append(snap_between(k - 1, each.fraction, *ends))
         if progress is not None and k:
             progress(k)
     return Path(tuple(equilibria), tuple(snaps))
@@ -177,10 +177,11 @@ def _follow_rubbing(
 
 def snap_of(found: LoadedSnap, index: int) -> Snap:
     """A snap under load as any other snap."""
-    return _snap_between(index, found.fraction, found.before, found.after)
+    return snap_between(index, found.fraction, found.before, found.after)
 
 
-def _snap_between(index: int, fraction: float, before: Equilibrium, after: Equilibrium) -> Snap:
+def snap_between(index: int, fraction: float, before: Equilibrium, after: Equilibrium) -> Snap:
+    """A snap from one equilibrium to another."""
     return Snap(
         index=index,
         fraction=fraction,
@@ -272,4 +273,4 @@ def to_snap(path: JointPath, event: Event, index: int) -> Snap:
     joint = np.concatenate([rotations, translations])
     before = _finish(path.robot, event.fold.solution, joint, "fold")
     after = _finish(path.robot, event.landed.solution, joint, "energy descent")
-    return _snap_between(index, event.fold.t, before, after)
+    return snap_between(index, event.fold.t, before, after)

@@ -254,7 +254,7 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _hermite(family: str, degree: int) -> Array:
+def hermite(family: str, degree: int) -> Array:
     """(K, 9) values at the points from those at ENDS and slopes at ENDS but the first."""
     return interpolation(tableau(family, degree).nodes, ENDS, ENDS[1:])
 
@@ -281,7 +281,7 @@ def poses_at_points(t: Tableau, length: Array, shape: tuple[Array, Array, Array]
     turning = (shape[2][index] @ _HAT).reshape(frame.shape)
     frames = np.concatenate([frame, step * (frame @ turning)[:, 1:]], 1)
     places = np.concatenate([shape[1][index], step[..., 0] * frame[:, 1:, :, 2]], 1)
-    matrix = _hermite(t.family, t.degree)
+    matrix = hermite(t.family, t.degree)
     return (matrix @ frames.reshape(pieces, count, 9)).reshape(pieces, t.degree, 3, 3), matrix @ places
 
 

@@ -109,7 +109,7 @@ class Computed:
 
 @dataclass(frozen=True, eq=False)
 class HeatingPlan(Displayed):
-    """A schedule, and what it does to the tube, re-simulated with SciPy's stiff integrator on the fine grid.
+    """A schedule, and what it does to the tube, re-simulated on the fine grid, in steps of a tenth of a second.
 
     What its parts hold is read at the plan too: `plan.duty` is `plan.course.duty`.
     """

@@ -1,10 +1,12 @@
 """How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
 
-The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and integrated by
-SciPy on a grid of three times as many cells and shells. Where that misses the window, the program's bounds are
-shifted by the difference between the two grids, and it is solved again (deferred correction): what holds in the end
-holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count alone keeps it;
-where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
+The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and simulated in
+steps of a tenth of a second on a grid of three times as many cells and shells. Where that misses the window, the
+program's bounds are shifted by the difference between the two grids, and it is solved again (deferred correction): what
+holds in the end holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count
+alone keeps it; where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
+Where the soonest hold is asked for, the greatest counts that keep the limits are sooner still (`haste`), and what they
+do is checked alike.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ class Schedule:
 
     Attributes:
         ideal, levels: the program's answer, and its mean duties (T,) in every slot. counts: (T,) in their place.
-        model: the fine one. exact: what `levels` do to it; checked: what `counts` do, by SciPy's integrator.
+        model: the fine one. exact: what `levels` do to it; checked: what `counts` do.
         error: of the mesh, K. shift, reserve: with which `ideal` was found. start: of the hold, s.
     """
 
@@ -133,7 +135,8 @@ def _hastened(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule | None
     model, rig = found.model, found.ideal.rig
     if found.outcome.shortfall > HOPELESS:
         return None
-    answer = soonest(model, spec, rig, found.error + LEAST_RESERVE)
+    # Other charges are rounded anew: half a count is left for that.
+    answer = soonest(model, spec, rig, found.error + LEAST_RESERVE + ripple(tube, rig, spec))
     if answer is None or (found.kept and answer[-1] >= found.start):
         return None
     cooling = np.zeros(math.ceil(COOLING / spec.slot))

@@ -6,6 +6,7 @@ Automation Letters 1 (2016); thesis, section 4.2.
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, field, replace
 from typing import Annotated
@@ -29,6 +30,11 @@ AMPERE_HOUR = 3600.0
 HOT = 500.0
 """Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
 sixth root of it."""
+
+CHARGED = 1.08
+"""Voltage of a battery that has just been charged, as a multiple of that at rest when full: up to 13.7 V of 12.7."""
+
+LOGGER = logging.getLogger(__name__)
 
 OPEN_CIRCUIT = (
     (0.1, 11.51),
@@ -90,10 +96,20 @@ class Battery:
         return float((table[k, 1] - table[k - 1, 1]) / (table[k, 0] - table[k - 1, 0]))
 
     def charge_at(self, voltage: float) -> float:
-        """State of charge that belongs to an open-circuit voltage; raises InputError outside of the table."""
+        """State of charge that belongs to a voltage at rest.
+
+        A battery that has just been charged shows more than it does at rest: up to `CHARGED` more than the table ends
+        with is taken as full, with a warning. Raises InputError beyond that, or below the table.
+        """
         table = np.array(self.open_circuit)
-        if not table[0, 1] <= finite("voltage", voltage) <= table[-1, 1]:
-            raise InputError(f"voltage is {voltage:g} V; it must be {table[0, 1]:g} to {table[-1, 1]:g} V")
+        most = float(table[-1, 1])
+        if not table[0, 1] <= finite("voltage", voltage) <= CHARGED * most:
+            raise InputError(f"voltage is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
+        if voltage > most:
+            LOGGER.warning(
+                f"the battery shows {voltage:g} V, a full one {most:g} V at rest: it is taken as full; let it rest, or "
+                "it heats less than planned when the surplus is gone"
+            )
         return float(np.interp(voltage, table[:, 1], table[:, 0]))
 
 

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...bodies.corridors import Corridor, MeshObstacle
+from ...bodies.distance_field import DistanceField
 from ...bodies.obstacles import Box as BoxObstacle
 from ...bodies.obstacles import Capsule, HalfSpace, Sphere
+from ...bodies.surface_net import surface_net
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
@@ -184,6 +186,9 @@ def _body(obstacle: object) -> Mesh | None:
     if isinstance(obstacle, MeshObstacle):
         corners = np.array(obstacle.vertices)[np.array(obstacle.faces)][:, [0, 1, 2, 2]]
         return _mesh(corners, OBSTACLE)
+    if isinstance(obstacle, DistanceField):
+        vertices, faces = surface_net(obstacle)
+        return _mesh(vertices[faces], OBSTACLE if obstacle.bounded else VESSEL)
     if not isinstance(obstacle, HalfSpace):
         raise TypeError(f"there is no picture of a {type(obstacle).__name__}")
     return None

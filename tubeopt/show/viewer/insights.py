@@ -6,10 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
 from .panel import Panel
 from .plots import map_plot, s_curve_plot
+from .pushing import bearing_words
 from .session import Session
 from .worker import Job
 
@@ -39,11 +41,12 @@ class Insights:
         self._curve: tuple[object, Branch | None] | None = None
         self._map: tuple[object, StabilityMap | None] | None = None
         self._map_wanted = False
+        self._borne: Equilibrium | None = None
 
     @property
     def chores(self) -> list[tuple[float, Job]]:
         """What to do when it has been quiet for so many seconds."""
-        return [(0.03, self._certify), (0.35, self._trace), (0.6, self._chart)]
+        return [(0.03, self._certify), (0.1, self._bear), (0.35, self._trace), (0.6, self._chart)]
 
     @property
     def certificate(self) -> float | None:
@@ -58,6 +61,8 @@ class Insights:
     def plot(self) -> None:
         """Mark the present place in the plots that hold at it."""
         here = self._session().equilibrium
+        if here.load is not None:
+            return
         if self._curve and self._curve[1] is not None and self._curve[0] == self._way():
             self._panel.curve(s_curve_plot(self._curve[1], here, self.tube))
         if self._map and self._map[1] is not None and self._map[0] == self._at():
@@ -80,8 +85,19 @@ class Insights:
             self._certificate = self._at(), value
             self._panel.show(session, value, None)
 
+    def _bear(self) -> None:
+        """What the load does, and how much of it the robot bears."""
+        here = self._session().equilibrium
+        if self._panel.push is not None and self._borne is not here:
+            self._borne = here
+            self._panel.push.tell(bearing_words(here))
+
     def _trace(self) -> None:
         key = self._way()
+        if self._session().equilibrium.load is not None:
+            self._curve = None
+            self._panel.curve("S-curves and maps are told without load", text=True)
+            return
         if self._curve and self._curve[0] == key:
             return
         session = self._session()

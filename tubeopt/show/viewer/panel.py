@@ -11,6 +11,7 @@ import numpy as np
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
+from .push_panel import PushPanel
 from .session import Session, joint_names, space_of
 from .view import View
 from .wishes import MIRROR, Wishes
@@ -61,6 +62,10 @@ class Panel:
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
             self._margin, self._targets = self._lead_controls(view.min_margin)
+        self.push: PushPanel | None = None
+        if not robot.assembly(robot.home_translations).eccentric:
+            with tabs.add_tab("Load"):
+                self.push = PushPanel(gui, tab, self._numbers, self._button)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):
@@ -94,6 +99,8 @@ class Panel:
         self._log.content = log_words(session.log)
         if torsion is not None:
             self._torsion.content = torsion
+        if self.push is not None:
+            self.push.show(session.equilibrium.load)
 
     def curve(self, content: str, *, text: bool = False) -> None:
         """The S-curve, or why there is none."""

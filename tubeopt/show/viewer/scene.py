@@ -5,6 +5,7 @@ Lengths are drawn `SCALE` times as large, since the viewer's camera is made for 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -13,10 +14,21 @@ import numpy as np
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import HalfSpace, Obstacle
 from ...equilibrium.result import Equilibrium
+from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
 from .session import Session
-from .surfaces import Part, Surface, join, margin_colour, obstacle_surface, plate_part, robot_parts
+from .surfaces import (
+    Part,
+    Surface,
+    arrow_surface,
+    between,
+    join,
+    margin_colour,
+    obstacle_surface,
+    plate_part,
+    robot_parts,
+)
 
 SCALE = 10.0
 """Units of the scene per metre."""
@@ -29,7 +41,13 @@ DOT = 0.0035
 """Size of a tip of the workspace, as a share of the longest tube."""
 
 OBSTACLE_COLOUR = (150, 120, 95)
+FORCE_COLOUR = (220, 120, 30)
+SHORTEST_ARROW = 1e-6
+"""Of a force that is drawn, m."""
 SWEPT_COLOUR = (120, 90, 200)
+
+FRAMES, SNAP_SECONDS = 12, 0.36
+"""Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
 
 
 class Scene:
@@ -46,6 +64,7 @@ class Scene:
         self._layers: dict[str, list[Any]] = {}
         self._contents: dict[str, tuple[Part, ...]] = {}
         self._trail: Any = None
+        self._arrow: Any = None
 
     def set_stage(self, equilibrium: Equilibrium) -> None:
         """Plate and ruled floor, and the lights."""
@@ -136,12 +155,23 @@ class Scene:
         )
         self._layers["workspace"] = [cloud]
 
-    def handle(self, equilibrium: Equilibrium, led: Callable[[Array, bool], None]) -> Any:
-        """Arrows at the tip; `led` is told where they are drawn (m), and whether they have been let go."""
-        size = 0.2 * max(tube.curved_length for tube in equilibrium.robot.tubes) * SCALE
-        place = tuple(equilibrium.tip_position * SCALE)
+    def show_force(self, tip: Array, head: Array) -> None:
+        """The arrow of a force on the tip, hidden where it has no length, m."""
+        if np.linalg.norm(head - tip) < SHORTEST_ARROW:
+            if self._arrow is not None:
+                self._arrow.visible = False
+            return
+        part = Part("force", arrow_surface(tip, head), FORCE_COLOUR)
+        if self._arrow is None:
+            self._arrow = self._add("/force", part)
+        else:
+            self._arrow.vertices = (part.surface.vertices * SCALE).astype(np.float32)
+            self._arrow.visible = True
+
+    def handle(self, name: str, place: Array, size: float, led: Callable[[Array, bool], None]) -> Any:
+        """Arrows of a size at a place, m; `led` is told where they are drawn (m), and whether they have been let go."""
         arrows = self._api.add_transform_controls(
-            "/target", scale=size, disable_rotations=True, position=place, depth_test=False
+            f"/{name}", scale=size * SCALE, disable_rotations=True, position=tuple(place * SCALE), depth_test=False
         )
 
         async def drawn(event: Any) -> None:
@@ -182,7 +212,7 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
             f"obstacle_{k + 1}",
             obstacle_surface(body, reach),
             OBSTACLE_COLOUR,
-            0.3 if isinstance(body, HalfSpace | Corridor) else 1.0,
+            0.3 if isinstance(body, HalfSpace | Corridor) or not getattr(body, "bounded", True) else 1.0,
         )
         for k, body in enumerate(obstacles)
     ]
@@ -197,3 +227,14 @@ def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
     """Where to look from and what at, in the scene's units: the whole robot, at any joint values."""
     length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
     return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length
+
+
+def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
+    """Show snaps one after the other."""
+    for snap in snaps:
+        for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
+            began = time.monotonic()
+            with client.atomic():
+                scene.show(shape)
+            client.flush()
+            time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...bodies.obstacles import Obstacle
+from ...errors import InputError
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal
 from ...inverse.posture import Posture
@@ -46,8 +47,10 @@ def pull(session: Session, target: ArrayLike, *, min_margin: float = 0.05, obsta
     less than at the start): the robot does not snap. It stops where the tip comes no nearer.
 
     Raises:
-        InputError: a target that is not three finite numbers, a margin that is not from 0 to 1.
+        InputError: a target that is not three finite numbers, a margin that is not from 0 to 1; a load.
     """
+    if session.equilibrium.load is not None:
+        raise InputError("the tip is led without load; take it off first")
     places = session.equilibrium, None
     goal = pose_question(session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles)
     here = seed_posture(goal.space, session.equilibrium)

@@ -176,7 +176,7 @@ def _walk(session: Session, rotations: Array, translations: Array) -> Session:
     slide = float(np.abs(translations - here.translations).max()) / TRAIL_SLIDE
     part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(max(turn, slide)))))[:, None]
     ends = (here.rotations, rotations), (here.translations, translations)
-    path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here)
+    path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here, load=here.load)
     return moved_along(session, path)
 
 
@@ -252,6 +252,8 @@ def snap_text(snap: Snap) -> str:
     where = f"rotations {angles} deg"
     if np.any(snap.translations != snap.before.robot.home_translations):
         where += ", translations " + ", ".join(f"{shift * TO_MM:.3f}" for shift in snap.translations + 0.0) + " mm"
+    if snap.before.load is not None:
+        where += ", force " + ", ".join(f"{x * TO_MILLI:.4f}" for x in np.array(snap.before.load.force) + 0.0) + " mN"
     return (
         f"snap at {where}: the tip jumped by {snap.tip_jump * TO_MM:.4f} mm, "
         f"{snap.energy_released * TO_MILLI:.4f} mJ were released"
@@ -265,7 +267,7 @@ def other_equilibria(session: Session) -> list[Equilibrium]:
         SolveError: the set that was found is not complete.
     """
     here = session.equilibrium
-    found = find_equilibria(session.robot, here.rotations, here.translations)
+    found = find_equilibria(session.robot, here.rotations, here.translations, load=here.load)
     distance = [float(np.abs(each.tip_rotations - here.tip_rotations).max()) for each in found]
     nearest = int(np.argmin(distance)) if found else -1
     return [each for k, each in enumerate(found) if k != nearest or distance[k] > SAME_TIP]
@@ -278,8 +280,11 @@ def redesign(session: Session, robot: Robot) -> Session:
     assembled afresh, which the log then says.
 
     Raises:
+        InputError: the robot bears a load.
         SolveError: no stable equilibrium with the new tubes.
     """
+    if session.equilibrium.load is not None:
+        raise InputError("tubes are changed without load; take it off first")
     old, space = session.equilibrium, space_of(robot)
     q, before = space.join(old.rotations, old.translations), space_of(old.robot)
     inside = bool((space.clip(q) == q).all())

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...bodies.corridors import Corridor, MeshObstacle
+from ...bodies.distance_field import DistanceField
 from ...bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ...bodies.surface_net import surface_net
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...typing import Array
@@ -195,6 +197,9 @@ def obstacle_surface(obstacle: Obstacle, reach: float) -> Surface:
         return join([_capsule(np.array(start), np.array(end), obstacle.radius) for start, end in ends])
     if isinstance(obstacle, MeshObstacle):
         return Surface(np.array(obstacle.vertices), np.array(obstacle.faces, dtype=np.uint32))
+    if isinstance(obstacle, DistanceField):
+        vertices, faces = surface_net(obstacle)
+        return Surface(vertices, faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.uint32))
     raise InputError(f"there is no picture of a {type(obstacle).__name__}")
 
 
@@ -206,6 +211,15 @@ def _capsule(start: Array, end: Array, radius: float) -> Surface:
     body = _revolved(np.concatenate([top, bottom]))
     axes = _axes((end - start) / length if length else np.array([0.0, 0.0, 1.0]))
     return Surface(start + body.vertices @ axes, body.faces)
+
+
+def arrow_surface(start: Array, end: Array) -> Surface:
+    """An arrow from one place to another."""
+    length = float(np.linalg.norm(end - start))
+    shaft, head, tall = 0.015 * length, 0.05 * length, 0.8 * length
+    profile = [(0.0, length), (head, tall), (head, tall), (shaft, tall), (shaft, 0.0), (shaft, 0.0), (0.0, 0.0)]
+    body = _revolved(np.array(profile))
+    return Surface(start + body.vertices @ _axes((end - start) / length), body.faces)
 
 
 def _axes(z: Array) -> Array:

@@ -17,27 +17,26 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
+from ...robots.load import Load
 from ...runs.obstacle_file import load_obstacles
-from ...stability import Snap
 from ...workspaces import workspace
 from . import export
+from .arrow import ForceArrow, handle_size
 from .beside import Beside, session_beside
 from .designs import Knob, with_knob
 from .insights import Insights
 from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
-from .scene import SCALE, Scene, ghost_parts, obstacle_parts, swept_part
+from .pushing import push_on
+from .scene import SCALE, Scene, animate, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
-from .surfaces import between
 from .swept import swept_volume
 from .view import View
 from .wishes import MIRROR, Wishes
+from .words import others_words
 from .worker import Worker
-
-FRAMES, SNAP_SECONDS = 12, 0.36
-"""Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
 
 TICK = 0.04
 """Time between pictures of a trajectory, s."""
@@ -65,11 +64,12 @@ class Tab(Wishes):
         self._target: Any = None
         self._obstacles = view.obstacles
         self._beside: Beside | None = None
-        self._pulling = False
+        self._pulling = self._pushing = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
         self._mark: int | str | None = None
         self.panel = Panel(client.gui, self, view)
+        self._arrow = ForceArrow(self.scene, self.panel.push, view, self.push)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._worker = Worker(
             self._insights.chores, lambda error: self._say(f"something went wrong: {error}", bad=True)
@@ -132,6 +132,13 @@ class Tab(Wishes):
             self._change(verb, lambda: words)
 
         self._by_hand(go, key=None if done else "lead")
+
+    def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
+        def go() -> None:
+            self._pushing = not done
+            self._change(lambda session: push_on(session, Load(tuple(force.tolist()), gravity=gravity)))
+
+        self._by_hand(go, key=None if done else "push")
 
     def turn(self, knob: Knob, value: float) -> None:
         self._by_hand(lambda: self._change(lambda s: redesign(s, with_knob(s.robot, knob, value))), key=knob.label)
@@ -219,13 +226,14 @@ class Tab(Wishes):
         moved = self.session is not before
         if moved:
             # What one hand does without letting go is one change.
-            mark = dragged if dragged is not None else "lead" if self._pulling else None
+            held = "lead" if self._pulling else "push" if self._pushing else None
+            mark = dragged if dragged is not None else held
             if mark is None or mark != self._mark:
                 self._past.append(before)
             self._mark = mark
             self.scene.clear("ghosts")
         if moved and self.session.last:
-            self._animate(self.session.last)
+            animate(self._client, self.scene, self.session.last)
         if self.session.robot is not before.robot:
             self.scene.set_stage(self.session.equilibrium)
             self.panel.untick("workspace", "swept")
@@ -245,19 +253,11 @@ class Tab(Wishes):
                 self._say(words, bad=True)
             if self._target is not None and not self._pulling:
                 self._target.position = tuple(equilibrium.tip_position * SCALE)
+            self._arrow.show(equilibrium, held=self._pushing)
             self.scene.show_trail(self.session, self._trail)
             self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
             self._insights.plot()
         self.panel.sync(self.session, dragged)
-
-    def _animate(self, snaps: Sequence[Snap]) -> None:
-        for snap in snaps:
-            for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
-                began = time.monotonic()
-                with self._client.atomic():
-                    self.scene.show(shape)
-                self._client.flush()
-                time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))
 
     def _say(self, text: str, *, bad: bool = False) -> None:
         self.panel.say(text, bad=bad)
@@ -269,14 +269,11 @@ class Tab(Wishes):
             return
         try:
             others = other_equilibria(self.session)
-        except SolveError as error:
+        except (InputError, SolveError) as error:
             self._say(str(error), bad=True)
             return
         self.scene.layer("ghosts", ghost_parts(others))
-        stable = sum(each.stable for each in others)
-        many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
-        kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
-        self._say(f"{many} at these joint values{kinds}")
+        self._say(others_words(others))
 
     def _show(self, layer: str, on: bool) -> None:
         if layer == "trail":
@@ -286,6 +283,8 @@ class Tab(Wishes):
             self._insights.want_map(on)
         elif layer == "target":
             self._mark_target(on)
+        elif layer == "force":
+            self._arrow.mark(self.session.equilibrium, on)
         elif layer == "beside":
             if self._beside is None:
                 self._say("no other robot was loaded", bad=on)
@@ -326,8 +325,12 @@ class Tab(Wishes):
             self._target = None
         if not on:
             return
+        here = self.session.equilibrium
         self._target = self.scene.handle(
-            self.session.equilibrium, lambda target, done: self.lead(target, self.panel.least_margin, done=done)
+            "target",
+            here.tip_position,
+            handle_size(here.robot),
+            lambda target, done: self.lead(target, self.panel.least_margin, done=done),
         )
 
     def _load(self, what: str, name: str, content: bytes) -> None:

@@ -34,6 +34,9 @@ class Wishes(Protocol):
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
         """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
 
+    def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
+        """Let a force act on the tip, N, and gravity, m/s^2; `done` puts the arrow's mark back onto its head."""
+
     def turn(self, knob: Knob, value: float) -> None:
         """Change a dimension of a tube, in the knob's unit."""
 
@@ -44,7 +47,7 @@ class Wishes(Protocol):
         """Show all other equilibria, or hide them."""
 
     def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer: trail, workspace, obstacles, swept, target, map, beside."""
+        """Show or hide a layer: trail, workspace, obstacles, swept, target, force, map, beside."""
 
     def forget_trail(self) -> None:
         """Begin the trail anew."""

@@ -84,3 +84,11 @@ def message_words(text: str, *, bad: bool = False) -> str:
         f'<div data-testid="message" role="status" style="{BOX};border-left:4px solid {colour};margin:2px 8px 8px">'
         f"{escape(text)}</div>"
     )
+
+
+def others_words(others: Sequence[Equilibrium]) -> str:
+    """How many other equilibria there are at these joint values."""
+    stable = sum(each.stable for each in others)
+    many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
+    kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
+    return f"{many} at these joint values{kinds}"

@@ -1,7 +1,7 @@
 /* From the solved rotations to the whole arm: what block/transcription/arm.py and solution.py do. */
 
 typedef struct {
-    double rotation[MOST_PIECES][N], twist[MOST_PIECES][N];
+    double rotation[MOST_PIECES + 1][N], twist[MOST_PIECES][N]; /* where pieces begin; rotation at the tip, too */
     double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
     double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
 #if GENERAL
@@ -85,35 +85,50 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
     }
 }
 #else
-/* theta_i(s) as one polynomial per piece, from the moments at the collocation points. */
-static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
+/* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what the twist' gains at the
+   beginnings of pieces and at the tip, or NULL. */
+static void turn_along(const Unknowns *q, const double *alpha, const double (*kicks)[N], Profile *arm) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
     double turn[MOST_PIECES][N], at[N] = {0};
-    int x = q->points;
+    for (int i = 0; i < N && kicks; i++) at[i] -= kicks[l->pieces][i];
     for (int p = l->pieces - 1; p >= 0; p--) {
         double h = l->length[p];
-        if (l->collocated[p]) x -= t->degree;
         for (int i = 0; i < N; i++) {
             double gain = 0, later = 0, stretched = 0;
             for (int k = 0; k < t->degree; k++) {
-                double m = l->collocated[p] ? state->moment[x + k][i] / q->tubes->kt[i] : 0;
-                arm->moment[p][k * N + i] = m;
+                double m = arm->moment[p][k * N + i];
                 gain += t->weights[k] * m;
                 later += t->weights[k] * (1 - t->nodes[k]) * m;
-                stretched += t->weights[k] * (arm->extra[p][k * N + i] = l->collocated[p] ? state->extra[x + k][i] : 0);
+                stretched += t->weights[k] * arm->extra[p][k * N + i];
             }
             at[i] -= h * gain;
             arm->twist[p][i] = at[i];
             turn[p][i] = h * at[i] + h * h * later + h * stretched;
+            if (kicks) at[i] -= kicks[p][i];
         }
     }
     for (int i = 0; i < N; i++) at[i] = alpha[i] + l->transmission[i] * (l->pieces ? at[i] : 0);
-    for (int p = 0; p < l->pieces; p++)
+    for (int p = 0; p <= l->pieces; p++)
         for (int i = 0; i < N; i++) {
             arm->rotation[p][i] = at[i];
-            at[i] += turn[p][i];
+            if (p < l->pieces) at[i] += turn[p][i];
         }
+}
+
+/* theta_i(s) from the moments at the collocation points. */
+static void integrate(const Unknowns *q, const double *alpha, const State *state, Profile *arm) {
+    int x = 0, degree = q->tableau->degree;
+    for (int p = 0; p < q->layout->pieces; p++) {
+        int collocated = q->layout->collocated[p];
+        for (int k = 0; k < degree; k++)
+            for (int i = 0; i < N; i++) {
+                arm->moment[p][k * N + i] = collocated ? state->moment[x + k][i] / q->tubes->kt[i] : 0;
+                arm->extra[p][k * N + i] = collocated ? state->extra[x + k][i] : 0;
+            }
+        if (collocated) x += degree;
+    }
+    turn_along(q, alpha, NULL, arm);
 }
 
 /* theta at the points of `fine`, from the arm on the tableau of `coarse`; `twice` (fine K, coarse K) is the Lagrange
@@ -169,17 +184,17 @@ static void carry_over(const Method *method, const Unknowns *coarse, State *roug
     to_unknowns(fine, none, y, z);
 }
 
-/* Least eigenvalue of the second variation at a solved state, at most 1; not positive where it is not stable. Lanczos
-   starts from the softest direction on the coarse points. */
+/* Least eigenvalue of the second variation at a solved state, at most 1, and where it is less its direction z; not positive
+   where it is not stable. Lanczos starts from the softest direction on the coarse points. */
 static double margin_of(const Method *method, const Unknowns *fine, const Unknowns *coarse, const double *alpha,
-                        const State *state, State *rough, Profile *arm, double *h) {
-    double z[MOST_UNKNOWNS], y[MOST_POINTS][N];
+                        const State *state, State *rough, Profile *arm, double *h, double *z) {
+    double y[MOST_POINTS][N];
     if (!fine->size || never_softens(fine, state, h)) return 1;
     integrate(fine, alpha, state, arm);
     interpolate(fine, arm, coarse, method->twice_back, y);
     to_unknowns(coarse, alpha, y, rough->z);
     evaluate(coarse, alpha, rough);
-    memset(z, 0, sizeof z);
+    memset(z, 0, MOST_UNKNOWNS * sizeof(double));
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
 #if GENERAL
     /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */

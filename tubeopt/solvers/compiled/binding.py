@@ -184,6 +184,47 @@ def solve_compiled(
     return room.fields if status == SOLVED else None
 
 
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives of a solved arm by rotations, then translations: of its tip (3, 2n), the turn vector of its tip (3,
+    2n), tip rotations (n, 2n) and margin (2n,); and the compliance (6, 6) of the tip at no load."""
+
+    position: Array
+    turn: Array
+    tip_rotations: Array
+    margin: Array
+    compliance: Array
+
+
+def slopes_compiled(robot: Robot, rotations: Array, translations: Array, start: Start, side: int = 1) -> Slopes | None:
+    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, of translations that
+    move towards `side`; of a margin that two modes share, by one of these. None where the kernel declines or has
+    none.
+    """
+    prepared = _prepared(robot)
+    if prepared is None or prepared[0].differentiate is None:
+        return None
+    kernel = prepared[0]
+    if solve_compiled(robot, rotations, translations, start) is None:
+        return None
+    n = robot.n_tubes
+    out = np.zeros(14 * n + 2 * n * n + 36)
+    if not kernel.differentiate(_at(_carriages(robot)), side, *_room(kernel).at, _at(out)):
+        return None
+    parts = np.split(out, np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+    shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
+    return Slopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+
+@lru_cache(maxsize=64)
+def _carriages(robot: Robot) -> NDArray[np.int64]:
+    """(n,) which tubes move together."""
+    out = np.zeros(robot.n_tubes, dtype=np.int64)
+    for k, tubes in enumerate(robot.moving_together):
+        out[list(tubes)] = k
+    return out
+
+
 def solve_many_compiled(
     robot: Robot, rotations: Array, translations: Array, arms: Array | None = None
 ) -> tuple[Array, Mask] | None:

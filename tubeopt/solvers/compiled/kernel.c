@@ -2,7 +2,7 @@
 
    Before it stand the functions `balance`, `coupling_rate`, `stretched` and `piece` that CasADi generates from the
    mechanics. What is not plain sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is
-   declined, and left to the general solver. */
+   declined, and left to the general solver. `entries.c` is what Python calls; `control/c` has what a program in C does. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,6 +23,9 @@
 #if ECCENTRIC
 #include "stretch.c"
 #endif
+#if SLOPES
+#include "slopes.c"
+#endif
 
 typedef struct {
     Layout layout;
@@ -33,12 +36,11 @@ typedef struct {
 #endif
     State state, trial;
     Profile arm, spare;
-    double matrix[MOST_UNKNOWNS * STRIDE];
+    double matrix[MOST_UNKNOWNS * STRIDE], mode[MOST_UNKNOWNS];
+#if SLOPES
+    Around around;
+#endif
 } Workspace;
-
-size_t workspace_size(void) { return sizeof(Workspace); }
-size_t answer_size(void) { return sizeof(Answer); }
-size_t tubes_size(void) { return sizeof(Tubes); }
 
 #if ECCENTRIC
 #define UNKNOWNS(w) (&(w)->all)
@@ -96,14 +98,14 @@ static void judge(const Method *method, const double *alpha, Workspace *w, Answe
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
-    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix);
+    out->margin = margin_of(method, &w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix, w->mode);
 #endif
 }
 
 /* The stable equilibrium at base rotations `alpha` and translations `shift`, from a guess or, where that is NULL, from
    tubes without torsion. */
-int solve(const Tubes *tubes, const Method *method, const double *alpha, const double *shift, const Guess *guess,
-          Workspace *w, Answer *out) {
+static int solve_one(const Tubes *tubes, const Method *method, const double *alpha, const double *shift,
+                     const Guess *guess, Workspace *w, Answer *out) {
     int iterations = 0, failed;
     if (!lay_out(tubes, shift, &w->layout)) return DECLINED;
     if (!pose_unknowns(&w->fine, &w->layout, tubes, &method->fine, 0)) return DECLINED;
@@ -122,22 +124,10 @@ int solve(const Tubes *tubes, const Method *method, const double *alpha, const d
     return SOLVED;
 }
 
-/* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
-   rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
-   `arms`, where not NULL, (count, 2, points, N) gets rotations and torsion at the shape points, as many as all have. */
-void solve_many(const Tubes *tubes, const Method *method, long long count, const double *alpha, const double *shift,
-                double *summary, unsigned char *declined, long long points, double *arms, Workspace *w, Answer *one) {
-    for (long long k = 0; k < count; k++, summary += 17 + N) {
-        declined[k] = solve(tubes, method, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
-        long long tip = one->pieces * STEPS, size = points * N;
-        declined[k] |= arms && tip + 1 != points;
-        if (declined[k]) continue;
-        if (arms) memcpy(arms + 2 * k * size, one->rotation, size * sizeof(double));
-        if (arms) memcpy(arms + (2 * k + 1) * size, one->torsion, size * sizeof(double));
-        memcpy(summary, one->position[tip], 3 * sizeof(double));
-        memcpy(summary + 3, one->frame[tip], 9 * sizeof(double));
-        memcpy(summary + 12, one->tip_rotations, N * sizeof(double));
-        double rest[5] = {one->margin, one->residual, one->mesh_error, one->tip_error, one->energy};
-        memcpy(summary + 12 + N, rest, sizeof rest);
-    }
+#if SLOPES
+/* `all_slopes` of what `solve_one` has just left. */
+static int slopes_of(const long long *carriage, int side, Workspace *w, const Answer *out, Slopes *slopes) {
+    const Unknowns *q = &w->fine;
+    return all_slopes(q, &w->state, &w->arm, w->mode, out, carriage, side, w->matrix, &w->around, slopes);
 }
+#endif

@@ -29,6 +29,7 @@ import platformdirs
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.general_arm import FINE, ROUGHER, SHAPE_RATIO, SUBSTEPS
 from ...block.transcription.green import INWARDS
+from ...block.transcription.linear import hermite
 from ...block.transcription.mesh import BEND_PER_PIECE, DETAIL_PER_PIECE, SAMPLES, TWIST_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.piece import COARSE_STEPS, EXTRA_POINTS, piece_function
 from ...block.transcription.tableau import tableau
@@ -93,6 +94,8 @@ class Library:
     method: Any
     answer: np.dtype[np.void]
     workspace_size: int
+    differentiate: Any = None
+    """None where the kernel has no derivatives."""
 
 
 def cache_directory() -> Path:
@@ -103,6 +106,11 @@ def cache_directory() -> Path:
 
 def source(n: int, eccentric: bool, general: bool = False) -> str:
     """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
+    return kernel_text(n, eccentric, general) + (HERE / "entries.c").read_text()
+
+
+def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
+    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
     generator.add(coupling_rate_function(n))
@@ -116,6 +124,9 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
             generator.add(ca.Function(name, symbols, function.call(symbols), {"cse": True}))
     else:
         generator.add(piece_function(n, eccentric, "gauss", DEGREE))
+    if not general and not eccentric:
+        for name in ("curvature", "curvature_slope", "variation"):
+            generator.add(section_functions(n, False)[name])
     if eccentric:
         balance = section_functions(n, True)["balance"]
         inputs = balance.sx_in()
@@ -123,6 +134,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
     constants = {
         "ECCENTRIC": int(eccentric),
         "GENERAL": int(general),
+        "SLOPES": int(not general and not eccentric),
         "MOST_SECTIONS": most_sections(n, general),
         "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
         "N": n,
@@ -149,7 +161,7 @@ def source(n: int, eccentric: bool, general: bool = False) -> str:
         "SOFTENING_ERROR": SOFTENING_ERROR,
         "COUPLING_FLOOR": COUPLING_FLOOR,
     }
-    tables = _general_constants() if general else ""
+    tables = _general_constants() if general else "" if eccentric else _slope_constants()
     return tables + c_text(constants, generator, "kernel.c")
 
 
@@ -261,11 +273,21 @@ def _general_constants() -> str:
         "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
         "TWIST_PER_PIECE": TWIST_PER_PIECE,
     }
-    lines = [f"#define {name} {value!r}" for name, value in numbers.items()]
-    for name, table in tables.items():
-        values = ", ".join(repr(float(v)) for v in np.ravel(table))
-        lines.append(f"static const double {name}[] = {{{values}}};")
-    return "\n".join(lines) + "\n"
+    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + _c_tables(tables)
+
+
+def _slope_constants() -> str:
+    """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes."""
+    fine = tableau("gauss", DEGREE)
+    return _c_tables(
+        {"TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2), "POSE_INSIDE": hermite(fine.family, fine.degree)}
+    )
+
+
+def _c_tables(tables: Mapping[str, Array]) -> str:
+    """Tables as constants of C."""
+    rows = ((name, ", ".join(repr(float(v)) for v in np.ravel(table))) for name, table in tables.items())
+    return "".join(f"static const double {name}[] = {{{values}}};\n" for name, values in rows)
 
 
 def _answer(n: int, general: bool) -> np.dtype[np.void]:
@@ -361,4 +383,9 @@ def library(n: int, eccentric: bool, general: bool = False) -> Library | None:
     answer, method = _answer(n, general), _method(general)
     if loaded.answer_size() != answer.itemsize:
         raise RuntimeError(f"the compiled kernel has answers of {loaded.answer_size()} bytes, not {answer.itemsize}")
-    return Library(n, path, loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size())
+    differentiate = None
+    if not (eccentric or general):
+        differentiate = loaded.differentiate
+        differentiate.argtypes = [pointer, ctypes.c_int, *[pointer] * 3]
+    parts = loaded.solve, loaded.solve_many, ctypes.byref(method), answer, loaded.workspace_size()
+    return Library(n, path, *parts, differentiate)

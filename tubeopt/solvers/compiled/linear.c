@@ -174,15 +174,24 @@ static double largest_of_tridiagonal(const double *d, const double *e, int n) {
     return x;
 }
 
-/* The eigenvector y of the tridiagonal matrix to `value`, its largest eigenvalue, unit length. */
+/* The eigenvector y of the tridiagonal matrix to `value`, its largest eigenvalue, unit length: pivots from above and from
+   below meet where they leave least, so that every component comes from a larger one. */
 static void vector_of_tridiagonal(const double *d, const double *e, int n, double value, double *y) {
-    double q = 0, squared = y[0] = 1;
-    for (int j = 0; j + 1 < n; j++) {
-        q = value - d[j] - (j ? e[j - 1] * e[j - 1] / q : 0);
-        y[j + 1] = y[j] * q / e[j];
-        squared += y[j + 1] * y[j + 1];
+    double above[LANCZOS], below[LANCZOS], least = INFINITY;
+    int meet = 0;
+    for (int j = 0; j < n; j++) above[j] = value - d[j] - (j ? e[j - 1] * e[j - 1] / above[j - 1] : 0);
+    for (int j = n - 1; j >= 0; j--) below[j] = value - d[j] - (j + 1 < n ? e[j] * e[j] / below[j + 1] : 0);
+    for (int j = 0; j < n; j++) {
+        double left = fabs(above[j] + below[j] - (value - d[j]));
+        if (!(left < least)) continue;
+        least = left;
+        meet = j;
     }
-    for (int j = 0; j < n; j++) y[j] /= sqrt(squared);
+    y[meet] = 1;
+    for (int j = meet - 1; j >= 0; j--) y[j] = y[j + 1] * e[j] / above[j];
+    for (int j = meet + 1; j < n; j++) y[j] = y[j - 1] * e[j - 1] / below[j];
+    double length = sqrt(dot(y, y, n));
+    for (int j = 0; j < n; j++) y[j] /= length;
 }
 
 /* A direction that has something of every other. */

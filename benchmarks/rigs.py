@@ -1,0 +1,68 @@
+"""How many uncertain rigs keep the window when they heat the thesis' tube: led by a thermometer, and by the schedule.
+
+    python -m benchmarks.rigs [--rigs N] [--seed N] [--json]
+
+Everything that a workshop has not measured is unknown at once (`Uncertainty.of_a_workshop`): losses, gap, contacts,
+resistivity and its slope, the board's conductivity, heat capacity, inner diameter, ambient, charge, what pulses lose,
+and the bias of the sensor. Gains and set-point are chosen on other rigs than those that are counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, dataclass, replace
+
+from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, lead_by, load_rig, plan_heating
+from tubeopt.shaping.firmware.boards import BOARDS
+
+from .timing import ROOT
+
+RIG = ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml"
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Share of rigs that keep window and limit, its 95 % interval, and the hottest point of any above the limit, K."""
+
+    sensor: str
+    share: float
+    interval: tuple[float, float]
+    above_limit: float
+
+
+def measure(rigs: int, seed: int, objective: str) -> list[Kept]:
+    """By every sensor, and at last by none."""
+    rig = load_rig(RIG)
+    assert rig.tube is not None
+    rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=BOARDS["uno"].frequencies[0]))
+    plan = plan_heating(rig.tube, rig, HeatingSpec(objective=objective))
+    found = []
+    for sensor in (Thermocouple(), Camera(), TubeResistance()):
+        led = lead_by(plan, sensor, samples=rigs, seed=seed)
+        found.append(Kept(sensor.name, led.probability, led.interval, float(led.top.max() - led.limit)))
+    return [*found, Kept("none", led.open_loop, (led.open_loop, led.open_loop), float("nan"))]
+
+
+def main() -> None:
+    """Measure and tell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rigs", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--objective", default="time", help="of the schedule: time or margin")
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args()
+    found = measure(asked.rigs, asked.seed, asked.objective)
+    if asked.json:
+        print(json.dumps([asdict(kept) for kept in found]))
+        return
+    for kept in found:
+        low, high = (100 * end for end in kept.interval)
+        print(
+            f"{kept.sensor:12} {100 * kept.share:5.1f} % of {asked.rigs} rigs ({low:.1f} to {high:.1f} %), hottest "
+            f"point {kept.above_limit:+.1f} K from the limit"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Images as they are written by other libraries, and files that are not what they say."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tubeopt import InputError
+from tubeopt.bodies.frames import base_frame
+from tubeopt.bodies.images import read_image
+
+nibabel = pytest.importorskip("nibabel")
+nrrd = pytest.importorskip("nrrd")
+
+PLACE = base_frame([0.1, -0.2, 0.3], [0.3, 0.2, 1.0], 0.7)
+SPACING = np.array([0.8, 0.5, 1.1])
+LABELS = np.zeros((9, 8, 7), dtype=np.uint8)
+LABELS[2:5, 3:6, :] = 3
+
+
+def affine() -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = PLACE.axes * SPACING, PLACE.origin * 1e3
+    return out
+
+
+def write_nifti(path: Path, data: np.ndarray = LABELS, where: np.ndarray | None = None, unit: str = "mm") -> Path:
+    image = nibabel.Nifti1Image(data, None)
+    image.set_sform(affine() if where is None else where, 1)
+    image.header.set_xyzt_units(unit)
+    nibabel.save(image, path)
+    return path
+
+
+def write_nrrd(path: Path) -> Path:
+    back = np.diag([-1.0, -1.0, 1.0])
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": (back @ affine()[:3, :3]).T,
+        "space origin": back @ affine()[:3, 3],
+    }
+    nrrd.write(str(path), LABELS, header)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+def test_voxels_lie_where_they_were_written(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    image = read_image(write_nrrd(path) if name.endswith("nrrd") else write_nifti(path))
+    index = np.array([[0, 0, 0], [8, 0, 0], [0, 7, 0], [0, 0, 6], [3, 4, 5]])
+    expected = (index @ affine()[:3, :3].T + affine()[:3, 3]) * 1e-3
+    assert np.allclose(image.frame.placed(index * image.spacing), expected, atol=1e-7)
+    assert np.array_equal(image.values, LABELS)
+    assert image.labels == (3,)
+    assert image.chosen([3]).sum() == (LABELS == 3).sum()
+
+
+def test_units_and_scales_of_headers(tmp_path: Path) -> None:
+    metres = affine() * np.array([[1e-3], [1e-3], [1e-3], [1.0]])
+    image = read_image(write_nifti(tmp_path / "m.nii", where=metres, unit="meter"))
+    assert np.allclose(image.spacing, SPACING * 1e-3, rtol=1e-5)
+    scaled = nibabel.Nifti1Image(LABELS.astype(np.int16), affine())
+    scaled.header.set_slope_inter(2.0, -1.0)
+    nibabel.save(scaled, tmp_path / "s.nii")
+    assert read_image(tmp_path / "s.nii").labels == tuple(
+        sorted({int(v) for v in np.unique(np.asarray(nibabel.load(tmp_path / "s.nii").dataobj))} - {0})
+    )
+
+
+def truncated(path: Path) -> None:
+    whole = write_nifti(path).read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+
+
+def huge(path: Path) -> None:
+    raw = bytearray(gzip.decompress(write_nifti(path.with_suffix(".nii.gz")).read_bytes()))
+    raw[42:48] = np.array([30000, 30000, 30000], dtype=np.int16).tobytes()
+    path.write_bytes(raw)
+
+
+def sheared(path: Path) -> None:
+    where = np.diag([1.0, 1.0, 1.0, 1.0])
+    where[0, 1] = 0.3
+    write_nifti(path, where=where)
+
+
+BROKEN: list[tuple[str, Callable[[Path], object], str]] = [
+    ("a.nii.gz", truncated, "no image can be read from it: "),
+    ("a.nii", huge, "has 30000 x 30000 x 30000 voxels, 2.7e[+]04 GB; it must have 1.2 GB at most"),
+    ("a.nii", sheared, "axes of the image are 16.7 deg from square to each other; resample it"),
+    ("a.nii", lambda path: path.write_bytes(b"hello" * 99), "no image can be read from it: "),
+    ("a.nii", lambda path: write_nifti(path, np.zeros((4, 4, 4, 2), np.uint8)), "has 4 x 4 x 4 x 2 voxels"),
+    ("a.nii", lambda path: write_nifti(path, where=np.diag([1e-3, 1e-3, 1e-3, 1])), "is the unit of its header wrong"),
+    ("a.nii", lambda path: None, "there is no such file"),
+    ("a.dcm", lambda path: path.write_bytes(b""), "is no image that is known; it must be .nii"),
+    ("a.nrrd", lambda path: nrrd.write(str(path), LABELS), "its header gives voxels no size"),
+    ("a.nrrd", lambda path: nrrd.write(str(path), np.zeros((3, 4, 4, 4), np.uint8)), "has 3 x 4 x 4 x 4 voxels"),
+    ("a.nrrd", lambda path: path.write_text("NRRD0004\ntype: uchar\n\n1"), "no image can be read from it: "),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "words"), BROKEN)
+def test_what_is_wrong_is_one_sentence(tmp_path: Path, name: str, write: Callable[[Path], object], words: str) -> None:
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=words) as error:
+        read_image(tmp_path / name)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_labels_must_be_labels(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 300, LABELS.shape).astype(np.float32)
+    image = read_image(write_nifti(tmp_path / "ct.nii", noise))
+    with pytest.raises(InputError, match="is no image of labels, for it has values such as"):
+        image.chosen([1])
+    assert image.between(-100, 100).sum() == (np.abs(noise) <= 100).sum()
+    broken = np.where(LABELS, np.nan, 0).astype(np.float32)
+    with pytest.raises(InputError, match="NaN or infinite"):
+        read_image(write_nifti(tmp_path / "nan.nii", broken)).chosen([1])
+    with pytest.raises(InputError, match=r"lumen 9 is of no voxel of .*; its labels are 3"):
+        read_image(write_nifti(tmp_path / "ok.nii")).chosen([9], "lumen")

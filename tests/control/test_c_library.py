@@ -1,0 +1,136 @@
+"""The C library of a robot: the answers of Python, clean C, no memory of its own, and a guard that sees snaps."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, THESIS
+from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, forward_kinematics, load_robot
+from tubeopt.control.c_binding import CRobot
+from tubeopt.control.c_library import c_library, save_c_library
+from tubeopt.control.why import Why
+from tubeopt.inverse.joints import joint_space
+from tubeopt.solvers.compiled.library import compiler
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+
+
+@pytest.fixture(scope="module")
+def thesis() -> CRobot:
+    return CRobot(c_library(THESIS))
+
+
+def command(target: np.ndarray, **other: float) -> np.ndarray:
+    values = {"step": 1e-3, "speed": 0.1, "turn_rate": 3.0, "shift_rate": 0.1, "min_margin": 0.2, "push": 0.0} | other
+    step, *rest = values.values()
+    return np.concatenate([[step], target, np.zeros(3), rest])
+
+
+def test_the_library_has_the_answers_of_the_general_solver_and_of_its_derivatives(thesis: CRobot) -> None:
+    for q in joint_space(THESIS).sample(8)[:8]:
+        rotations, shift = joint_space(THESIS).split(q)
+        known = forward_kinematics(THESIS, rotations, shift, method="energy")
+        found = thesis.solve(rotations, shift)
+        assert found.tip_position == pytest.approx(known.tip_position, abs=1e-9)
+        assert found.tip_rotation == pytest.approx(known.tip_rotation, abs=1e-9)
+        assert found.margin == pytest.approx(known.margin, abs=1e-8)
+        jacobian, slopes = known.jacobian(), thesis.slopes()
+        assert slopes.position == pytest.approx(jacobian.position, abs=1e-9)
+        assert slopes.turn == pytest.approx(jacobian.rotation, abs=1e-8)
+        assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=1e-8)
+        assert slopes.margin == pytest.approx(jacobian.margin, abs=1e-5)
+        light = forward_kinematics(THESIS, rotations, shift, load=Load(force=(1e-9, 0, 0)))
+        assert light.compliance is not None
+        assert slopes.compliance == pytest.approx(light.compliance, rel=1e-6, abs=1e-6 * np.abs(light.compliance).max())
+
+
+def test_derivatives_where_tubes_share_a_carriage_and_end_together() -> None:
+    robot = load_robot("configs/robots/example_equal_ends.yaml")
+    rotations = np.linspace(0.2, 1.0, robot.n_tubes)
+    library = CRobot(c_library(robot))
+    library.solve(rotations, robot.home_translations)
+    known = forward_kinematics(robot, rotations).jacobian()
+    assert library.slopes().position == pytest.approx(known.position, abs=1e-9)
+
+
+def test_the_branch_is_followed_up_to_the_snap_and_no_farther(thesis: CRobot) -> None:
+    # Rotating only the inner tube from 0 the robot snaps at 214.222427 deg (independent shooting).
+    thesis.solve(np.zeros(3), np.zeros(3))
+    for degree in range(2, 215, 2):
+        last = thesis.follow([np.radians(degree), 0, 0], np.zeros(3))
+    assert 0 < last.margin < 0.2
+    with pytest.raises(SolveError, match="snap"):
+        thesis.follow([np.radians(216), 0, 0], np.zeros(3))
+    # It stayed where it was.
+    again = thesis.follow(last.rotations, last.translations)
+    assert again.tip_position == pytest.approx(last.tip_position, abs=1e-12)
+
+
+def test_a_long_motion_into_a_snap_leaves_the_robot_where_it_began(thesis: CRobot) -> None:
+    first = thesis.solve(np.zeros(3), np.zeros(3))
+    with pytest.raises(SolveError, match="snap"):
+        thesis.follow([np.radians(300), 0, 0], np.zeros(3))
+    again = thesis.follow(np.zeros(3), np.zeros(3))
+    assert again.tip_position == pytest.approx(first.tip_position, abs=1e-12)
+    with pytest.raises(SolveError, match="longer"):
+        thesis.follow([100.0, 0, 0], np.zeros(3))
+
+
+def test_the_servo_reaches_its_target_within_rates_and_slides_along_the_floor(thesis: CRobot) -> None:
+    last = thesis.solve(*START)
+    target = last.tip_position + np.array([4e-3, -3e-3, 2e-3])
+    for _ in range(400):
+        pose, distance, _, why = thesis.servo(command(target))
+        assert np.abs(pose.rotations - last.rotations).max() <= 3e-3 + 1e-12
+        assert np.abs(pose.translations - last.translations).max() <= 1e-4 + 1e-12
+        last = pose
+    assert distance < 1e-6
+    reasons = Why(0)
+    for _ in range(3000):
+        pose, distance, _, why = thesis.servo(command(np.array([-0.2, 0.0, 0.1])))
+        reasons |= why
+        assert pose.margin >= 0.2
+    assert Why.MARGIN in reasons or Why.RANGE in reasons or Why.ORDER in reasons
+    known = forward_kinematics(THESIS, pose.rotations, pose.translations)
+    assert known.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
+
+
+def test_bad_input_is_refused(thesis: CRobot) -> None:
+    thesis.solve(*START)
+    with pytest.raises(InputError, match="finite"):
+        thesis.servo(command(np.full(3, np.nan)))
+    with pytest.raises(InputError, match="possible"):
+        thesis.follow(START[0], [0.5, 0, 0])
+    with pytest.raises(InputError, match="prefix is '1a'"):
+        c_library(THESIS, prefix="1a")
+    with pytest.raises(InputError, match="beside the centreline"):
+        c_library(load_robot("configs/robots/thesis_etr.yaml"))
+    eight = ConcentricRobot([Tube(1e-3 * (k + 1), 1e-3 * (k + 0.5), 0.1, 0.05, 1.0) for k in range(8)])
+    with pytest.raises(InputError, match="at most 6"):
+        c_library(eight)
+
+
+def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(tmp_path: Path) -> None:
+    save_c_library(c_library(CRL, prefix="crl"), tmp_path)
+    own = compiler()
+    assert own is not None
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-fno-pie"]
+    subprocess.run([*own, *flags, "-c", "crl_robot.c", "-o", "robot.o"], cwd=tmp_path, check=True, timeout=120)
+    for program in ("test", "example"):
+        parts = [f"{program}.c", "robot.o", "-lm", "-no-pie", "-o", program]
+        subprocess.run([*own, *flags, *parts], cwd=tmp_path, check=True, timeout=60)
+        done = subprocess.run([tmp_path / program], capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stdout
+    if shutil.which("nm"):
+        table = subprocess.run(["nm", "robot.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        kinds = {line.split()[-1]: line.split()[-2] for line in table.splitlines()}
+        assert not [name for name, kind in kinds.items() if kind in "bBdDC"]  # nothing that can be written to
+        assert not {"malloc", "calloc", "realloc", "free"} & set(kinds)
+        assert all(name.startswith("crl_") for name, kind in kinds.items() if kind == "T")

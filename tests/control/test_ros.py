@@ -1,0 +1,132 @@
+"""The node for ROS 2, on messages that stand for those of ROS."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from tubeopt.solvers.compiled.library import compiler
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+PACKAGE = Path("integrations/ros2/tubeopt_ros")
+
+
+class Message:
+    """Fields of a message: those that are named, else as the kinds below have them."""
+
+    fields: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, **given: Any) -> None:
+        for name, make in self.fields.items():
+            setattr(self, name, make())
+        vars(self).update(given)
+
+
+def kind(called: str, /, **fields: Any) -> type[Message]:
+    return type(called, (Message,), {"fields": fields})
+
+
+def numbers(names: str) -> Any:
+    return lambda: SimpleNamespace(**dict.fromkeys(names, 0.0))
+
+
+def header() -> SimpleNamespace:
+    return SimpleNamespace(stamp=None, frame_id="")
+
+
+class Node:
+    """What the node asks of rclpy."""
+
+    def __init__(self, name: str) -> None:
+        self.heard: dict[str, Any] = {}
+        self.told: dict[str, Any] = {}
+        self.warned: list[str] = []
+
+    def declare_parameter(self, name: str, value: Any) -> None:
+        pass
+
+    def get_parameter(self, name: str) -> SimpleNamespace:
+        known = {
+            "robot": "configs/robots/thesis_ctr.yaml",
+            "rotations": [0.0, 1.0, 2.0],
+            "translations": [-0.05, -0.03, -0.02],
+            "rate": 500.0,
+        }
+        return SimpleNamespace(value=known[name])
+
+    def create_subscription(self, of: Any, name: str, hear: Any, depth: int) -> None:
+        self.heard[name] = hear
+
+    def create_publisher(self, of: Any, name: str, depth: int) -> SimpleNamespace:
+        return SimpleNamespace(publish=lambda message: self.told.__setitem__(name, message))
+
+    def create_timer(self, period: float, call: Any) -> None:
+        pass
+
+    def get_clock(self) -> SimpleNamespace:
+        return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
+
+    def get_logger(self) -> SimpleNamespace:
+        return SimpleNamespace(warning=self.warned.append)
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    pose = lambda: SimpleNamespace(position=numbers("xyz")(), orientation=numbers("wxyz")())  # noqa: E731
+    twist = lambda: SimpleNamespace(linear=numbers("xyz")())  # noqa: E731
+    kinds = {
+        "geometry_msgs.msg": [kind("PoseStamped", header=header, pose=pose), kind("TwistStamped", twist=twist)],
+        "sensor_msgs.msg": [kind("JointState", header=header, name=list, position=list, velocity=list)],
+        "std_msgs.msg": [kind("Float64", data=float), kind("String", data=str)],
+        "rclpy.node": [Node],
+        "rclpy": [],
+    }
+    for name, classes in kinds.items():
+        module = ModuleType(name)
+        for each in classes:
+            setattr(module, each.__name__, each)
+        monkeypatch.setitem(sys.modules, name, module)
+        monkeypatch.setitem(sys.modules, name.split(".")[0], sys.modules.get(name.split(".")[0], module))
+    monkeypatch.syspath_prepend(str(PACKAGE))
+    yield importlib.import_module("tubeopt_ros.node")
+    sys.modules.pop("tubeopt_ros.node")
+
+
+def test_the_node_is_led_and_tells_where_it_is(node: Any) -> None:
+    robot = node.RobotNode()
+    robot.tick()
+    start = robot.told["measured_cp"].pose.position
+    place = np.array([start.x, start.y, start.z])
+    target = node.PoseStamped()
+    target.pose.position = SimpleNamespace(x=start.x + 1e-3, y=start.y, z=start.z)
+    robot.heard["servo_cp"](target)
+    assert "enable it first" in robot.warned[-1]
+    robot.heard["state_command"](node.String(data="enable"))
+    for _ in range(60):
+        robot.heard["servo_cp"](target)
+        robot.tick()
+    there = robot.told["setpoint_cp"].pose
+    assert there.position.x == pytest.approx(place[0] + 1e-3, abs=1e-6)
+    assert robot.told["operating_state"].data == "ENABLED"
+    assert 0 < robot.told["margin"].data <= 1
+    # The quaternion turns z to where the tip points.
+    q, ahead = there.orientation, robot.robot.servo.equilibrium.tip_rotation[:, 2]
+    assert node._pose(robot.told["setpoint_cp"])["direction"] == pytest.approx(ahead, abs=1e-12)
+    assert q.w**2 + q.x**2 + q.y**2 + q.z**2 == pytest.approx(1)
+    joints = robot.told["setpoint_js"]
+    back = node.JointState(name=joints.name, position=[0.0, 1.0, 2.0, -0.05, -0.03, -0.02])
+    for _ in range(100):
+        robot.heard["servo_jp"](back)
+        robot.tick()
+    assert robot.told["measured_js"].position == pytest.approx(back.position, abs=1e-12)
+    robot.heard["servo_cv"](node.TwistStamped())
+    robot.heard["servo_jp"](node.JointState(name=["elbow"], position=[1.0]))
+    assert "servo_jp" in robot.warned[-1]

@@ -1,0 +1,228 @@
+"""A robot over WebSocket: who may command, what is refused, and that nothing moves when nobody tells it to."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import json
+import shutil
+import subprocess
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import InputError, forward_kinematics
+from tubeopt.control.crtk import CrtkRobot
+from tubeopt.control.server import RobotServer, ServerOptions
+from tubeopt.control.servo import Servo
+
+websockets = pytest.importorskip("websockets")
+
+SEED = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+CLIENTS = Path("integrations/clients")
+
+
+def robot(**options: float) -> CrtkRobot:
+    return CrtkRobot(Servo(THESIS, SEED), **options)
+
+
+def enabled() -> CrtkRobot:
+    out = robot()
+    out.command({"op": "state_command", "command": "enable"}, 0.0)
+    return out
+
+
+def tip(of: CrtkRobot) -> np.ndarray:
+    return of.servo.equilibrium.tip_position
+
+
+def test_a_stream_moves_the_robot_until_it_ends_however_the_clock_jumps() -> None:
+    arm = enabled()
+    target = (tip(arm) + np.array([5e-3, 0, 0])).tolist()
+    arm.command({"op": "servo_cp", "position": target}, 0.0)
+    for k in range(300):
+        arm.tick(1e-3 * k, 1e-3)
+        if k == 100:
+            held = tip(arm)
+    # One tenth of a second of motion at 50 mm/s and the rates, then none.
+    assert 1e-4 < np.linalg.norm(held - SEED.tip_position) <= 5.1e-3
+    assert np.array_equal(tip(arm), held) or np.linalg.norm(tip(arm) - held) < 1e-4
+    assert "in time" in arm.report(0.3)["why"]
+    for jump in (1e6, -1e6):
+        arm.command({"op": "servo_cp", "position": target}, 1.0)
+        before = tip(arm)
+        arm.tick(1.0 + jump, 1e-3)
+        assert np.array_equal(tip(arm), before)
+
+
+def test_a_move_arrives_or_says_why_not() -> None:
+    arm = enabled()
+    target = tip(arm) + np.array([2e-3, 1e-3, 0])
+    arm.command({"op": "move_cp", "position": target.tolist()}, 0.0)
+    assert arm.busy
+    for k in range(600):
+        arm.tick(1e-3 * k, 1e-3)
+    assert not arm.busy
+    assert tip(arm) == pytest.approx(target, abs=2e-6)
+    arm.command({"op": "move_jp", "rotations": [0, 1, 2], "translations": [-0.05, -0.03, -0.02]}, 1.0)
+    for k in range(200):
+        arm.tick(1 + 1e-2 * k, 1e-2)
+    assert tip(arm) == pytest.approx(SEED.tip_position, abs=1e-5)
+    arm.command({"op": "move_cp", "position": [1.0, 0, 0]}, 10.0)
+    k = 0
+    while arm.busy and k < 2000:
+        arm.tick(10 + 1e-2 * k, 1e-2)
+        k += 1
+    assert not arm.busy
+    assert "short" in arm.report(20.0)["why"]
+
+
+def test_what_makes_no_sense_changes_nothing() -> None:
+    arm = robot()
+    with pytest.raises(InputError, match="enable it first"):
+        arm.command({"op": "servo_cp", "position": [0, 0, 0]}, 0.0)
+    arm = enabled()
+    for message in (
+        {},
+        {"op": 3},
+        {"op": "servo_cp"},
+        {"op": "servo_cp", "position": [1, 2]},
+        {"op": "servo_cp", "position": [1, 2, float("nan")]},
+        {"op": "servo_cp", "position": {"x": 1}},
+        {"op": "servo_cp", "position": [0, 0, 0], "direction": [0, 0, 0]},
+        {"op": "servo_jp", "rotations": [0, 0, 0]},
+        {"op": "state_command", "command": "fly"},
+        {"op": "state_command", "command": "resume"},
+    ):
+        with pytest.raises(InputError):
+            arm.command(message, 0.0)
+    arm.tick(0.0, 1e-3)
+    assert np.array_equal(tip(arm), SEED.tip_position)
+    with pytest.raises(InputError, match="watchdog is 0"):
+        robot(watchdog=0.0)
+    with pytest.raises(InputError, match="host is"):
+        ServerOptions(host="0.0.0.0")
+
+
+def run(talk: Callable[[RobotServer], Awaitable[None]], **options: Any) -> RobotServer:
+    """Serve a robot while something talks to it."""
+
+    async def both() -> RobotServer:
+        server = RobotServer(robot(), ServerOptions(port=0, period=2e-3, **options))
+        ready = asyncio.Event()
+        serving = asyncio.create_task(server.serve(ready.set))
+        await asyncio.wait({asyncio.create_task(ready.wait()), serving}, return_when=asyncio.FIRST_COMPLETED)
+        try:
+            await talk(server)
+        finally:
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+        return server
+
+    return asyncio.run(asyncio.wait_for(both(), 60))
+
+
+async def client(server: RobotServer, role: str = "commander", token: str | None = None) -> Any:
+    socket = await websockets.connect(f"ws://127.0.0.1:{server.port}", compression=None)
+    await socket.send(json.dumps({"op": "hello", "token": token or server.token, "role": role}))
+    return socket
+
+
+async def told(socket: Any, op: str) -> dict[str, Any]:
+    while True:
+        message: dict[str, Any] = json.loads(await asyncio.wait_for(socket.recv(), 10))
+        if message["op"] == op:
+            return message
+
+
+def test_one_commands_and_many_watch_and_a_commander_that_is_killed_stops_the_robot() -> None:
+    async def talk(server: RobotServer) -> None:
+        commander = await client(server)
+        assert (await told(commander, "welcome"))["role"] == "commander"
+        for refused in (await client(server), await client(server, token="guessed")):
+            with pytest.raises(websockets.ConnectionClosed):
+                await told(refused, "welcome")
+        watchers = [await client(server, "watcher") for _ in range(20)]
+        await watchers[0].send(json.dumps({"op": "state_command", "command": "enable"}))
+        assert "watcher" in (await told(watchers[0], "error"))["words"]
+        await commander.send(json.dumps({"op": "state_command", "command": "enable"}))
+        await commander.send(json.dumps({"op": "servo_cv", "linear": [0.02, 0, 0]}))
+        await asyncio.sleep(0.05)
+        commander.transport.abort()
+        await asyncio.sleep(0.1)
+        held = tip(server.robot)
+        await asyncio.sleep(0.1)
+        assert np.array_equal(tip(server.robot), held)
+        assert np.linalg.norm(held - SEED.tip_position) > 1e-5
+        states = [await told(watcher, "state") for watcher in watchers]
+        assert states[0]["setpoint_js"]["name"][0] == "rotation_1"
+        again = await client(server)
+        assert (await told(again, "welcome"))["role"] == "commander"
+
+    run(talk)
+
+
+def test_malformed_messages_are_answered_and_the_robot_goes_on() -> None:
+    async def talk(server: RobotServer) -> None:
+        commander = await client(server)
+        await told(commander, "welcome")
+        random = np.random.default_rng(0)
+        for k in range(300):
+            junk = [b"\xff\x00", "[" * 5000, "{}", '{"op": "servo_cp", "position": 1e999}', str(random.bytes(30))]
+            await commander.send(junk[k % len(junk)])
+            assert (await told(commander, "error"))["words"]
+        await commander.send(json.dumps({"op": "state_command", "command": "enable"}))
+        await asyncio.sleep(0.1)
+        assert server.robot.state == "ENABLED"
+        await commander.send("x" * 100_000)
+        with pytest.raises(websockets.ConnectionClosed):
+            await told(commander, "never")
+
+    run(talk, rate=1e5)
+
+
+def test_the_clients_of_both_languages_lead_the_robot() -> None:
+    spec = importlib.util.spec_from_file_location("tubeopt_client", CLIENTS / "tubeopt_client.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def lead(port: int, token: str) -> float:
+        robot = module.Robot(token, port)
+        robot.enable()
+        for _ in range(10):
+            robot.servo_cv([0.02, 0, 0])
+            state = robot.state()
+        robot.close()
+        return float(state["measured_cp"]["position"][0])
+
+    async def talk(server: RobotServer) -> None:
+        assert await asyncio.to_thread(lead, server.port, server.token) > SEED.tip_position[0] + 1e-4
+        node = shutil.which("node")
+        if node is None:
+            return
+        script = f"""
+            const {{ Robot }} = await import("{(CLIENTS / "tubeopt_client.js").resolve()}");
+            let count = 0;
+            const robot = await Robot.connect("{server.token}", {{ port: {server.port}, onState: (state) => {{
+                if (++count < 10) robot.servoCv([-0.02, 0, 0]);
+                else {{ console.log(state.operating_state.state); process.exit(0); }}
+            }} }});
+            robot.enable();
+        """
+        has = await asyncio.to_thread(
+            subprocess.run, [node, "-e", "process.exit(typeof WebSocket === 'function' ? 0 : 1)"]
+        )
+        if has.returncode == 0:
+            await asyncio.sleep(0.1)
+            done = await asyncio.to_thread(
+                subprocess.run, [node, "--input-type=module", "-e", script], capture_output=True, text=True, timeout=30
+            )
+            assert done.stdout.strip() == "ENABLED", done.stderr
+
+    run(talk)

@@ -1,0 +1,115 @@
+"""The servo: where it leads the tip, what it keeps, and that it never snaps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import Equilibrium, InputError, Load, follow, forward_kinematics
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.control.servo import Command, Servo, ServoOptions, ServoStep
+from tubeopt.control.why import Why
+from tubeopt.inverse.joints import joint_space
+
+SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+DT = 1e-3
+TINY = Load(force=(1e-9, 0, 0))
+
+
+def joints(arm: Equilibrium) -> tuple[np.ndarray, np.ndarray]:
+    return arm.rotations, arm.translations
+
+
+@pytest.fixture(scope="module")
+def seed() -> Equilibrium:
+    return forward_kinematics(THESIS, *SEED)
+
+
+def run(servo: Servo, command: Command, steps: int) -> list[ServoStep]:
+    return [servo.step(command, DT) for _ in range(steps)]
+
+
+def test_it_reaches_a_place_and_a_direction_within_its_rates(seed: Equilibrium) -> None:
+    servo = Servo(THESIS, seed, options=ServoOptions(turn_rate=2.0, shift_rate=0.03))
+    target = seed.tip_position + np.array([3e-3, -2e-3, 1e-3])
+    pointing = seed.tip_rotation[:, 2] + np.array([0.02, 0, 0])
+    steps = run(servo, Command(position=target, direction=pointing), 700)
+    assert np.linalg.norm(steps[-1].equilibrium.tip_position - target) < 1e-7
+    assert steps[-1].equilibrium.tip_rotation[:, 2] == pytest.approx(pointing / np.linalg.norm(pointing), abs=1e-6)
+    for one, two in pairwise(steps):
+        assert np.abs(two.rotations - one.rotations).max() <= 2e-3 + 1e-12
+        assert np.abs(two.translations - one.translations).max() <= 3e-5 + 1e-12
+
+
+def test_the_floor_of_the_margin_is_slid_along_and_the_joints_sent_do_not_snap(seed: Equilibrium) -> None:
+    # Straight out to the side, where the robot would have to pass its floor.
+    servo = Servo(THESIS, seed, options=ServoOptions(min_margin=0.3))
+    steps = run(servo, Command(position=(-0.05, 0.02, 0.2)), 1500)
+    reasons = Why(0)
+    for step in steps:
+        reasons |= step.why
+    assert Why.MARGIN in reasons
+    assert "floor" in reasons.words
+    assert min(step.equilibrium.margin for step in steps) >= 0.3
+    every = steps[::25]
+    way = follow(THESIS, [s.rotations for s in every], [s.translations for s in every], start=every[0].equilibrium)
+    assert not way.snaps
+    assert way.equilibria[-1].tip_position == pytest.approx(every[-1].equilibrium.tip_position, abs=1e-8)
+
+
+def test_bodies_are_kept_clear_of(seed: Equilibrium) -> None:
+    ball = Sphere(tuple(seed.tip_position + np.array([6e-3, 0, 0])), 3e-3)
+    servo = Servo(THESIS, seed, obstacles=[ball], options=ServoOptions(clearance=5e-4))
+    steps = run(servo, Command(position=seed.tip_position + np.array([8e-3, 0, 0])), 200)
+    least = min(float(ball.signed_distance(step.equilibrium.tip_position[None])[0]) for step in steps)
+    assert least >= 5e-4
+    assert any(Why.OBSTACLE in step.why for step in steps)
+
+
+def test_the_arm_pivots_about_a_point_while_its_tip_moves(seed: Equilibrium) -> None:
+    pivot = seed.position[8]
+    servo = Servo(THESIS, seed)
+    steps = run(servo, Command(velocity=(0, 0.004, 0), pivot=pivot), 300)
+    arm = steps[-1].equilibrium
+    gaps = [a + np.clip((pivot - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1) * (b - a) for a, b in pairwise(arm.position)]
+    # Chords between shape points, 5 mm and less of radius 0.1 m and more, are off by 0.03 mm.
+    assert min(np.linalg.norm(pivot - gap) for gap in gaps) < 1e-4
+    assert arm.tip_position[1] - seed.tip_position[1] == pytest.approx(1.2e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("objective", ["margin", "centre", "compliance"])
+def test_what_the_tip_leaves_free_goes_to_an_objective(objective: str, seed: Equilibrium) -> None:
+    space = joint_space(THESIS)
+    start = forward_kinematics(THESIS, *space.split(0.999 * space.sample(8)[0] + 0.001 * space.inside()))  # margin 0.48
+    servo = Servo(THESIS, start, options=ServoOptions(objective=objective))
+    before, q = servo.equilibrium, servo.space.join(start.rotations, start.translations)
+    arm = run(servo, Command(position=start.tip_position), 60)[-1].equilibrium
+    assert arm.tip_position == pytest.approx(before.tip_position, abs=1e-6)
+    if objective == "margin":
+        assert arm.margin > before.margin + 1e-3
+    elif objective == "centre":
+        middle = (servo.space.lower + servo.space.upper) / 2
+        far = [np.linalg.norm((p - middle) / servo.space.scale) for p in (servo.space.join(*joints(arm)), q)]
+        assert far[0] < far[1]
+    else:
+        soft = [np.trace(forward_kinematics(THESIS, *joints(e), load=TINY).compliance[:3, :3]) for e in (arm, before)]
+        assert soft[0] < soft[1] * (1 - 1e-3)
+
+
+def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) -> None:
+    with pytest.raises(InputError, match="both given"):
+        Command(position=(0, 0, 0), velocity=(0, 0, 0))
+    with pytest.raises(InputError, match="direction has no length"):
+        Command(direction=(0, 0, 0))
+    with pytest.raises(InputError, match="min_margin is 2"):
+        ServoOptions(min_margin=2.0)
+    with pytest.raises(InputError, match="priorities are"):
+        ServoOptions(priorities=("position", "position"))
+    with pytest.raises(InputError, match="dt is 0 s"):
+        Servo(THESIS, seed).step(Command(), 0.0)
+    near = forward_kinematics(THESIS, np.radians([0, 90, 180]))  # of margin 0.927
+    with pytest.raises(InputError, match="seed has margin"):
+        Servo(THESIS, near, options=ServoOptions(min_margin=0.95))

@@ -1,0 +1,180 @@
+"""An arm in an anatomy made of formulas: planned and proved in its labels, and looked up voxel by voxel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import tubeopt
+from tests.command_line import ROOT
+from tubeopt import InputError, PlanOptions, TipGoal
+from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres, field_of_image
+from tubeopt.bodies.frames import Frame, base_frame
+from tubeopt.bodies.images import LabelImage
+from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
+from tubeopt.files.checked import check
+from tubeopt.planning import Trajectory, plan_trajectory
+from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.runs.inverse_study import InverseStudy
+from tubeopt.runs.obstacle_file import load_obstacles
+from tubeopt.runs.plan_study import PlanStudy
+from tubeopt.show.plots.trajectory import plot_trajectory
+from tubeopt.show.viewer.scene import obstacle_parts
+from tubeopt.typing import Array, Mask
+
+ROBOT = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
+
+
+def lung(voxel: float = 1e-3, frame: Frame | None = None) -> LabelImage:
+    return bronchial_tree().image(voxel, frame)
+
+
+def barred_voxels_touched(plan: Trajectory, image: LabelImage, free: Mask) -> int:
+    """Points of the surface of the arm, at some times, that lie in voxels where it may not be."""
+    touched = 0
+    for arm in plan.arms[:: max(1, len(plan.arms) // 10)]:
+        s = np.linspace(0, arm.arc_length[-1], 200)
+        line = np.column_stack([np.interp(s, arm.arc_length, arm.position[:, k]) for k in range(3)])
+        frame = arm.frame[np.clip(np.searchsorted(arm.arc_length, s), 0, len(arm.arc_length) - 1)]
+        radii = [tube.outer_diameter / 2 for tube in ROBOT.tubes]
+        shown = s[:, None] <= arm.tube_end
+        radius = np.where(shown, radii, 0.0).max(1)
+        angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None, None]
+        rim = line + radius[:, None] * (np.cos(angle) * frame[:, :, 0] + np.sin(angle) * frame[:, :, 1])
+        index = np.rint(image.frame.seen(rim.reshape(-1, 3)) / image.spacing).astype(int)
+        touched += int((~free[tuple(index.T)]).sum())
+    return touched
+
+
+def test_an_insertion_is_proved_and_touches_no_voxel_that_is_barred(tmp_path: Path) -> None:
+    image = lung()
+    free = image.chosen([LUMEN, TARGET])
+    field = field_of_image(image, lumen=free)
+    goal = tubeopt.forward_kinematics(ROBOT, [0.5, 2.0, -0.5], [0.03, -0.03, -0.083]).tip_position
+    assert field.signed_distance(goal) > 1e-3
+    options = PlanOptions(clearance=2e-4)
+    plan = plan_trajectory(ROBOT, WITHDRAWN, goal, obstacles=[field], options=options)
+    assert plan.proved
+    assert plan.proof.least_clearance >= 2e-4
+    assert np.linalg.norm(plan.tip_position[-1] - goal) < 1e-5
+    assert barred_voxels_touched(plan, image, free) == 0
+    picture = tmp_path / "lung.png"
+    plot_trajectory(plan, picture)
+    assert picture.stat().st_size > 10_000
+    part = obstacle_parts([field], 0.1)[0]
+    assert part.opacity == 0.3
+    assert len(part.surface.faces) > 1000
+
+
+def test_a_region_is_a_goal() -> None:
+    image = lung()
+    field = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
+    first = tubeopt.forward_kinematics(ROBOT, [0.5, 2.0, -0.5], [0.03, -0.03, -0.083]).tip_position
+    wall = np.array([0.0, 0.03, 0.02])  # where no tip can be
+    region = TipGoal(np.stack([wall, first, first + 1e-3]))
+    plan = plan_trajectory(ROBOT, WITHDRAWN, region, obstacles=[field], options=PlanOptions(clearance=2e-4))
+    assert plan.proved
+    assert np.linalg.norm(region.position - plan.tip_position[-1], axis=1).min() < 1e-5
+
+
+@pytest.mark.parametrize("make", [bronchial_tree, ventricle, kidney])
+def test_phantoms_are_where_their_formulas_are(make: object) -> None:
+    assert callable(make)
+    phantom = make()
+    image = phantom.image(2e-3)
+    assert image.labels == (LUMEN, TARGET)
+    for place in phantom.landmarks.values():
+        assert phantom.depth(np.array(place) * 1e-3) > 2e-3
+    assert phantom.depth(np.zeros(3)) > 3e-3
+    inside = centres(image, image.chosen([LUMEN, TARGET]))
+    assert (phantom.depth(inside) > 0).all()
+
+
+def write_case(directory: Path) -> tuple[Anatomy, Frame]:
+    """A lung on a table that lies anyhow, in files, and the anatomy as the library makes it of the same numbers."""
+    nibabel = pytest.importorskip("nibabel")
+    base = base_frame([0.02, -0.11, 0.2], [0.1, 0.2, -1.0], 0.4)
+    image = lung(1e-3, Frame(base.axes.T, -base.axes.T @ base.origin))
+    patient = Frame(base.axes @ image.frame.axes, base.placed(image.frame.origin))
+    affine = np.eye(4)
+    affine[:3, :3], affine[:3, 3] = patient.axes * image.spacing * 1e3, patient.origin * 1e3
+    nibabel.save(nibabel.Nifti1Image(image.values, affine), directory / "lung.nii.gz")
+    marks = {name: base.placed(np.array(place) * 1e-3) for name, place in bronchial_tree().landmarks.items()}
+    rows = [f"{name},{-x * 1e3:.6f},{-y * 1e3:.6f},{z * 1e3:.6f}" for name, (x, y, z) in marks.items()]
+    (directory / "marks.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]))
+    plate = {name: [float(x) for x in place] for name, place in bronchial_tree().landmarks.items()}
+    (directory / "anatomy.yaml").write_text(
+        yaml.safe_dump(
+            {
+                "anatomy": {
+                    "image": "lung.nii.gz",
+                    "lumen": [1],
+                    "target": [2],
+                    "landmarks": {"file": "marks.csv", "axes": "LPS"},
+                    "registration": {"landmarks_mm": plate},
+                }
+            }
+        )
+    )
+    placed = LabelImage(image.values, image.spacing, patient)
+    field = field_of_image(placed, lumen=placed.chosen([1, 2]))
+    return anatomy_seen([field], base, target=centres(placed, placed.chosen([2])), landmarks=marks), base
+
+
+def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path) -> None:
+    expected, base = write_case(tmp_path)
+    found = load_anatomy(tmp_path / "anatomy.yaml")
+    assert found.registration_error < 1e-8
+    assert np.allclose(found.base.axes, base.axes, atol=1e-6)
+    points = np.random.default_rng(0).uniform([-0.02, -0.01, 0], [0.02, 0.01, 0.06], (500, 3))
+    far = found.bodies[0].signed_distance(points) - expected.bodies[0].signed_distance(points)
+    assert np.abs(far).max() < 1e-6
+    assert found.target is not None
+    assert expected.target is not None
+    assert len(found.target) == len(expected.target)
+    assert np.allclose(found.place("carina"), [0, 0, 0.042], atol=1e-6)
+    robot = str(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+    plan = {"kind": "plan", "robot": robot, "anatomy": "anatomy.yaml", "tip_at": "carina"}
+    study = check(PlanStudy, plan, tmp_path / "plan.yaml")
+    assert np.allclose(goal_of(study), [0, 0, 0.042], atol=1e-6)
+    inverse = {"kind": "inverse_kinematics", "robot": robot, "anatomy": "anatomy.yaml", "target_mm": [0, -3, 40]}
+    answer = check(InverseStudy, inverse, tmp_path / "ik.yaml").run()
+    assert answer.solutions[0].clearance > 0  # type: ignore[union-attr]
+    (tmp_path / "bodies.yaml").write_text("obstacles: [{kind: anatomy, file: anatomy.yaml}]")
+    assert len(load_obstacles(tmp_path / "bodies.yaml")) == 1
+    with pytest.raises(InputError, match=r"'carna' is no landmark of the anatomy; .*; did you mean 'carina'?"):
+        check(PlanStudy, plan | {"tip_at": "carna"}, tmp_path / "plan.yaml")
+
+
+def goal_of(study: PlanStudy) -> Array:
+    _, goal = study._ends()
+    assert isinstance(goal, TipGoal)
+    return goal.position
+
+
+WRONG = [
+    ({}, "anatomy has no image, meshes or points; it must have one of them"),
+    ({"points": [{"file": "c.csv", "radius_mm": 0}]}, r"anatomy.points\[0\].radius_mm is 0; it must be greater than 0"),
+    ({"points": [{"file": "no.csv", "radius_mm": 1}]}, "no.csv"),
+    ({"meshes": [{"file": "no.stl"}]}, "no.stl: no mesh can be read from it"),
+    ({"lumen": [1]}, "anatomy chooses labels or a region without an image"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"position_mm": [0, 0, 0]}},
+     "anatomy.base must give one of direction and towards"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"at": "x", "direction": [0, 0, 1]}},
+     "'x' is no landmark of the anatomy; there are none"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1}],
+      "base": {"position_mm": [0, 0, 0], "direction": [0, 0, 0]}}, "it must point somewhere"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("written", "words"), WRONG)
+def test_wrong_files_are_told_in_a_sentence(tmp_path: Path, written: dict[str, object], words: str) -> None:
+    (tmp_path / "c.csv").write_text("x_mm,y_mm,z_mm\n30,0,30\n35,0,40\n")
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": written}))
+    with pytest.raises(InputError, match=words) as error:
+        load_anatomy(tmp_path / "a.yaml")
+    assert len(str(error.value).splitlines()) == 1

@@ -1,0 +1,66 @@
+"""A roadmap answers again and again, forgets what other bodies made true, and is its own robot's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tubeopt
+from tests.command_line import ROOT
+from tubeopt import InputError, PlanOptions
+from tubeopt.bodies.anatomy import field_of_image
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.bodies.phantoms import LUMEN, TARGET, kidney
+from tubeopt.inverse.clock import Clock
+from tubeopt.planning import plan_trajectory
+from tubeopt.planning.motion import DEFAULT_RATES
+from tubeopt.planning.question import asked
+from tubeopt.planning.roadmap import build_roadmap, load_roadmap
+
+ROBOT = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+OPTIONS = PlanOptions(clearance=2e-4)
+
+
+def test_a_roadmap_is_asked_again_and_again(tmp_path: Path) -> None:
+    image = kidney().image(1e-3)
+    body = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
+    roadmap = build_roadmap(ROBOT, obstacles=[body], options=OPTIONS, count=60)
+    assert len(roadmap) == 60
+    task, _ = asked(ROBOT, [body], 0.05, DEFAULT_RATES, None, OPTIONS)
+    assert task.holds(roadmap.points).all()
+    deep = np.argsort(-task.arms(roadmap.points).tip[:, 2])
+    start, goal = roadmap.points[deep[-1]], roadmap.points[deep[0]] + 1e-4
+    first = roadmap.way(task, start, [goal], Clock(60))
+    assert first.points is not None
+    assert task.path(first.points)
+    again = roadmap.way(task, start, [goal], Clock(60))
+    assert again.points is not None
+    assert np.array_equal(again.points, first.points)
+    assert again.motions <= 3  # from the start, to the goal, and the straight one
+    middle = task.arms(first.points[len(first.points) // 2][None]).tip[0]
+    task, _ = asked(ROBOT, [body, Sphere(tuple(middle.tolist()), 1e-3)], 0.05, DEFAULT_RATES, None, OPTIONS)
+    other = roadmap.way(task, start, [goal], Clock(60))
+    assert other.points is None or task.path(other.points)
+    roadmap.save(tmp_path / "map.npz")
+    loaded = load_roadmap(tmp_path / "map.npz")
+    assert np.array_equal(loaded.points, roadmap.points)
+    thesis = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
+    task, _ = asked(thesis, [], 0.05, DEFAULT_RATES, None, OPTIONS)
+    with pytest.raises(InputError, match="the roadmap is of another robot"):
+        loaded.way(task, start, [goal], Clock(1))
+    (tmp_path / "map.npz").write_bytes(b"no map")
+    with pytest.raises(InputError, match="no roadmap can be read from it"):
+        load_roadmap(tmp_path / "map.npz")
+
+
+def test_plans_over_a_roadmap_are_proved() -> None:
+    roadmap = build_roadmap(ROBOT, options=PlanOptions(seed=1), count=40)
+    start = ([0.0, 0.0, 0.0], [-0.02, -0.08, -0.09])
+    goal = tubeopt.forward_kinematics(ROBOT, [0.4, 1.0, -0.5], [0.02, -0.04, -0.08])
+    plan = plan_trajectory(ROBOT, start, goal, options=PlanOptions(roadmap=roadmap))
+    assert plan.proved
+    assert plan.statistics.how == "roadmap"
+    with pytest.raises(InputError, match="roadmap is 3; it must be a Roadmap"):
+        PlanOptions(roadmap=3)  # type: ignore[arg-type]

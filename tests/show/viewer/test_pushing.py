@@ -1,0 +1,96 @@
+"""A load on the robot under somebody's hands: what is shown is what the library says of that load."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import InputError, Load, find_load_limit, follow
+from tubeopt.show.viewer.pushing import bearing_of, bearing_words, gravity_of, head_of, newtons_per_metre, push_on
+from tubeopt.show.viewer.servo import pull
+from tubeopt.show.viewer.session import Session, go_home, move_joint, open_session, other_equilibria, redesign
+from tubeopt.stability.pushing import push
+
+from .browser import Tab
+
+TURNED = np.radians([200.0, 0.0, 0.0])
+
+
+def turned() -> Session:
+    session, _ = move_joint(open_session(THESIS), 0, TURNED[0])
+    return session
+
+
+def test_a_growing_force_snaps_the_robot_where_its_limit_is() -> None:
+    session = turned()
+    limit = find_load_limit(THESIS, TURNED, None, Load((-0.01, 0, 0)), equilibrium=session.equilibrium)
+    assert limit is not None
+    gentle = push_on(session, Load((-0.01, 0, 0)))
+    assert not gentle.last
+    assert gentle.equilibrium.margin < session.equilibrium.margin
+    past = push_on(gentle, Load((-0.03, 0, 0)))
+    (snap,) = past.last
+    assert snap.before.load is not None
+    assert -100 * snap.before.load.force[0] == pytest.approx(limit.factor, rel=1e-8)
+    assert snap.after.tip_position == pytest.approx(limit.after.tip_position, abs=1e-8)
+    assert past.verdict == "snapped"
+    assert "force -21.846" in past.log[-1].text
+    back = push_on(past, Load())
+    assert back.equilibrium.load is None
+    assert np.linalg.norm(back.equilibrium.tip_position - session.equilibrium.tip_position) > 0.05
+
+
+def test_joints_move_under_the_load() -> None:
+    load = Load((0.02, 0.0, 0.0), gravity=gravity_of("along -y"))
+    session = push_on(open_session(THESIS), load)
+    moved, _ = move_joint(session, 1, 0.5)
+    alone = follow(THESIS, [np.zeros(3), [0.0, 0.5, 0.0]], load=load).equilibria[-1]
+    assert moved.equilibrium.load == load
+    assert moved.equilibrium.tip_position == pytest.approx(alone.tip_position, abs=1e-10)
+    assert go_home(moved).equilibrium.tip_position == pytest.approx(session.equilibrium.tip_position, abs=1e-10)
+    for refused in (lambda: pull(moved, [0, 0, 0.2]), lambda: redesign(moved, THESIS)):
+        with pytest.raises(InputError, match="without load; take it off first"):
+            refused()
+    assert all(other.load == load for other in other_equilibria(moved))
+
+
+def test_what_a_load_does_in_a_sentence() -> None:
+    here = push_on(turned(), Load((-0.01, 0, 0))).equilibrium
+    found = bearing_of(here)
+    assert found is not None
+    assert found.limit is not None
+    assert found.limit.factor == pytest.approx(2.1846, abs=1e-4)
+    assert (
+        bearing_words(here) == f"10.00 mN: tip moved by {1e3 * found.deflection:.4f} mm, snaps at 2.1846 times as much"
+    )
+    plain = turned().equilibrium
+    assert bearing_words(plain) == ""
+    far = push(plain, Load((-0.03, 0, 0))).equilibria[-1]
+    assert bearing_words(far).startswith("30.00 mN: t")
+    scale = newtons_per_metre(plain)
+    assert scale * (head_of(here, scale) - here.tip_position) == pytest.approx([-0.01, 0, 0])
+
+
+def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
+    """As `test_a_growing_force_snaps_the_robot_where_its_limit_is`, by hand."""
+    start = turned().equilibrium
+    gentle = push(start, Load((-0.01, 0, 0))).equilibria[-1]
+    tab.type("rotation of tube 1", 200)
+    tab.wait_for_tip(start.tip_position)
+    tab.tab("Load")
+    tab.page.get_by_text("drag a force").click()
+    tab.type("force x (mN)", -10)
+    tab.press("Put the load on")
+    tab.wait_for_tip(gentle.tip_position)
+    tab.wait_for("bears", bearing_words(gentle))
+    assert tab.read("margin") == f"{gentle.margin:.4f}"
+    tab.type("force x (mN)", -30)
+    tab.press("Put the load on")
+    path = push(gentle, Load((-0.03, 0, 0)))
+    tab.wait_for_tip(path.equilibria[-1].tip_position)
+    assert path.snaps
+    assert "force -21.846" in tab.wait_for("event", "snap at")
+    tab.press("Take the load off")
+    tab.wait_for_tip(push(path.equilibria[-1], Load()).equilibria[-1].tip_position)
+    assert "wrong" not in tab.read("message")

@@ -1,0 +1,107 @@
+"""The anatomy around a robot: distance fields, a target and landmarks, as the robot's plate has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..display import Displayed
+from ..errors import InputError, nearest
+from ..typing import Array, Mask
+from .distance_field import DistanceField
+from .frames import Frame
+from .images import LabelImage
+from .labels import field_of_labels
+from .obstacles import Obstacle, nearest_distance
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy(Displayed):
+    """What is around the robot, in the frame of its plate, m.
+
+    Attributes:
+        bodies: what the arm keeps away from; a way that it stays within is the body of all that is not the way.
+        target: (N, 3) places of a region for the tip, those with most room first; None without one.
+        landmarks: named places (3,).
+        base: where the plate is in the patient, RAS.
+        registration_error: root of the mean square error of the landmarks that it was found from; 0 without.
+    """
+
+    bodies: tuple[Obstacle, ...] = ()
+    target: Array | None = None
+    landmarks: Mapping[str, Array] = field(default_factory=dict)
+    base: Frame = field(default_factory=Frame)
+    registration_error: float = 0.0
+
+    @property
+    def fields(self) -> tuple[DistanceField, ...]:
+        """Those of the bodies that are distance fields."""
+        return tuple(body for body in self.bodies if isinstance(body, DistanceField))
+
+    def place(self, name: str) -> Array:
+        """(3,) or, of the target, (N, 3): what a goal of the tip may name.
+
+        Raises:
+            InputError: no landmark of this name, or no target.
+        """
+        if name == "target" and self.target is not None:
+            return self.target
+        if name not in self.landmarks:
+            known = [*self.landmarks, *(["target"] if self.target is not None else [])]
+            there = f"they are {', '.join(known)}" if known else "there are none"
+            raise InputError(f"{name!r} is no landmark of the anatomy; {there}{nearest(name, known)}")
+        return self.landmarks[name]
+
+
+def anatomy_seen(
+    fields: Sequence[DistanceField],
+    base: Frame,
+    *,
+    target: Array | None = None,
+    landmarks: Mapping[str, Array] | None = None,
+    registration_error: float = 0.0,
+) -> Anatomy:
+    """The anatomy that a plate sees which stands at `base`, from fields and places in the axes of the patient.
+
+    Raises:
+        InputError: a target of which no place is free.
+    """
+    bodies = tuple(each.in_frame(base) for each in fields)
+    places = None
+    if target is not None:
+        places = base.seen(target)
+        room = nearest_distance(bodies, places)
+        if not (room > 0).any():
+            raise InputError(f"no voxel of the target is free; the freest lies {-room.max() * 1e3:.3g} mm in a body")
+        places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
+    known = {name: base.seen(place) for name, place in (landmarks or {}).items()}
+    return Anatomy(bodies, places, known, base, registration_error)
+
+
+def centres(image: LabelImage, chosen: Mask) -> Array:
+    """(N, 3) centres of voxels in the axes of the patient, m."""
+    return image.frame.placed(np.argwhere(chosen) * image.spacing)
+
+
+def field_of_image(
+    image: LabelImage,
+    *,
+    lumen: Mask | None = None,
+    forbidden: Mask | None = None,
+    region: tuple[Array, Array] | None = None,
+    name: str = "image",
+) -> DistanceField:
+    """`field_of_labels`, with the region (two corners (3,), m) in the axes of the patient: the box along the axes of
+    the voxels that holds it."""
+    if region is not None:
+        low, high = (np.asarray(corner, dtype=float) for corner in region)
+        if not (low < high).all():
+            least, most = (", ".join(f"{x * 1e3:g}" for x in corner) for corner in (low, high))
+            raise InputError(f"the region goes from {least} to {most} mm; its first corner must be the lower one")
+        ends = np.stack([low, high])
+        corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        along = image.frame.seen(corners)
+        region = along.min(0), along.max(0)
+    return field_of_labels(image, inside=lumen, outside=forbidden, region=region, name=name)

@@ -1,0 +1,114 @@
+"""Where a robot stands in a patient: rigid frames, given by an entry and a direction or by landmarks measured twice.
+
+A patient's axes are RAS, to the right, to the front and up, as NIfTI has them; LPS, as DICOM has them, points to the
+left and to the back. Lengths are in m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, choice, finite, vector
+from ..typing import Array
+
+AXES = ("RAS", "LPS")
+"""Ways of writing positions in a patient."""
+
+FEWEST = 3
+"""Landmarks that fix a frame."""
+
+FLAT = 1e-3
+"""Share of their size by which landmarks must lie off a line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A right-handed frame: its axes are the columns of `axes` (3, 3), its origin is at `origin` (3,), m."""
+
+    axes: Array = field(default_factory=lambda: np.eye(3))
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+
+    def placed(self, points: ArrayLike) -> Array:
+        """(..., 3) where points (..., 3) of this frame lie in the one that it is given in."""
+        return np.asarray(points, dtype=float) @ self.axes.T + self.origin
+
+    def seen(self, points: ArrayLike) -> Array:
+        """(..., 3) points (..., 3) of the frame that it is given in, as this one has them."""
+        return np.asarray((np.asarray(points, dtype=float) - self.origin) @ self.axes)
+
+    def of(self, inner: Frame) -> Frame:
+        """A frame that is given in the same one as this, as this one has it."""
+        return Frame(self.axes.T @ inner.axes, self.seen(inner.origin))
+
+
+def ras(points: ArrayLike, axes: str) -> Array:
+    """(..., 3) points in RAS, written in RAS or LPS."""
+    choice("axes", axes, AXES)
+    return np.asarray(points, dtype=float) * ([1.0, 1.0, 1.0] if axes == "RAS" else [-1.0, -1.0, 1.0])
+
+
+def base_frame(position: ArrayLike, direction: ArrayLike, roll: float = 0.0) -> Frame:
+    """The plate's frame in a patient: at a position (3,), m, its z along a direction, turned about that by `roll`, rad.
+
+    Without roll its x is as close as it can be to the patient's x, or to y where the direction is along x.
+
+    Raises:
+        InputError: numbers that are not finite, a direction of no length.
+    """
+    z = vector("direction of the base", direction, 3, "x, y, z")
+    length = float(np.linalg.norm(z))
+    if length == 0:
+        raise InputError("direction of the base is 0, 0, 0; it must point somewhere")
+    z = z / length
+    beside = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
+    x = beside - (beside @ z) * z
+    x = x / np.linalg.norm(x)
+    y = np.cross(z, x)
+    c, s = np.cos(finite("roll of the base", roll)), np.sin(roll)
+    return Frame(
+        np.column_stack([c * x + s * y, c * y - s * x, z]), vector("position of the base", position, 3, "x, y, z")
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A frame found from landmarks: the plate's in the patient, and how far (m) each landmark is off with it."""
+
+    frame: Frame
+    errors: dict[str, float]
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square of the errors, m: the fiducial registration error."""
+        return float(np.sqrt(np.mean(np.square(list(self.errors.values())))))
+
+
+def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -> Registration:
+    """The rigid motion that takes landmarks measured from the plate to where they are in the patient, by least squares
+    (Arun, Huang and Blostein 1987; Umeyama 1991), m.
+
+    Raises:
+        InputError: names that only one of both has, fewer than three landmarks, or all of them on a line.
+    """
+    names = list(plate)
+    missing = [name for name in names if name not in patient]
+    if missing:
+        known = ", ".join(patient) or "none"
+        raise InputError(f"landmark {missing[0]!r} is measured from the plate only; the patient has {known}")
+    if len(names) < FEWEST:
+        raise InputError(f"registration has {len(names)} landmarks; it must have at least {FEWEST}")
+    there = np.array([vector(f"landmark {name!r}", patient[name], 3, "x, y, z") for name in names])
+    here = np.array([vector(f"landmark {name!r}", plate[name], 3, "x, y, z") for name in names])
+    for what, points in (("in the patient", there), ("from the plate", here)):
+        spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+        if spread[1] <= FLAT * max(spread[0], 1e-300):
+            raise InputError(f"landmarks {what} lie on a line; at least one must be off it")
+    u, _, v = np.linalg.svd((here - here.mean(0)).T @ (there - there.mean(0)))
+    turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    frame = Frame(turn, there.mean(0) - turn @ here.mean(0))
+    off = np.linalg.norm(frame.placed(here) - there, axis=1)
+    return Registration(frame, dict(zip(names, off.tolist(), strict=True)))

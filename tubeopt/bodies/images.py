@@ -1,0 +1,249 @@
+"""Images of patients: NIfTI and NRRD files as labels, or values, of voxels that lie somewhere in the patient."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, extra
+from ..typing import Array, Mask
+from .frames import Frame
+
+LOGGER = logging.getLogger(__name__)
+
+MOST_BYTES = 1_200_000_000
+"""Bytes of the voxels of an image at most: what a machine with 4 GB can read."""
+
+USUAL = 1e-5, 2e-2
+"""Sizes (m) that voxels of scans have."""
+
+SKEW = 1e-3
+"""Cosine between axes of an image up to which they count as square to each other."""
+
+MOST_LABELS = 4096
+"""Distinct values beyond which an image is not one of labels."""
+
+UNITS = {"mm": 1e-3, "meter": 1.0, "micron": 1e-6, "m": 1.0, "um": 1e-6, "unknown": 1e-3}
+"""Names of units in headers, in m; where none is given it is mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelImage:
+    """Values of voxels.
+
+    Attributes:
+        values: (a, b, c) labels, or other values.
+        spacing: (3,) sizes of a voxel, m.
+        frame: of the voxels, along its axes, in the patient, RAS; its origin is the centre of the first voxel.
+        name: what messages call it.
+
+    Raises:
+        InputError: no image of three dimensions, or voxels without a size.
+    """
+
+    values: Any = field(repr=False)
+    spacing: Array
+    frame: Frame = field(default_factory=Frame, repr=False)
+    name: str = "the image"
+
+    def __post_init__(self) -> None:
+        spacing = np.asarray(self.spacing, dtype=float)
+        if np.ndim(self.values) != 3 or min(np.shape(self.values)) < 1:
+            shape = " x ".join(map(str, np.shape(self.values)))
+            raise InputError(f"{self.name} has {shape or 'no'} voxels; it must be one image of three dimensions")
+        if spacing.shape != (3,) or not np.isfinite(spacing).all() or (spacing <= 0).any():
+            raise InputError(f"voxels of {self.name} have no size: {spacing.tolist()} m")
+        if np.asarray(self.values).dtype.kind not in "buif":
+            kind = np.asarray(self.values).dtype
+            raise InputError(f"voxels of {self.name} are of kind {kind}; they must be one number each")
+        object.__setattr__(self, "spacing", spacing)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along each axis."""
+        a, b, c = np.shape(self.values)
+        return a, b, c
+
+    @cached_property
+    def labels(self) -> tuple[int, ...]:
+        """The labels there are, but 0.
+
+        Raises:
+            InputError: numbers that are not whole, or too many of them.
+        """
+        found: set[int] = set()
+        for part in self.values:  # slab by slab, to bound the memory
+            if part.dtype.kind == "f":
+                if not np.isfinite(part).all():
+                    raise InputError(f"{self.name} has voxels that are NaN or infinite; every label must be a number")
+                broken = part[part != np.rint(part)]
+                if len(broken):
+                    raise self._no_labels(f"values such as {broken[0]:g}")
+                part = part.astype(np.int64)
+            low, high = int(part.min()), int(part.max())
+            if high - low < part.size:
+                found.update((low + np.flatnonzero(np.bincount(part.ravel().astype(np.int64) - low))).tolist())
+            else:
+                found.update(np.unique(part).tolist())
+            if len(found) > MOST_LABELS:
+                raise self._no_labels(f"more than {MOST_LABELS} values")
+        return tuple(sorted(value for value in found if value))
+
+    def _no_labels(self, why: str) -> InputError:
+        return InputError(
+            f"{self.name} is no image of labels, for it has {why}; segment it first, or choose by a range of values"
+        )
+
+    def chosen(self, labels: Sequence[int], what: str = "label") -> Mask:
+        """(a, b, c) voxels that have one of some labels.
+
+        Raises:
+            InputError: a label that no voxel has.
+        """
+        for label in labels:
+            if label not in self.labels and label != 0:
+                known = ", ".join(map(str, self.labels[:20])) or "none but 0"
+                raise InputError(f"{what} {label} is of no voxel of {self.name}; its labels are {known}")
+        return np.stack([np.isin(part, labels) for part in self.values])
+
+    def between(self, low: float, high: float, what: str = "range") -> Mask:
+        """(a, b, c) voxels whose values are from `low` to `high`.
+
+        Raises:
+            InputError: no voxel is.
+        """
+        found = np.stack([(part >= low) & (part <= high) for part in self.values])
+        if not found.any():
+            least, most = np.nanmin(self.values), np.nanmax(self.values)
+            raise InputError(
+                f"{what} {low:g} to {high:g} is of no voxel of {self.name}; its values go from {least:g} to {most:g}"
+            )
+        return np.asarray(found)
+
+
+def read_image(path: str | PathLike[str]) -> LabelImage:
+    """The image in a NIfTI (.nii, .nii.gz) or NRRD (.nrrd, .nhdr) file.
+
+    Raises:
+        InputError: no such file, one that cannot be read, with more than one number per voxel, axes that are not square
+            to each other, or voxels of a size that none has; nibabel or pynrrd is not installed.
+    """
+    file = Path(path)
+    name = file.name.lower()
+    if not file.is_file():
+        raise InputError(f"{path}: there is no such file")
+    if name.endswith((".nii", ".nii.gz")):
+        read: Callable[[Path], tuple[Any, Array, float]] = _nifti
+    elif name.endswith((".nrrd", ".nhdr")):
+        read = _nrrd
+    else:
+        raise InputError(f"{path} is no image that is known; it must be .nii, .nii.gz, .nrrd or .nhdr")
+    try:
+        values, affine, length = read(file)
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(f"{path}: the image does not fit into memory; crop it, or make its voxels larger") from None
+    except Exception as error:  # whatever libraries raise of a file that is not what it says
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no image can be read from it: {words}") from None
+    return _placed(values, affine, length, str(path))
+
+
+def _placed(values: Any, affine: Array, length: float, name: str) -> LabelImage:
+    """The image from the affine map (4, 4) of its indices to RAS, in units of `length` m."""
+    affine = np.asarray(affine, dtype=float)
+    if affine.shape != (4, 4) or not np.isfinite(affine).all():
+        raise InputError(f"{name}: its header does not say where its voxels are")
+    size = np.linalg.norm(affine[:3, :3], axis=0)
+    if (size == 0).any():
+        raise InputError(f"{name}: its header gives voxels no size along axis {int(np.argmin(size)) + 1}")
+    axes = affine[:3, :3] / size
+    skew = np.abs(axes.T @ axes - np.eye(3)).max()
+    if skew > SKEW:
+        lean = np.degrees(np.arcsin(min(skew, 1.0)))
+        raise InputError(f"{name}: axes of the image are {lean:.3g} deg from square to each other; resample it")
+    u, _, v = np.linalg.svd(axes)
+    axes, spacing = u @ v, size * length
+    if spacing.min() < USUAL[0] or spacing.max() > USUAL[1]:
+        mm = ", ".join(f"{each * 1e3:g}" for each in spacing)
+        raise InputError(
+            f"{name}: voxels of {mm} mm are none of a scan, {USUAL[0] * 1e3:g} to {USUAL[1] * 1e3:g} mm; is the unit "
+            "of its header wrong?"
+        )
+    return LabelImage(values, spacing, Frame(axes, affine[:3, 3] * length), name)
+
+
+def _check_size(shape: Sequence[int], each: int, path: Path) -> None:
+    """Raise InputError for what has not three dimensions, or does not fit; `each` bytes per voxel."""
+    sizes = " x ".join(map(str, shape))
+    if len(shape) != 3 or min(shape) < 1:
+        raise InputError(f"{path} has {sizes or 'no'} voxels; it must be one image of three dimensions")
+    size = each
+    for k in shape:
+        size *= int(k)
+    if size > MOST_BYTES:
+        raise InputError(
+            f"{path} has {sizes} voxels, {size / 1e9:.3g} GB; it must have {MOST_BYTES / 1e9:g} GB at most: crop it "
+            "to the region of interest, or write its labels as bytes"
+        )
+
+
+def _no_orientation(path: Path) -> None:
+    LOGGER.warning(f"{path}: its header does not say how the image lies in the patient; its axes are taken as RAS")
+
+
+def _nifti(path: Path) -> tuple[Any, Array, float]:
+    """Values, affine map to RAS, and the unit of length in m."""
+    nibabel = extra("nibabel", "anatomy", "NIfTI files")
+    logging.getLogger("nibabel.global").setLevel(logging.CRITICAL + 1)  # what it has to say is said below
+    image = nibabel.load(str(path))
+    shape = image.shape
+    while len(shape) > 3 and shape[-1] == 1:
+        shape = shape[:-1]
+    header = image.header
+    _check_size(shape, int(header.get_data_dtype().itemsize), path)
+    if not (int(header["sform_code"]) or int(header["qform_code"])):
+        _no_orientation(path)
+    unit = header.get_xyzt_units()[0]
+    slope, inter = image.dataobj.slope, image.dataobj.inter  # which the header of a loaded image has no more
+    raw = np.asarray(image.dataobj.get_unscaled()).reshape(shape)
+    slope, inter = 1.0 if slope is None else float(slope), 0.0 if inter is None else float(inter)
+    if (slope, inter) != (1.0, 0.0):
+        raw = np.stack([part.astype(np.float32) * np.float32(slope) + np.float32(inter) for part in raw])
+    return raw, np.asarray(image.affine), UNITS.get(unit, 1e-3)
+
+
+def _nrrd(path: Path) -> tuple[Any, Array, float]:
+    nrrd = extra("nrrd", "anatomy", "NRRD files")
+    about = nrrd.read_header(str(path))
+    each = 8 if about["type"] in ("double", "f8") else 4 if about["type"] in ("float", "int", "uint") else 2
+    _check_size([int(size) for size in about["sizes"]], each, path)
+    values, header = nrrd.read(str(path), index_order="F")
+    directions = header.get("space directions")
+    space = str(header.get("space", "")).lower()
+    if directions is None:
+        directions = np.diag(np.asarray(header.get("spacings", np.full(3, np.nan)), dtype=float))
+        if not np.isfinite(directions).all():
+            raise InputError(f"{path}: its header gives voxels no size")
+        _no_orientation(path)
+    affine = np.eye(4)
+    affine[:3, :3] = np.asarray(directions, dtype=float).T  # one row per axis of the image
+    affine[:3, 3] = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
+    signs = {"left": -1, "l": -1, "right": 1, "r": 1, "posterior": -1, "p": -1, "anterior": 1, "a": 1}
+    words = space.split("-") if "-" in space else list(space)
+    if len(words) == 3 and words[2] in ("superior", "s") and all(word in signs for word in words[:2]):
+        affine[:2] *= np.array([[signs[words[0]]], [signs[words[1]]]])
+    elif space:
+        raise InputError(
+            f"{path}: its space is {space!r}; it must be right-anterior-superior, or with left or posterior"
+        )
+    units = header.get("space units") or ["mm"]
+    return values, affine, UNITS.get(str(units[0]).strip('"'), 1e-3)

@@ -1,0 +1,137 @@
+"""Anatomy made of formulas, for examples, tests and benchmarks: a bronchial tree, a ventricle, a kidney.
+
+Each is a union of balls whose centres and radii go linearly along segments. The robot's plate is at the origin, its z
+into the patient; the way goes on behind the plate. Sizes are those of adults as anatomy books round them; no scan of
+anybody is behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import positive
+from ..typing import Array
+from .frames import Frame
+from .images import LabelImage
+from .obstacles import as_points
+
+LUMEN, TARGET = 1, 2
+"""Labels of the images."""
+
+BESIDE = 2e-3
+"""Length (m) by which images are larger than the way."""
+
+Stretch = tuple[tuple[float, float, float], tuple[float, float, float], float, float]
+"""From, to, radius at either end; mm."""
+
+
+@dataclass(frozen=True)
+class Phantom:
+    """A way through a patient, in mm.   target: the last of the stretches belong to it, so many."""
+
+    name: str
+    stretches: tuple[Stretch, ...]
+    target: int
+    landmarks: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    def depth(self, points: ArrayLike, stretches: tuple[Stretch, ...] | None = None) -> Array:
+        """(...) how deep points (..., 3), m, lie within the ball of the union in which they lie deepest, m; negative
+        outside, where it is the distance from it."""
+        array = as_points(points) * 1e3
+        best = np.full(array.shape[:-1], -np.inf)
+        for start, end, wide, narrow in self.stretches if stretches is None else stretches:
+            a, axis = np.array(start), np.subtract(end, start)
+            length = float(np.linalg.norm(axis))
+            along = (array - a) @ axis / length
+            off = np.sqrt(np.maximum(((array - a) ** 2).sum(-1) - along**2, 0.0))
+            # The centre of the ball in which a point lies deepest: ahead of its foot where radii grow.
+            slope = (narrow - wide) / length
+            t = np.clip((along + off * slope / np.sqrt(1 - slope**2)) / length, 0.0, 1.0)
+            best = np.maximum(best, wide + (narrow - wide) * t - np.hypot(off, along - t * length))
+        return best * 1e-3
+
+    def image(self, voxel: float = 5e-4, frame: Frame | None = None) -> LabelImage:
+        """Labels of voxels of one size, m: LUMEN, and TARGET within it; the image lies along the axes of the plate, or
+        along those of a frame."""
+        positive("voxel", voxel)
+        frame = frame or Frame()
+        ends = np.array([end for start, stop, _, _ in self.stretches for end in (start, stop)]) * 1e-3
+        wide = max(max(a, b) for _, _, a, b in self.stretches) * 1e-3 + BESIDE
+        seen = frame.seen(ends)
+        low, high = seen.min(0) - wide, seen.max(0) + wide
+        count = np.ceil((high - low) / voxel).astype(int)
+        labels = np.zeros(count, dtype=np.uint8)
+        b, c = np.meshgrid(*(np.arange(k) for k in count[1:]), indexing="ij")
+        for a in range(count[0]):  # slab by slab, to bound the memory
+            points = frame.placed(low + voxel * np.stack([np.full_like(b, a), b, c], axis=-1))
+            labels[a][self.depth(points) > 0] = LUMEN
+            labels[a][self.depth(points, self.stretches[-self.target :]) > 0] = TARGET
+        return LabelImage(labels, np.full(3, voxel), Frame(frame.axes, frame.placed(low)), self.name)
+
+
+def bronchial_tree() -> Phantom:
+    """Trachea, main bronchi and four lobar bronchi; the target is the end of one on the right.
+
+    Diameters fall by 2^(-1/3) and more from generation to generation (Weibel 1963).
+    """
+    carina, left, right = (0.0, 0.0, 42.0), (-22.0, 0.0, 72.0), (17.0, 0.0, 68.0)
+    return Phantom(
+        "bronchial tree",
+        (
+            ((0.0, 0.0, -14.0), carina, 8.5, 8.0),
+            (carina, left, 6.5, 5.5),
+            (carina, right, 7.0, 6.0),
+            (left, (-42.0, 8.0, 90.0), 4.8, 3.8),
+            (left, (-26.0, -6.0, 100.0), 4.8, 4.0),
+            (right, (40.0, -6.0, 82.0), 5.0, 4.0),
+            (right, (22.0, 6.0, 98.0), 5.2, 4.5),
+            ((22.0, 6.0, 98.0), (23.0, 7.5, 106.0), 4.5, 4.0),
+        ),
+        1,
+        {"carina": carina, "right main bronchus": right, "left main bronchus": left},
+    )
+
+
+def ventricle() -> Phantom:
+    """A straight tract to a lateral ventricle, and this from its frontal horn to its atrium and towards the foramen."""
+    horn, body, atrium = (0.0, 0.0, 55.0), (0.0, -14.0, 72.0), (4.0, -34.0, 80.0)
+    return Phantom(
+        "ventricle",
+        (
+            ((0.0, 0.0, -10.0), horn, 4.0, 4.0),
+            (horn, body, 8.0, 9.0),
+            (body, atrium, 9.0, 8.0),
+            (horn, (6.0, 2.0, 76.0), 7.0, 3.5),
+            (body, (4.0, -24.0, 78.0), 9.0, 7.0),
+        ),
+        1,
+        {"horn": horn, "atrium": atrium, "foramen": (6.0, 2.0, 76.0)},
+    )
+
+
+def kidney() -> Phantom:
+    """A straight access to the renal pelvis, and three calyces, each a neck and a cup; the target is the upper cup."""
+    pelvis, upper, middle, lower = (0.0, 0.0, 50.0), (18.0, 0.0, 76.0), (2.0, 6.0, 80.0), (-18.0, -4.0, 74.0)
+    return Phantom(
+        "kidney",
+        (
+            ((0.0, 0.0, -10.0), (0.0, 0.0, 40.0), 4.0, 4.5),
+            ((0.0, 0.0, 40.0), pelvis, 4.5, 10.0),
+            (pelvis, middle, 5.0, 3.5),
+            (middle, (2.0, 7.0, 84.0), 5.5, 6.0),
+            (pelvis, lower, 5.0, 3.5),
+            (lower, (-20.0, -4.5, 78.0), 5.5, 6.0),
+            (pelvis, upper, 5.0, 3.8),
+            (upper, (20.0, 0.0, 79.0), 5.5, 6.0),
+        ),
+        1,
+        {"pelvis": pelvis, "upper calyx": upper, "middle calyx": middle, "lower calyx": lower},
+    )
+
+
+PHANTOMS = {"bronchial tree": bronchial_tree, "ventricle": ventricle, "kidney": kidney}
+"""All of them, by name."""

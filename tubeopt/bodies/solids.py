@@ -1,0 +1,137 @@
+"""Closed meshes and clouds of points as distance fields.
+
+Samples of a surface, the corners of its triangles after these were cut to sides of at most e, lie within r = e/sqrt(3)
+of every point p of it that is the nearest to some x, on the same face, side or corner, to which x - p is square: the
+distance d of x and that of the nearest sample, D, keep D^2 <= d^2 + r^2. Nodes near the surface are told exactly, all
+others by that bound; and which side they are on by a way to another node that no surface can cross.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, choice, positive
+from ..typing import Array
+from .corridors import MeshObstacle
+from .distance_field import DistanceField
+from .frames import Frame
+from .triangles import bisected
+
+KEEP = ("out", "in")
+"""Ways to keep to a closed surface."""
+
+MOST_NODES = 400_000
+"""Nodes of a field by default, which take some seconds."""
+
+FINEST = 5e-4
+"""Size (m) of cells by default where that does not take too many nodes."""
+
+AROUND = {"out": 10, "in": 2}
+"""Nodes beside the body, or beside the way within it."""
+
+BAND = 2.0
+"""Sizes of a cell from the surface up to which distances at nodes are exact."""
+
+COVERED = ((1.0, 8.0), (0.5, 0.0))
+"""Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a cell.
+"""
+
+MOST_SAMPLES = 2_000_000
+"""Samples of a surface at most."""
+
+LARGEST = 1_000
+"""Cells along a side at most."""
+
+
+def field_of_mesh(
+    mesh: MeshObstacle, *, keep: str = "out", cell: float | None = None, name: str = "mesh"
+) -> DistanceField:
+    """The distance field of the body that a closed mesh bounds, or with keep "in" of all that it does not hold: the
+    arm then stays within it.
+
+    Args:
+        cell: size of the cells, m; by default 0.5 mm, or more for a large body.
+
+    Raises:
+        InputError: a cell that is not greater than 0, or far too small.
+    """
+    choice("keep", keep, KEEP)
+    surface = mesh.surface
+    axes = _lattice(surface.corners.reshape(-1, 3), cell, name, AROUND[keep])
+    shape, size = tuple(len(axis) for axis in axes), float(axes[0][1] - axes[0][0])
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    least, most = _bounds(surface.corners, nodes, size)
+    near = least < BAND * size
+    exact = surface.signed_distance(nodes[near])
+    # No surface crosses the way between neighbours that are farther from it than half a cell.
+    parts, count = scipy.ndimage.label(~near.reshape(shape))
+    part, node = np.unique(parts.ravel(), return_index=True)
+    outer = np.ones(count + 1, dtype=bool)
+    outer[part] = surface.signed_distance(nodes[node]) > 0
+    free = outer[parts.ravel()] == (keep == "out")
+    values = np.where(free, least, -most)
+    values[near] = exact if keep == "out" else -exact
+    lost = float((most - least)[~near].max(initial=0.0))
+    origin = np.array([axis[0] for axis in axes])
+    return DistanceField(values.reshape(shape), np.full(3, size), Frame(origin=origin), lost, keep == "out", name)
+
+
+def field_of_points(
+    points: ArrayLike, radius: float, *, cell: float | None = None, name: str = "cloud"
+) -> DistanceField:
+    """The distance field of balls of one radius, m, about points (N, 3).
+
+    Raises:
+        InputError: no points, numbers that are not finite, a radius that is not greater than 0.
+    """
+    positive(f"radius of {name}", radius)
+    array = np.asarray(points, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise InputError(f"{name} has no points; it must be a table of x, y, z")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} has points that are NaN or infinite; every number must be finite")
+    axes = _lattice(np.concatenate([array - radius, array + radius]), cell, name, AROUND["out"])
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    far, _ = scipy.spatial.cKDTree(array).query(nodes.reshape(-1, 3))
+    origin, size = np.array([axis[0] for axis in axes]), float(axes[0][1] - axes[0][0])
+    return DistanceField(far.reshape(nodes.shape[:3]) - radius, np.full(3, size), Frame(origin=origin), 0.0, True, name)
+
+
+def _lattice(points: Array, cell: float | None, name: str, around: int) -> list[Array]:
+    """Coordinates of nodes around points along x, y and z, evenly spaced alike."""
+    low, high = points.min(0), points.max(0)
+    extent = np.maximum(high - low, 1e-6)
+    least = float((extent.prod() / MOST_NODES) ** (1 / 3))
+    size = max(FINEST, least) if cell is None else positive(f"cell of {name}", cell)
+    count = np.ceil(extent / size).astype(int) + 2 * around + 1
+    if count.max() > LARGEST or count.prod() > 20 * MOST_NODES:
+        raise InputError(
+            f"{name} would have {' x '.join(map(str, count))} cells of {size * 1e3:g} mm; make them larger"
+        )
+    middle = (low + high) / 2
+    return [m + (np.arange(k) - (k - 1) / 2) * size for m, k in zip(middle, count.tolist(), strict=True)]
+
+
+def _bounds(corners: Array, nodes: Array, size: float) -> tuple[Array, Array]:
+    """(N,) least and most that the distances of nodes (N, 3) from a surface of triangles can be, the farther the
+    coarser: what samples give away falls with the distance."""
+    least, most, rows = np.zeros(len(nodes)), np.zeros(len(nodes)), np.arange(len(nodes))
+    for gap, closer in COVERED:
+        samples, uncovered = _samples(corners, gap * size)
+        most[rows], _ = scipy.spatial.cKDTree(samples).query(nodes[rows])
+        least[rows] = np.sqrt(np.maximum(most[rows] ** 2 - uncovered**2, 0.0))
+        rows = rows[most[rows] < closer * size]
+    return least, most
+
+
+def _samples(corners: Array, gap: float) -> tuple[Array, float]:
+    """Points (k, 3) of a surface of triangles (f, 3, 3), and the r that they keep, `gap` or more."""
+    square = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = float(np.linalg.norm(square, axis=1).sum() / 2)
+    side = np.sqrt(3) * max(gap, float(np.sqrt(area / MOST_SAMPLES)))
+    points = bisected(corners, side).reshape(-1, 3)
+    points = points[np.lexsort(points.T)]
+    new = np.append(True, (points[1:] != points[:-1]).any(1))
+    return points[new], float(side / np.sqrt(3))

@@ -1,0 +1,97 @@
+"""`tubeopt serve`: a robot over WebSocket on this machine, under the names of CRTK."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from contextlib import suppress
+from decimal import Decimal
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from ..control.crtk import CrtkRobot
+from ..control.server import RobotServer, ServerOptions
+from ..control.servo import OBJECTIVES, Servo, ServoOptions
+from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.units import DEG, MM, to_si
+from ..robots.readings import to_model
+from ..runs.base import SHIFTED, TURNED, OnePerTube, RobotPath, metres, radians
+from ..runs.obstacle_file import Bodies
+from ..show.report import to_text
+from .flags import asks
+from .interruption import left_alone
+from .messages import warnings
+from .output import Output, can_be_saved
+
+
+class ServeEntry(Entry):
+    """A robot to be served, where it begins, and how it may move."""
+
+    robot: RobotPath
+    rotations_deg: OnePerTube | None = TURNED
+    translations_mm: OnePerTube | None = SHIFTED
+    obstacles: Bodies = Field((), description="bodies to keep clear of", examples=["OBSTACLES.yaml"])
+    clearance_mm: NotNegative = Field(Decimal(0), description="to be kept of obstacles")
+    min_margin: Positive = Field(Decimal("0.1"), description="floor of the stability margin")
+    speed_mm_per_s: Positive = Field(Decimal(50), description="most that the tip is asked to move")
+    turn_rate_deg_per_s: Positive = Field(Decimal(170), description="most that a tube turns")
+    shift_rate_mm_per_s: Positive = Field(Decimal(50), description="most that a tube slides")
+    objective: str | None = Field(
+        None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["margin"]
+    )
+    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8765, description="where to listen; 0 takes any that is free")
+    token: str = Field("", description="what clients must know; by default a new one, which is printed")
+    watchdog_s: Positive = Field(Decimal("0.1"), description="after which a stream of commands that ended is held")
+    period_s: Positive = Field(Decimal("0.001"), description="of the loop")
+    publish_Hz: Positive = Field(Decimal(40), description="states per second")
+
+
+@asks(
+    ServeEntry,
+    example="tubeopt serve configs/robots/thesis_ctr.yaml --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
+)
+def serve(study: ServeEntry, output: Output) -> None:
+    """The robot over WebSocket on this machine: servo_cp, move_cp, servo_jp ... as CRTK names them, with its margin.
+
+    One client commands and many watch; all must know the token. A stream of commands that ends is held. Ends on Ctrl-C.
+    With --json one object with address and token is printed. It needs the extra `control`.
+    """
+    can_be_saved(output.out)
+    robot, options = study.robot, _options(study)
+    rotations = radians(study.rotations_deg, np.zeros(robot.n_tubes))
+    translations = metres(study.translations_mm, robot.home_translations)
+    seed = to_model(robot, rotations, translations)
+    servo = Servo(robot, seed, obstacles=study.obstacles, options=options)
+    server = RobotServer(
+        CrtkRobot(servo, watchdog=float(study.watchdog_s)),
+        ServerOptions(
+            port=study.port, token=study.token, period=float(study.period_s), publish=float(study.publish_Hz)
+        ),
+    )
+
+    def ready() -> None:
+        address = f"ws://{server.options.host}:{server.port}"
+        if output.as_json:
+            told = {"url": address, "token": server.token, "robot": robot.name, "warnings": warnings()}
+            print(to_text(told), end="", flush=True)
+        else:
+            print(f"serving {robot.name or 'robot'} at {address}, token {server.token}   (Ctrl-C to stop)", flush=True)
+
+    with left_alone(), suppress(KeyboardInterrupt):
+        asyncio.run(server.serve(ready))
+    if not (output.as_json or output.quiet):
+        print("stopped", file=sys.stderr)
+
+
+def _options(study: ServeEntry) -> ServoOptions:
+    """How it may move, in SI units."""
+    return ServoOptions(
+        speed=to_si(study.speed_mm_per_s, MM),
+        turn_rate=to_si(study.turn_rate_deg_per_s, DEG),
+        shift_rate=to_si(study.shift_rate_mm_per_s, MM),
+        min_margin=float(study.min_margin),
+        clearance=to_si(study.clearance_mm, MM),
+        objective=study.objective,
+    )

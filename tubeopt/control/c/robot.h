@@ -1,0 +1,103 @@
+/* {name}: forward kinematics, slopes, compliance, servo and snap guard, for a loop at 1 kHz.
+
+   Made by tubeopt {version} from the numbers of the robot. C99 and libm; gcc or clang, whose vectors it uses. Nothing is
+   allocated and nothing is global: all state is in the memory that the caller gives, one piece per robot and thread.
+   Every call takes bounded time. SI units; tubes from the inner one outwards; angles in rad, not wrapped; translations
+   from home, where every tube's transition from straight to curved lies at the plate. */
+#ifndef TUBEOPT_ROBOT_H
+#define TUBEOPT_ROBOT_H
+
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define TUBEOPT_TUBES {n}
+#define TUBEOPT_JOINTS (2 * TUBEOPT_TUBES) /* rotations, then translations */
+
+typedef struct tubeopt_memory tubeopt_memory;
+
+typedef enum {
+    TUBEOPT_DONE = 0,
+    TUBEOPT_DECLINED = 1,   /* no stable equilibrium was found from tubes without torsion */
+    TUBEOPT_BAD_INPUT = 2,  /* a number is not finite, or a translation is not possible */
+    TUBEOPT_NOT_STARTED = 3, /* there is no equilibrium to go on from */
+    TUBEOPT_SNAP = 4,       /* the branch does not lead there, or Newton's method is not sure that it does */
+    TUBEOPT_TOO_FAR = 5     /* more than one step may be: 64 of 0.3 rad or of a twentieth of the arm */
+} tubeopt_status;
+
+typedef struct {
+    double rotations[TUBEOPT_TUBES], translations[TUBEOPT_TUBES]; /* rad, m */
+} tubeopt_joints;
+
+typedef struct {
+    tubeopt_joints joints;
+    double position[3];                  /* of the tip, m */
+    double frame[9];                     /* of the tip in that of the plate, by rows; its third column points ahead */
+    double tip_rotations[TUBEOPT_TUBES]; /* of every tube at its own end, rad */
+    double margin;                       /* 1: no elastic coupling, 0: a snap */
+    double energy;                       /* J */
+    double error;                        /* estimate, of the tip, m */
+    double residual;                     /* of the equations of torsion, rad */
+} tubeopt_pose;
+
+/* Derivatives by joints, per rad and per m. Where breakpoints coincide, those of translations that grow. Tubes of one
+   carriage share the derivative. The margin's is 0 where that is 1, and of one mode where two have the same margin. */
+typedef struct {
+    double position[3][TUBEOPT_JOINTS], turn[3][TUBEOPT_JOINTS]; /* of the tip; turn vector in the plate frame */
+    double tip_rotations[TUBEOPT_TUBES][TUBEOPT_JOINTS], margin[TUBEOPT_JOINTS];
+    double compliance[6][6]; /* small force and moment at the tip -> its translation and turn, in the plate frame */
+} tubeopt_slopes;
+
+/* Why a servo step is not all that was asked for: bits of tubeopt_report.why. */
+enum {
+    TUBEOPT_AT_RATE = 1,    /* a joint moves as fast as it may */
+    TUBEOPT_AT_RANGE = 2,   /* a joint is at the end of its range */
+    TUBEOPT_AT_ORDER = 4,   /* tubes or carriages touch */
+    TUBEOPT_AT_MARGIN = 8,  /* the margin is held at its floor: the tip slides along it */
+    TUBEOPT_SHORTENED = 16, /* the guard has shortened the step */
+    TUBEOPT_HELD = 32       /* no step is safe: the robot stays where it is */
+};
+
+typedef struct {
+    double step;                      /* time from the last step to this one, s */
+    double position[3];               /* where the tip shall go, m */
+    double direction[3];              /* unit vector along which it shall point; zeros: anywhere */
+    double speed;                     /* most that the tip is asked to move, m/s */
+    double turn_rate, shift_rate;     /* most of every joint, rad/s and m/s */
+    double min_margin;                /* floor of the margin */
+    double push;                      /* share of the rates that goes towards larger margin where the tip is free; 0: none */
+} tubeopt_command;
+
+typedef struct {
+    double distance, angle; /* from the tip to where it shall be, m, and from its direction to the wanted one, rad */
+    int why;                /* bits above; 0: nothing is in the way */
+    int solves;             /* equilibria that the step cost */
+} tubeopt_report;
+
+/* Bytes of memory that a robot needs, aligned for doubles; tubeopt_start makes it ready. */
+size_t tubeopt_memory_size(void);
+tubeopt_memory *tubeopt_start(void *memory);
+
+/* The stable equilibrium at joint values, from tubes without torsion. The branch starts anew. */
+tubeopt_status tubeopt_solve(tubeopt_memory *memory, const tubeopt_joints *joints, tubeopt_pose *pose);
+
+/* The equilibrium to which a slow straight motion from the last one leads. The last one stays where it fails. */
+tubeopt_status tubeopt_follow(tubeopt_memory *memory, const tubeopt_joints *joints, tubeopt_pose *pose);
+
+/* Derivatives at the last equilibrium. */
+tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes);
+
+/* `count` points of the centreline, evenly from plate to tip: arc lengths (m) and positions. */
+tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *arc_length, double (*position)[3]);
+
+/* One step towards a command, from the last equilibrium: joint values to send are pose->joints. It keeps rates, ranges,
+   order and the floor of the margin, and its equilibrium was solved for, on the branch, before it is given out. */
+tubeopt_status tubeopt_servo(tubeopt_memory *memory, const tubeopt_command *command, tubeopt_pose *pose,
+                             tubeopt_report *report);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,180 @@
+
+/* --- servo ------------------------------------------------------------------------------------------------------- */
+
+#define DAMPING 1e-3 /* of a joint's scale against the tip's way as a share of the robot's length */
+#define HALVINGS 4   /* of a step that the guard does not let pass */
+#define CLOSE 1e-9
+#define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it */
+#define RISE 0.3   /* share of what joints could do for the margin that a step must do at most */
+
+typedef struct {
+    double task[6][JOINTS], missing[6]; /* by independent joints over their scale */
+    double margin[JOINTS], low[JOINTS], high[JOINTS];
+    int rows, why;
+} Aim;
+
+/* Derivatives (2 n) by rotations and translations, by independent joints over their scale. */
+static void by_joints(const double *slope, double *out) {
+    for (int c = 0; c < JOINTS; c++) {
+        out[c] = 0;
+        for (int k = 0; k < 2 * N; k++) out[c] += slope[k] * SPREAD[k * JOINTS + c];
+        out[c] *= SCALE[c];
+    }
+}
+
+static void independent(const tubeopt_joints *joints, double *q) {
+    for (int c = 0; c < JOINTS; c++)
+        q[c] = c < N ? joints->rotations[c] : joints->translations[FIRST[c]] - OFFSET[N + FIRST[c]];
+}
+
+static void dependent(const double *q, tubeopt_joints *joints) {
+    for (int k = 0; k < 2 * N; k++) {
+        double value = OFFSET[k];
+        for (int c = 0; c < JOINTS; c++) value += SPREAD[k * JOINTS + c] * q[c];
+        if (k < N)
+            joints->rotations[k] = value;
+        else
+            joints->translations[k - N] = fmin(value, ROBOT.straight[k - N]);
+    }
+}
+
+/* What is missing to the command, at most what its speed allows, and how the tip answers to the joints. */
+static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, tubeopt_report *report) {
+    const Answer *a = m->answers + m->here;
+    int tip = (int)a->pieces * STEPS;
+    double gap[3], distance = 0, length = 0, turned = 0;
+    for (int r = 0; r < 3; r++) gap[r] = c->position[r] - a->position[tip][r];
+    distance = sqrt(dot(gap, gap, 3));
+    double share = distance > c->speed * c->step ? c->speed * c->step / distance : 1;
+    for (int r = 0; r < 3; r++) {
+        by_joints(m->slopes.position[r], aim->task[r]);
+        for (int k = 0; k < JOINTS; k++) aim->task[r][k] /= LONGEST_TUBE;
+        aim->missing[r] = share * gap[r] / LONGEST_TUBE;
+    }
+    aim->rows = 3;
+    report->distance = distance;
+    report->angle = 0;
+    length = sqrt(dot(c->direction, c->direction, 3));
+    by_joints(m->slopes.margin, aim->margin);
+    if (!(length > 0)) return;
+    for (int r = 0; r < 3; r++) { /* the change of the direction t is turn x t */
+        int one = (r + 1) % 3, two = (r + 2) % 3;
+        double t[3] = {a->frame[tip][2], a->frame[tip][5], a->frame[tip][8]}, first[JOINTS], second[JOINTS];
+        by_joints(m->slopes.turn[one], first);
+        by_joints(m->slopes.turn[two], second);
+        for (int k = 0; k < JOINTS; k++) aim->task[3 + r][k] = first[k] * t[two] - second[k] * t[one];
+        aim->missing[3 + r] = c->direction[r] / length - t[r];
+        turned += aim->missing[3 + r] * aim->missing[3 + r];
+    }
+    report->angle = 2 * asin(fmin(1, sqrt(turned) / 2));
+    double most = c->speed * c->step / (LONGEST_TUBE / 10); /* as fast as the tip would turn about a tenth of the robot */
+    for (int r = 3; r < 6 && turned > most * most; r++) aim->missing[r] *= most / sqrt(turned);
+    aim->rows = 6;
+}
+
+/* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
+   than `rise`; where that is 0, to stay keeps them all. */
+static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Quadratic *p,
+                  Aim *aim) {
+    p->count = 0;
+    for (int k = 0; k < JOINTS; k++) {
+        double rate = fmin((k < N ? c->turn_rate : c->shift_rate) * c->step, k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE);
+        aim->low[k] = fmin(0, fmax(-rate, LOWER[k] - q[k])) / SCALE[k];
+        aim->high[k] = fmax(0, fmin(rate, UPPER[k] - q[k])) / SCALE[k];
+        for (int side = 0; side < 2; side++, p->count++) {
+            memset(p->rows[p->count], 0, sizeof p->rows[p->count]);
+            p->rows[p->count][k] = side ? -1 : 1;
+            p->bounds[p->count] = side ? -aim->high[k] : aim->low[k];
+        }
+    }
+    for (int r = 0; r < ORDERS; r++, p->count++) {
+        double gap = LEAST[r];
+        for (int k = 0; k < JOINTS; k++) {
+            gap -= ORDER[r * JOINTS + k] * q[k];
+            p->rows[p->count][k] = ORDER[r * JOINTS + k] * SCALE[k];
+        }
+        p->bounds[p->count] = fmin(gap, 0);
+    }
+    double most = 0;
+    for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
+    memcpy(p->rows[p->count], aim->margin, sizeof aim->margin);
+    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - m->answers[m->here].margin), RISE * most), rise);
+}
+
+/* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
+   what that leaves free towards a larger margin. 0 where there is none. */
+static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const double *q, double rise, Aim *aim,
+                        double *step) {
+    Quadratic *p = &m->quadratic;
+    double matrix[JOINTS][JOINTS], pull[JOINTS], row[JOINTS];
+    hedge(m, c, q, rise, p, aim);
+    double steep = sqrt(dot(aim->margin, aim->margin, JOINTS)), push = steep > 0 ? c->push * c->turn_rate * c->step / steep : 0;
+    for (int i = 0; i < JOINTS; i++) {
+        pull[i] = DAMPING * DAMPING * push * aim->margin[i];
+        for (int j = 0; j < JOINTS; j++) matrix[i][j] = i == j ? DAMPING * DAMPING : 0;
+        for (int r = 0; r < aim->rows; r++) {
+            pull[i] += aim->task[r][i] * aim->missing[r];
+            for (int j = 0; j < JOINTS; j++) matrix[i][j] += aim->task[r][i] * aim->task[r][j];
+        }
+    }
+    for (int j = 0; j < JOINTS; j++) { /* matrix = L L', L in its lower triangle */
+        matrix[j][j] = sqrt(matrix[j][j] - dot(matrix[j], matrix[j], j));
+        for (int i = j + 1; i < JOINTS; i++) matrix[i][j] = (matrix[i][j] - dot(matrix[i], matrix[j], j)) / matrix[j][j];
+    }
+    for (int k = -1; k < p->count; k++) { /* y = L' step: rows L^-1, and what is pulled at */
+        double *v = k < 0 ? pull : p->rows[k];
+        for (int i = 0; i < JOINTS; i++) v[i] = (v[i] - dot(matrix[i], v, i)) / matrix[i][i];
+    }
+    if (!least_quadratic(p, pull, row)) return 0;
+    for (int i = JOINTS - 1; i >= 0; i--) {
+        step[i] = row[i];
+        for (int j = i + 1; j < JOINTS; j++) step[i] -= matrix[j][i] * step[j];
+        step[i] /= matrix[i][i];
+    }
+    aim->why = 0;
+    for (int k = 0; k < p->actives; k++) {
+        int r = p->active[k], joint = r / 2;
+        if (r >= 2 * JOINTS)
+            aim->why |= r < 2 * JOINTS + ORDERS ? TUBEOPT_AT_ORDER : TUBEOPT_AT_MARGIN;
+        else {
+            double end = r % 2 ? UPPER[joint] - q[joint] : q[joint] - LOWER[joint], used = fabs(step[joint]) * SCALE[joint];
+            aim->why |= end <= used + CLOSE ? TUBEOPT_AT_RANGE : TUBEOPT_AT_RATE;
+        }
+    }
+    return 1;
+}
+
+static int commanded(const tubeopt_command *c) {
+    double sum = c->step + c->speed + c->turn_rate + c->shift_rate + c->min_margin + c->push;
+    for (int r = 0; r < 3; r++) sum += c->position[r] + c->direction[r];
+    return isfinite(sum) && c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
+}
+
+tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
+    Aim aim;
+    tubeopt_joints next;
+    double q[JOINTS], step[JOINTS], there[JOINTS], floor;
+    if (!m->started) return TUBEOPT_NOT_STARTED;
+    if (!commanded(c)) return TUBEOPT_BAD_INPUT;
+    report->solves = 0;
+    report->why = TUBEOPT_HELD;
+    if (look_ahead(m)) return TUBEOPT_DECLINED;
+    aim_at(m, c, &aim, report);
+    independent(&m->joints, q);
+    floor = fmin(c->min_margin, m->answers[m->here].margin); /* what is below it does not get worse */
+    if (step_towards(m, c, q, 1, &aim, step) || step_towards(m, c, q, 0, &aim, step)) {
+        double share = 1;
+        for (int half = 0; half <= HALVINGS; half++, share /= 2) {
+            for (int k = 0; k < JOINTS; k++)
+                there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
+            dependent(there, &next);
+            report->solves++;
+            if (step_to(m, &next) || m->answers[!m->here].margin < floor) continue;
+            accept(m, &next);
+            report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
+            break;
+        }
+    }
+    tell(m, pose);
+    return TUBEOPT_DONE;
+}

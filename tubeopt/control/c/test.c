@@ -1,0 +1,137 @@
+/* Answers of tubeopt itself, derivatives against differences, the guard, and how long a servo step takes. */
+#define _POSIX_C_SOURCE 200112L
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "tubeopt_robot.h"
+
+#define N TUBEOPT_TUBES
+#define STEPS 20000
+
+/* Joints, tip position, margin. */
+static const double CASES[][2 * N + 4] = {
+{CASES}};
+
+static int failures = 0;
+
+static void check(int holds, const char *what) {
+    if (holds) return;
+    failures++;
+    printf("FAILED: %s\n", what);
+}
+
+static double distance(const double *a, const double *b) {
+    return sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+}
+
+static tubeopt_joints joints_of(const double *row) {
+    tubeopt_joints joints;
+    memcpy(joints.rotations, row, sizeof joints.rotations);
+    memcpy(joints.translations, row + N, sizeof joints.translations);
+    return joints;
+}
+
+static void known_answers(tubeopt_memory *robot) {
+    for (size_t k = 0; k < sizeof CASES / sizeof CASES[0]; k++) {
+        tubeopt_joints joints = joints_of(CASES[k]);
+        tubeopt_pose pose;
+        check(tubeopt_solve(robot, &joints, &pose) == TUBEOPT_DONE, "a known configuration is solved");
+        check(distance(pose.position, CASES[k] + 2 * N) < 1e-9, "its tip is within 1 nm");
+        check(fabs(pose.margin - CASES[k][2 * N + 3]) < 1e-7, "its margin is known");
+    }
+}
+
+/* Derivatives by rotations against central differences. */
+static void slopes(tubeopt_memory *robot) {
+    tubeopt_joints joints = joints_of(CASES[0]);
+    tubeopt_slopes slopes;
+    tubeopt_pose ahead, behind;
+    tubeopt_solve(robot, &joints, &ahead);
+    check(tubeopt_slopes_at(robot, &slopes) == TUBEOPT_DONE, "there are derivatives");
+    for (int i = 0; i < N; i++) {
+        const double h = 1e-4;
+        joints.rotations[i] += h;
+        check(tubeopt_follow(robot, &joints, &ahead) == TUBEOPT_DONE, "the branch leads ahead");
+        joints.rotations[i] -= 2 * h;
+        check(tubeopt_follow(robot, &joints, &behind) == TUBEOPT_DONE, "the branch leads back");
+        joints.rotations[i] += h;
+        for (int r = 0; r < 3; r++) {
+            double difference = (ahead.position[r] - behind.position[r]) / (2 * h);
+            check(fabs(difference - slopes.position[r][i]) < 1e-7, "the tip moves as its derivative says");
+        }
+        for (int a = 0; a < 6; a++)
+            for (int b = 0; b < a; b++)
+                check(fabs(slopes.compliance[a][b] - slopes.compliance[b][a]) <
+                          1e-9 * sqrt(slopes.compliance[a][a] * slopes.compliance[b][b]),
+                      "the compliance is symmetric");
+    }
+}
+
+static void bad_input(tubeopt_memory *robot) {
+    tubeopt_joints joints = joints_of(CASES[0]);
+    tubeopt_pose pose;
+    tubeopt_report report;
+    tubeopt_command command = {.step = 1e-3, .speed = NAN};
+    joints.rotations[0] = NAN;
+    check(tubeopt_solve(robot, &joints, &pose) == TUBEOPT_BAD_INPUT, "a rotation that is no number is refused");
+    check(tubeopt_servo(robot, &command, &pose, &report) == TUBEOPT_BAD_INPUT, "so is a command");
+    joints = joints_of(CASES[0]);
+    joints.translations[0] = 10;
+    check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_BAD_INPUT, "and a tube out of its actuator");
+    tubeopt_start(robot);
+    joints = joints_of(CASES[0]);
+    check(tubeopt_follow(robot, &joints, &pose) == TUBEOPT_NOT_STARTED, "nothing is followed before it is solved");
+}
+
+static int compare(const void *a, const void *b) {
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Targets here and there, far out of reach too: rates and the floor are kept, and no step takes long. */
+static void servo(tubeopt_memory *robot) {
+    static double took[STEPS];
+    tubeopt_joints joints = joints_of(CASES[0]), last;
+    tubeopt_pose pose;
+    tubeopt_report report;
+    tubeopt_command command = {.step = 1e-3, .speed = 0.1, .turn_rate = 3, .shift_rate = 0.1, .min_margin = 0.2};
+    unsigned state = 1;
+    check(tubeopt_solve(robot, &joints, &pose) == TUBEOPT_DONE, "the servo has a start");
+    double reach = sqrt(pose.position[0] * pose.position[0] + pose.position[1] * pose.position[1] +
+                        pose.position[2] * pose.position[2]);
+    for (int k = 0; k < STEPS; k++) {
+        struct timespec before, after;
+        if (k % 500 == 0)
+            for (int r = 0; r < 3; r++) {
+                state = state * 1664525u + 1013904223u;
+                command.position[r] = reach * (state / 4294967296.0 * 2.4 - (r < 2 ? 1.2 : 0.8));
+            }
+        last = pose.joints;
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &before);
+        check(tubeopt_servo(robot, &command, &pose, &report) == TUBEOPT_DONE, "a step is answered");
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &after);
+        took[k] = 1e6 * (after.tv_sec - before.tv_sec) + 1e-3 * (after.tv_nsec - before.tv_nsec);
+        check(pose.margin >= 0.2, "the floor of the margin is kept");
+        for (int i = 0; i < N; i++) {
+            check(fabs(pose.joints.rotations[i] - last.rotations[i]) < 3e-3 + 1e-12, "no joint turns too fast");
+            check(fabs(pose.joints.translations[i] - last.translations[i]) < 1e-4 + 1e-12, "no joint moves too fast");
+        }
+    }
+    qsort(took, STEPS, sizeof(double), compare);
+    printf("servo step, processor time: %.0f us in the median, %.0f us at 99.9 %%, %.0f us at most\n", took[STEPS / 2],
+           took[STEPS - STEPS / 1000], took[STEPS - 1]);
+}
+
+int main(void) {
+    tubeopt_memory *robot = tubeopt_start(malloc(tubeopt_memory_size()));
+    known_answers(robot);
+    slopes(robot);
+    servo(robot);
+    bad_input(robot);
+    free(robot);
+    printf("%s\n", failures ? "failed" : "all is well");
+    return failures != 0;
+}

@@ -1,0 +1,200 @@
+"""A C library of a robot, compiled here and called from Python: the functions of its header on NumPy arrays."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, SolveError, vector
+from ..inverse.joints import joint_space
+from ..solvers.compiled.library import cache_directory, compile_to
+from ..typing import Array
+from .c_library import CLibrary
+from .servo import Command, ServoOptions
+from .why import Why
+
+REFUSED = {
+    1: "no stable equilibrium was found from tubes without torsion",
+    3: "there is no equilibrium to go on from",
+    4: "the branch does not lead there: the robot would snap",
+    5: "the motion is longer than one call may be",
+}
+"""What the functions return when they do not answer; 2 is bad input."""
+
+
+@dataclass(frozen=True, eq=False)
+class CPose:
+    """An equilibrium of the library: joints (n,) each, tip (3,) m, its frame (3, 3), tip rotations (n,), margin, energy
+    (J), estimated error of the tip (m), residual (rad)."""
+
+    rotations: Array
+    translations: Array
+    tip_position: Array
+    tip_rotation: Array
+    tip_rotations: Array
+    margin: float
+    energy: float
+    tip_error: float
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class CSlopes:
+    """Derivatives by rotations and translations: of tip (3, 2n), turn vector (3, 2n), tip rotations (n, 2n) and margin
+    (2n,); and the compliance (6, 6) of the tip."""
+
+    position: Array
+    turn: Array
+    tip_rotations: Array
+    margin: Array
+    compliance: Array
+
+
+class CRobot:
+    """A robot of a C library: what it does, call by call, with memory of its own.
+
+    Raises:
+        OSError, subprocess.SubprocessError: there is no C compiler, or it fails.
+    """
+
+    def __init__(self, library: CLibrary) -> None:
+        self._n, self._prefix = library.robot.n_tubes, library.prefix
+        self._library = ctypes.CDLL(str(_compiled(library)))
+        size = self._function("memory_size")
+        size.restype = ctypes.c_size_t
+        self._room = np.zeros(size() // 8 + 1)
+        start = self._function("start")
+        start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
+        self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
+        self._pose = np.zeros(3 * self._n + 16)
+        self._slopes = np.zeros(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36)
+
+    def _function(self, name: str) -> Any:
+        return getattr(self._library, f"{self._prefix}_{name}")
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        status = self._function(name)(self._memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in arguments))
+        if status == 2:
+            raise InputError(
+                f"{name} was called with a number that is not finite, or a translation that is not possible"
+            )
+        if status:
+            raise SolveError(REFUSED[status])
+
+    def _joints(self, rotations: ArrayLike, translations: ArrayLike) -> Array:
+        parts = (vector(name, v, self._n) for name, v in (("rotations", rotations), ("translations", translations)))
+        return np.concatenate(list(parts))
+
+    def _posed(self) -> CPose:
+        n, p = self._n, self._pose.copy()
+        frame = p[2 * n + 3 : 2 * n + 12].reshape(3, 3)
+        return CPose(
+            p[:n], p[n : 2 * n], p[2 * n : 2 * n + 3], frame, p[2 * n + 12 : 3 * n + 12], *p[3 * n + 12 :].tolist()
+        )
+
+    def solve(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
+        """The stable equilibrium from tubes without torsion; raises SolveError where there is none."""
+        self._call("solve", self._joints(rotations, translations), self._pose)
+        return self._posed()
+
+    def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
+        """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
+        self._call("follow", self._joints(rotations, translations), self._pose)
+        return self._posed()
+
+    def slopes(self) -> CSlopes:
+        """Derivatives at the last equilibrium."""
+        self._call("slopes_at", self._slopes)
+        n = self._n
+        parts = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+        shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
+        return CSlopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+    def servo(self, command: Array) -> tuple[CPose, float, float, Why]:
+        """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
+        translations, least margin, push; returns the pose, what is left to the target (m, rad), and why."""
+        report = np.zeros(3)
+        self._call("servo", np.ascontiguousarray(command, dtype=float), self._pose, report)
+        why, _ = report[2:].view(np.int32)
+        return self._posed(), float(report[0]), float(report[1]), Why(int(why))
+
+
+class CServo:
+    """The servo of a C library with the face of `Servo`: position and direction of the tip, or a way to joint values.
+
+    Raises:
+        InputError: options that only the servo in Python has: bodies' clearance, an objective other than the margin.
+    """
+
+    def __init__(
+        self, library: CLibrary, seed: tuple[ArrayLike, ArrayLike], options: ServoOptions | None = None
+    ) -> None:
+        self.options = options or ServoOptions()
+        if self.options.clearance or self.options.objective not in (None, "margin"):
+            raise InputError("the servo of a C library knows no bodies, and no objective but the margin")
+        self.space = joint_space(library.robot)
+        self._robot = CRobot(library)
+        self.equilibrium = self._robot.solve(*seed)
+
+    def step(self, command: Command, dt: float) -> CStep:
+        """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
+        if command.pivot is not None:
+            raise InputError("the servo of a C library knows no pivot")
+        here, o = self.equilibrium, self.options
+        if command.joints is not None:
+            rotations, translations = command.joints
+            return self._straight(rotations, translations, dt)
+        place = here.tip_position if command.position is None else np.asarray(command.position)
+        if command.velocity is not None:
+            place = here.tip_position + np.asarray(command.velocity) * dt
+        pointing = np.zeros(3) if command.direction is None else np.asarray(command.direction)
+        push = o.push if o.objective else 0.0
+        told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
+        self.equilibrium, distance, angle, why = self._robot.servo(told)
+        return CStep(self.equilibrium, why, distance, angle)
+
+    def _straight(self, rotations: Array, translations: Array, dt: float) -> CStep:
+        """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
+        here, o = self.equilibrium, self.options
+        turn, shift = rotations - here.rotations, translations - here.translations
+        most = max(
+            np.abs(turn).max() / max(o.turn_rate * dt, 1e-300), np.abs(shift).max() / max(o.shift_rate * dt, 1e-300)
+        )
+        share = 1 / max(float(most), 1.0)
+        why = Why.RATE if share < 1 else Why(0)
+        try:
+            there = self._robot.follow(here.rotations + share * turn, here.translations + share * shift)
+        except (SolveError, InputError):
+            return CStep(here, Why.HELD, np.nan, np.nan)
+        inside = self.space.admissible(self.space.join(there.rotations, there.translations))
+        if there.margin < min(o.min_margin, here.margin) or not inside:
+            self._robot.follow(here.rotations, here.translations)
+            return CStep(here, Why.HELD | (Why.RANGE if not inside else Why.MARGIN), np.nan, np.nan)
+        self.equilibrium = there
+        return CStep(there, why, np.nan, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class CStep:
+    """A step of `CServo`: as `ServoStep`."""
+
+    equilibrium: CPose
+    why: Why
+    distance: float
+    angle: float
+
+
+def _compiled(library: CLibrary) -> Path:
+    """The shared library of the sources, in the cache."""
+    header, source = (library.files[f"{library.prefix}_robot.{end}"] for end in "hc")
+    text = source.replace(f'#include "{library.prefix}_robot.h"\n', header)
+    path = cache_directory() / "libraries" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.so"
+    if not path.exists():
+        compile_to(text, path, ["-std=c99", "-march=native"])
+    return path

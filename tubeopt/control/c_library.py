@@ -1,0 +1,201 @@
+"""A robot as a C library of its own: the compiled kernel and what a loop at 1 kHz asks of it, with the robot's numbers.
+
+It is the kernel that Python calls, the same text; `control/c` adds the memory that a caller gives, the motion along a
+branch, the quadratic program of a servo step, and its guard.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import __version__
+from ..block.transcription.tableau import tableau
+from ..display import Displayed
+from ..equilibrium.continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST
+from ..equilibrium.kinematics import forward_kinematics
+from ..errors import InputError, SolveError
+from ..files.files import write_text
+from ..inverse.joints import JointSpace, joint_space
+from ..robots.robot import Robot, is_general
+from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, kernel_text
+from ..solvers.settings import CONTINUATION
+from ..typing import Array
+
+HERE = Path(__file__).parent / "c"
+
+CASES = 24
+"""Configurations whose answers the test of the library knows."""
+
+
+@dataclass(frozen=True)
+class CLibrary(Displayed):
+    """Texts of a library by file name, what the robot is called, and the prefix of what it exports."""
+
+    robot: Robot
+    name: str
+    prefix: str
+    files: dict[str, str]
+
+
+def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt") -> CLibrary:
+    """The C library of a robot of concentric tubes, each of one arc.
+
+    Args:
+        name: what the comments call it.
+        prefix: what the names of its functions begin with; two robots in one program need two.
+
+    Raises:
+        InputError: tubes that are made of pieces or lie beside the centreline, more than MOST_TUBES of them, a prefix
+            that is no name in C.
+        SolveError: no stable equilibrium is found for the answers that its test knows.
+    """
+    if is_general(robot) or robot.assembly(robot.home_translations).eccentric:
+        raise InputError(
+            "robot has tubes made of pieces or beside the centreline; a C library is made of concentric tubes that are "
+            "straight, then one arc each"
+        )
+    if robot.n_tubes > MOST_TUBES:
+        raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
+        raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
+    space = joint_space(robot)
+    cases = _cases(space)
+    texts = {
+        "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes)),
+        "tubeopt_robot.c": _source(robot, space, name),
+        "CMakeLists.txt": _filled("CMakeLists.txt", name=name),
+        "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
+        "test.c": _filled("test.c", CASES="".join(f"    {{{_numbers(case)}}},\n" for case in cases)),
+    }
+    files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in texts.items()}
+    return CLibrary(robot, name, prefix, files)
+
+
+def save_c_library(library: CLibrary, folder: Path) -> list[Path]:
+    """Write the files of a library into a folder; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in library.files.items():
+        write_text(folder / file, text)
+    return [folder / file for file in library.files]
+
+
+def _renamed(text: str, prefix: str) -> str:
+    text = text.replace("tubeopt_", f"{prefix}_").replace("TUBEOPT_", f"{prefix.upper()}_")
+    return text.replace("mechanics_", f"{prefix}_mechanics_")  # helpers of CasADi
+
+
+def _filled(file: str, **values: str) -> str:
+    """The text of a template; in those with braces of their own, only the names given are filled in."""
+    text = (HERE / file).read_text()
+    for name, value in values.items():
+        text = text.replace(f"{{{name}}}", value)
+    return text.replace("{{", "{").replace("}}", "}") if file == "CMakeLists.txt" else text
+
+
+def _source(robot: Robot, space: JointSpace, name: str) -> str:
+    """The C text: what CasADi generates and the kernel, as they are for Python; the robot's numbers; the rest."""
+    parts = [
+        f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
+        '#include "tubeopt_robot.h"\n\n',
+        "/* CasADi writes for every function more than is used here. */\n",
+        '#pragma GCC diagnostic ignored "-Wunused-function"\n#pragma GCC diagnostic ignored "-Wunused-parameter"\n',
+        "#define CASADI_SYMBOL_EXPORT static\n",
+        kernel_text(robot.n_tubes),
+        _data(robot, space),
+        *((HERE / file).read_text() for file in ("quadratic.c", "robot.c", "servo.c")),
+    ]
+    return "".join(parts)
+
+
+def _data(robot: Robot, space: JointSpace) -> str:
+    """Tubes, method, joints and limits as C."""
+    n, m = robot.n_tubes, len(space.lower)
+    home = robot.assembly(robot.home_translations)
+    straight = [tube.straight_length for tube in robot.tubes]
+    tubes: list[ArrayLike] = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight]
+    tubes += [[tube.length for tube in robot.tubes], home.offset, home.offset_angle]
+    carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
+    first = [0] * n + [group[0] for group in space.carriages]
+    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
+    tables: dict[str, ArrayLike] = {
+        **{
+            f"{name}_{part}": getattr(t, part)
+            for name, t in (("COARSE", coarse), ("FINE", fine))
+            for part in ("nodes", "weights", "matrix")
+        },
+        "TWICE": coarse.lagrange(fine.nodes, integrals=2),
+        "TWICE_BACK": fine.lagrange(coarse.nodes, integrals=2),
+        "SPREAD": space.spread,
+        "OFFSET": space.offset,
+        "LOWER": space.lower,
+        "UPPER": space.upper,
+        "SCALE": space.scale,
+        "ORDER": space.rows if space.rows.size else np.zeros(1),
+        "LEAST": space.least if space.least.size else np.zeros(1),
+    }
+    defines = {
+        "JOINTS": m,
+        "ORDERS": len(space.least),
+        "MOST_ROWS": 2 * m + len(space.least) + 1,
+        "LONGEST_TUBE": space.length,
+        "LARGEST_RATIO": LARGEST_RATIO,
+        "LARGEST_TWIST": LARGEST_TWIST,
+        "SOFT_TWIST": CONTINUATION.soft_twist,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
+    }
+    lines = [
+        "\n/* --- the numbers of the robot --- */\n",
+        *(f"#define {key} {value!r}" for key, value in defines.items()),
+    ]
+    lines += [f"static const double {key}[] = {{{_numbers(table)}}};" for key, table in tables.items()]
+    lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
+    lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
+    lines += [f"static const Tubes ROBOT = {{{', '.join(f'{{{_numbers(row)}}}' for row in tubes)}, 0}};"]
+    lines += [
+        f"static const Method METHOD = {{{{{COARSE_DEGREE}, COARSE_nodes, COARSE_weights, COARSE_matrix}},\n"
+        f"                              {{{DEGREE}, FINE_nodes, FINE_weights, FINE_matrix}}, TWICE, TWICE_BACK}};\n\n"
+    ]
+    return "\n".join(lines)
+
+
+def _numbers(values: ArrayLike) -> str:
+    def literal(value: float) -> str:
+        return repr(value) if np.isfinite(value) else "-INFINITY" if value < 0 else "INFINITY"
+
+    return ", ".join(literal(float(value)) for value in np.ravel(np.asarray(values, dtype=float)))
+
+
+def _joints(case: Array) -> str:
+    n = (len(case) - 4) // 2
+    return f"{{{_numbers(case[:n])}}}, {{{_numbers(case[n : 2 * n])}}}"
+
+
+def _cases(space: JointSpace) -> list[Array]:
+    """(2n + 4,) joints, tip position and margin of configurations that are solved from tubes without torsion; the first
+    has room on all sides."""
+    found = []
+    for q in _configurations(space):
+        rotations, shift = space.split(q)
+        try:
+            pose = forward_kinematics(space.robot, rotations, shift)
+        except SolveError:
+            continue
+        if pose.margin > 0.3 and "without torsion" in pose.statistics.start:
+            found.append(np.concatenate([rotations, shift, pose.tip_position, [pose.margin]]))
+        if len(found) == CASES:
+            break
+    if not found:
+        raise SolveError("no configuration was found whose answer the test of the library could know")
+    return found
+
+
+def _configurations(space: JointSpace) -> Iterable[Array]:
+    yield 0.5 * space.inside() + 0.5 * space.middle()
+    yield from space.sample(4 * CASES)

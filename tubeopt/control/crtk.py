@@ -1,0 +1,214 @@
+"""A robot under commands as CRTK names them: what it does with a message, and with the time that passes.
+
+Names and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo_cp, servo_cv and
+servo_jp want a stream and go at once where they say; move_cp and move_jp go there and stay busy until they have
+arrived. Times are those of a monotonic clock that is given, so that nothing here waits or asks for the time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError, vector
+from ..inverse.joints import JointSpace
+from ..typing import Array
+from .servo import Command, ServoOptions
+from .why import Why
+
+ARRIVED = 1e-6
+"""Distance (m) and angle (rad) at which a move ends."""
+
+STUCK, CLOSER = 0.5, 1e-4
+"""A move that comes no closer than by CLOSER (m or rad), or half of what is left where that is less, for so long (s)
+ends."""
+
+WARNING = 0.1
+"""Margin above the floor below which a snap is warned of."""
+
+STATES = ("DISABLED", "ENABLED", "PAUSED", "FAULT")
+
+TRANSITIONS = {
+    "enable": "ENABLED",
+    "disable": "DISABLED",
+    "pause": "PAUSED",
+    "resume": "ENABLED",
+}
+"""What `state_command` may say, and the state that follows."""
+
+
+class Led(Protocol):
+    """What leads a robot: `Servo`, or `CServo` of a C library."""
+
+    options: ServoOptions
+    space: JointSpace
+
+    @property
+    def equilibrium(self) -> Any:
+        """Where the robot is."""
+
+    def step(self, command: Command, dt: float) -> Any:
+        """One step of `dt` seconds."""
+
+
+@dataclass
+class _Goal:
+    """What is commanded: since when, whether it is a stream, how close it came and when."""
+
+    command: Command
+    since: float
+    stream: bool
+    closest: float = math.inf
+    closer: float = 0.0
+
+
+class CrtkRobot:
+    """One robot, its state and its command.
+
+    Args:
+        servo: what leads it.   watchdog: s after which a stream without a new command is held.
+    """
+
+    def __init__(self, servo: Led, *, watchdog: float = 0.1) -> None:
+        if not (math.isfinite(watchdog) and watchdog > 0):
+            raise InputError(f"watchdog is {watchdog:g} s; it must be more than 0")
+        self.servo, self.watchdog = servo, watchdog
+        self.state = "DISABLED"
+        self._goal: _Goal | None = None
+        self._why = Why(0)
+        self._words = ""
+        self._before = servo.equilibrium
+        self._moved = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a move is under way."""
+        return self._goal is not None and not self._goal.stream
+
+    def command(self, message: Mapping[str, Any], now: float) -> None:
+        """Take a command: {"op": name, ...}.
+
+        Raises:
+            InputError: it makes no sense, or not in this state; nothing changes.
+        """
+        name = message.get("op")
+        known: dict[str, Callable[[Mapping[str, Any]], Command]] = {
+            "servo_cp": _pose,
+            "servo_cv": _twist,
+            "servo_jp": self._joints,
+            "move_cp": _pose,
+            "move_jp": self._joints,
+        }
+        if name == "state_command":
+            self._change(message.get("command"))
+        elif isinstance(name, str) and name in known:
+            wanted = known[name](message)
+            if self.state != "ENABLED":
+                raise InputError(f"{name} is refused: the robot is {self.state}; enable it first")
+            self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)
+        else:
+            raise InputError(f"op is {name!r}; it must be one of {', '.join([*known, 'state_command'])}")
+
+    def release(self) -> None:
+        """Whoever commanded has gone: hold."""
+        self._goal = None
+
+    def tick(self, now: float, dt: float) -> None:
+        """Go on by one step of `dt` seconds at a time `now`; a stream without news is held, however the clock jumps."""
+        goal = self._goal
+        self._before, self._moved = self.servo.equilibrium, dt
+        if goal is None or self.state != "ENABLED":
+            return
+        if goal.stream and not 0 <= now - goal.since <= self.watchdog:
+            self._goal, self._words = None, "no command has come in time: held"
+            return
+        self._why = self.servo.step(goal.command, dt).why
+        self._words = self._why.words
+        if not goal.stream:
+            self._arrive(goal, now)
+
+    def _arrive(self, goal: _Goal, now: float) -> None:
+        """End a move that has arrived, or comes no closer."""
+        left = self._left(goal.command)
+        if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
+            goal.closest, goal.closer = left, now
+        if left < ARRIVED:
+            self._goal, self._words = None, ""
+        elif now - goal.closer > STUCK:
+            self._goal = None
+            self._words = f"the move has ended {left:.3g} short (m or rad): {self._words or 'it comes no closer'}"
+
+    def _left(self, command: Command) -> float:
+        """What is left of a move: m and rad, the greater."""
+        arm = self.servo.equilibrium
+        if command.joints is not None:
+            turn, shift = command.joints
+            return float(max(np.abs(turn - arm.rotations).max(), np.abs(shift - arm.translations).max()))
+        left = float(np.linalg.norm(np.asarray(command.position) - arm.tip_position))
+        if command.direction is None:
+            return left
+        wanted = np.asarray(command.direction) / np.linalg.norm(command.direction)
+        return max(left, float(np.linalg.norm(wanted - arm.tip_rotation[:, 2])))
+
+    def _change(self, wanted: Any) -> None:
+        if wanted not in TRANSITIONS:
+            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS)}")
+        if wanted == "resume" and self.state != "PAUSED":
+            raise InputError(f"resume is refused: the robot is {self.state}")
+        if wanted == "pause" and self.state != "ENABLED":
+            raise InputError(f"pause is refused: the robot is {self.state}")
+        self._goal, self.state = None, TRANSITIONS[wanted]
+
+    def _joints(self, message: Mapping[str, Any]) -> Command:
+        n = self.servo.space.robot.n_tubes
+        return Command(
+            joints=(
+                vector("rotations", message.get("rotations", ()), n, "rad"),
+                vector("translations", message.get("translations", ()), n, "m"),
+            )
+        )
+
+    def report(self, now: float) -> dict[str, Any]:
+        """What watchers are told: plain data in SI units under the names of CRTK, with margin and warning beside."""
+        arm, before = self.servo.equilibrium, self._before
+        n, floor = self.servo.space.robot.n_tubes, self.servo.options.min_margin
+        joints = np.concatenate([arm.rotations, arm.translations])
+        last = np.concatenate([before.rotations, before.translations])
+        names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(n)]
+        pose = {"position": arm.tip_position.tolist(), "rotation": arm.tip_rotation.tolist()}
+        speed = (joints - last) / self._moved if self._moved else 0 * joints
+        state = {"name": names, "position": joints.tolist(), "velocity": speed.tolist()}
+        return {
+            "op": "state",
+            "time": now,
+            "operating_state": {"state": self.state, "is_homed": True, "is_busy": self.busy},
+            # There is no sensor here: what is measured is what was sent.
+            "setpoint_js": state,
+            "measured_js": state,
+            "setpoint_cp": pose,
+            "measured_cp": pose,
+            "margin": arm.margin,
+            "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in self._why),
+            "why": self._words,
+            "shape": np.round(getattr(arm, "position", np.zeros((0, 3))), 7).tolist(),
+        }
+
+
+def _pose(message: Mapping[str, Any]) -> Command:
+    pointing = message.get("direction")
+    return Command(
+        position=_numbers(message, "position", "m"),
+        direction=None if pointing is None else _numbers(message, "direction", ""),
+    )
+
+
+def _twist(message: Mapping[str, Any]) -> Command:
+    return Command(velocity=_numbers(message, "linear", "m/s"))
+
+
+def _numbers(message: Mapping[str, Any], name: str, unit: str) -> Array:
+    return vector(name, message.get(name, ()), 3, f"x, y, z{f' in {unit}' if unit else ''}")

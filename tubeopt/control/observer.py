@@ -1,0 +1,210 @@
+"""What a sensor at the tip tells about a robot in motion: joint offsets, stiffnesses and an offset of the tip.
+
+An extended Kalman filter over parameters that hardly change. A measurement is compared with the model at the joint
+values of its own time, so that a delay that is known costs nothing; where none comes, nothing is corrected. Each update
+linearises anew a few times about what it has found (Bell and Cathey, IEEE TAC 38 (1993)); what is far beyond all that
+could be is left out.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..display import Displayed
+from ..equilibrium.jacobian import jacobian
+from ..equilibrium.kinematics import forward_kinematics, one_step
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError, vector
+from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot, is_general
+from ..typing import Array
+
+LINEARISED = 3
+"""Times that an update linearises."""
+
+BY = ("rotations", "bending_stiffness", "torsional_stiffness")
+
+
+@dataclass(frozen=True)
+class ObserverOptions:
+    """What is uncertain beforehand, as standard deviations, and how long the past is kept.
+
+    noise: of a measured position, each axis, m.   rotation: of the joints' offsets, rad.   stiffness: of every tube's,
+    as a share.   offset: of the tip's, each axis, m.   drift: of all of these per root second, as a share of them.
+    memory: s of joint values that measurements may be late by.   gate: standard deviations beyond which a measurement
+    is left out.
+    """
+
+    noise: float = 5e-4
+    rotation: float = np.radians(3.0)
+    stiffness: float = 0.05
+    offset: float = 1e-4
+    drift: float = 0.02
+    memory: float = 1.0
+    gate: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0) or (name in ("noise", "memory", "gate") and value == 0):
+                raise InputError(f"{name} is {value:g}; it must be more than 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Correction(Displayed):
+    """What an observer did with a measurement: whether it was used, else why not; the distance (m) of the measured tip
+    from the one that was expected, before and after."""
+
+    used: bool
+    words: str
+    before: float
+    after: float
+
+
+class Observer:
+    """Corrects the model of one robot of concentric tubes by measured tips.
+
+    Args:
+        start: the equilibrium of the model where the robot is.   options: see `ObserverOptions`.
+
+    Raises:
+        InputError: tubes made of pieces or beside the centreline.
+    """
+
+    def __init__(self, start: Equilibrium, options: ObserverOptions | None = None) -> None:
+        robot = start.robot
+        if not isinstance(robot, ConcentricRobot) or is_general(robot):
+            raise InputError("an observer takes robots of concentric tubes of one arc each")
+        self.options = options or ObserverOptions()
+        self._n, self._given, self._arm = robot.n_tubes, robot, start
+        spread = [self.options.rotation] * self._n + [self.options.stiffness] * self._n + [self.options.offset] * 3
+        self._prior = np.array(spread)
+        self._x: Array = np.zeros(len(spread))
+        self._cov: Array = np.diag(self._prior**2)
+        self._past: deque[tuple[float, Array, Array]] = deque()
+        self._time = -np.inf
+
+    @property
+    def rotation_offsets(self) -> Array:
+        """(n,) rad, by which the tubes are turned farther than their joints say."""
+        return self._x[: self._n].copy()
+
+    @property
+    def stiffness_factors(self) -> Array:
+        """(n,) of bending and torsional stiffness of each tube over what was given."""
+        return np.exp(self._x[self._n : 2 * self._n])
+
+    @property
+    def tip_offset(self) -> Array:
+        """(3,) m, by which the measured tip lies beside that of the corrected model."""
+        return self._x[2 * self._n :].copy()
+
+    @property
+    def deviations(self) -> Array:
+        """(2n + 3,) standard deviations of all of these; of the stiffnesses as a share."""
+        return np.asarray(np.sqrt(np.diag(self._cov)))
+
+    @property
+    def robot(self) -> Robot:
+        """The corrected robot."""
+        return self._robot(self._x)
+
+    def sent(self, time: float, rotations: ArrayLike, translations: ArrayLike) -> None:
+        """Joint values (n,) that the robot has at a time, s; times increase."""
+        turn, shift = vector("rotations", rotations, self._n), vector("translations", translations, self._n)
+        if self._past and not time > self._past[-1][0]:
+            raise InputError(f"time is {time:g} s; it must be more than that of the last joint values")
+        self._past.append((time, turn, shift))
+        while time - self._past[0][0] > self.options.memory and len(self._past) > 2:
+            self._past.popleft()
+
+    def measured(self, time: float, position: ArrayLike) -> Correction:
+        """Take in the tip position (3,), m, that was measured at a time, s, however late it arrives."""
+        measured = vector("position", position, 3, "x, y, z in m")
+        joints = self._joints_at(time)
+        if joints is None:
+            return Correction(False, "no joint values of its time are known", np.nan, np.nan)
+        grown = self._cov
+        if np.isfinite(self._time) and time > self._time:
+            grown = grown + np.diag((self.options.drift * self._prior) ** 2 * (time - self._time))
+        try:
+            return self._update(time, measured, joints, grown)
+        except SolveError as error:
+            return Correction(False, f"the model has no equilibrium there: {error}", np.nan, np.nan)
+
+    def predict(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Equilibrium, Array]:
+        """The equilibrium of the corrected robot at joint values (n,), and the tip (3,), m, that would be measured."""
+        turn, shift = vector("rotations", rotations, self._n), vector("translations", translations, self._n)
+        arm = self._arm_at(self._x, turn, shift)
+        return arm, arm.tip_position + self.tip_offset
+
+    def shift(self, nominal: Equilibrium) -> Array:
+        """(3,) m from the tip of the robot as given to the one that would be measured: to reach p, a servo on the robot
+        as given aims at p minus this."""
+        return np.asarray(self.predict(nominal.rotations, nominal.translations)[1] - nominal.tip_position)
+
+    def _joints_at(self, time: float) -> tuple[Array, Array] | None:
+        times = [past[0] for past in self._past]
+        k = bisect_right(times, time)
+        if not times or k == 0 or (k == len(times) and time > times[-1]):
+            return None
+        if k == len(times):
+            return self._past[-1][1:]
+        (a, *first), (b, *last) = self._past[k - 1], self._past[k]
+        x = (time - a) / (b - a)
+        turn, shift = ((1 - x) * one + x * two for one, two in zip(first, last, strict=True))
+        return turn, shift
+
+    def _update(self, time: float, measured: Array, joints: tuple[Array, Array], grown: Array) -> Correction:
+        x: Array = self._x
+        noise: Array = self.options.noise**2 * np.eye(3)
+        before: Array = np.zeros(3)
+        gain: Array = np.zeros((len(x), 3))
+        slope: Array = np.zeros((3, len(x)))
+        for k in range(LINEARISED):
+            arm = self._arm_at(x, *joints)
+            slope = self._slope(arm, x)
+            gap = measured - arm.tip_position - x[2 * self._n :]
+            # What the tip would be at the old estimate, by the new derivatives.
+            expected = gap + slope @ (x - self._x)
+            spread = slope @ grown @ slope.T + noise
+            gain = np.asarray(np.linalg.solve(spread, slope @ grown).T, dtype=float)
+            if k == 0:
+                before = gap
+                if float(gap @ np.linalg.solve(spread, gap)) > 3 * self.options.gate**2:
+                    return Correction(False, "it is farther off than could be", *[float(np.linalg.norm(gap))] * 2)
+            x = self._x + gain @ expected
+        self._arm = self._arm_at(x, *joints)
+        after = measured - self._arm.tip_position - x[2 * self._n :]
+        kept = np.eye(len(x)) - gain @ slope
+        self._x, self._cov = np.asarray(x), np.asarray(kept @ grown @ kept.T + gain @ noise @ gain.T)
+        self._time = max(time, self._time)
+        return Correction(True, "", float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+
+    def _robot(self, x: Array) -> ConcentricRobot:
+        """The robot with the stiffnesses of parameters (2n + 3,)."""
+        home = self._given.assembly(self._given.home_translations)
+        factor = np.exp(x[self._n : 2 * self._n])
+        bending, torsional = home.bending_stiffness * factor, home.torsional_stiffness * factor
+        tubes = tuple(
+            replace(tube, bending_stiffness=float(kb), torsional_stiffness=float(kt))
+            for tube, kb, kt in zip(self._given.tubes, bending, torsional, strict=True)
+        )
+        return replace(self._given, tubes=tubes)
+
+    def _arm_at(self, x: Array, rotations: Array, translations: Array) -> Equilibrium:
+        """The equilibrium of the robot of parameters, on the branch of the last one."""
+        robot, turn, shift = self._robot(x), rotations + x[: self._n], tuple(translations.tolist())
+        near = one_step(robot, self._arm, turn, shift)
+        return forward_kinematics(robot, turn, shift, guess=replace(self._arm, robot=robot)) if near is None else near
+
+    def _slope(self, arm: Equilibrium, x: Array) -> Array:
+        """(3, 2n + 3) of the measured tip by the parameters."""
+        home = arm.robot.assembly(arm.robot.home_translations)
+        turn, bending, torsional = np.split(jacobian(arm, wrt=BY).position, 3, axis=1)
+        stiffness = bending * home.bending_stiffness + torsional * home.torsional_stiffness
+        return np.hstack([turn, stiffness, np.eye(3)])

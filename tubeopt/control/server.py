@@ -1,0 +1,216 @@
+"""A robot over WebSocket on this machine: one commander, many watchers, a token, and limits for all.
+
+Messages are JSON objects with "op". The first of every client is {"op": "hello", "token": ..., "role": "commander" or
+"watcher"}; then a commander sends what `CrtkRobot.command` knows. Everybody gets {"op": "state", ...} at the rate of
+publishing, the newest one only: who reads slowly misses some, and costs no memory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import logging
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import InputError, SolveError
+from .crtk import CrtkRobot
+
+LOGGER = logging.getLogger("tubeopt")
+
+LONGEST_MESSAGE = 16_384
+"""Bytes of a message, beyond which the connection ends."""
+
+PATIENCE = 5.0
+"""Seconds until a client must have said hello."""
+
+MOST_CLIENTS = 256
+
+
+@dataclass(frozen=True)
+class ServerOptions:
+    """How a robot is served.
+
+    host, port: where; port 0 is any that is free.   token: what clients must know; "" makes one.   period: of the loop,
+    s.   publish: states per second.   rate: messages per second and client, beyond which they are not read.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8765
+    token: str = ""
+    period: float = 1e-3
+    publish: float = 40.0
+    rate: float = 2000.0
+
+    def __post_init__(self) -> None:
+        if self.host not in ("127.0.0.1", "localhost", "::1"):
+            raise InputError(f"host is {self.host!r}; it must be this machine: 127.0.0.1, localhost or ::1")
+        for name in ("period", "publish", "rate"):
+            if not 0 < getattr(self, name) < 1e6:
+                raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0")
+        if not 0 <= self.port < 65536:
+            raise InputError(f"port is {self.port}; it must be 0 to 65535")
+
+
+@dataclass(eq=False)
+class _Client:
+    """A connection: how many messages it may still send, as of a time."""
+
+    socket: Any
+    left: float
+    since: float
+    commander: bool = False
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class RobotServer:
+    """Serves one robot until it is stopped.
+
+    Args:
+        robot: what is commanded.   options: see `ServerOptions`.
+        clock: seconds that never go back.
+    """
+
+    def __init__(
+        self, robot: CrtkRobot, options: ServerOptions | None = None, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.robot, self.options, self._clock = robot, options or ServerOptions(), clock
+        self.token = self.options.token or secrets.token_urlsafe(16)
+        self.port = self.options.port
+        self.latencies: deque[float] = deque(maxlen=10_000)
+        """Processor time (s) of the last steps."""
+        self._clients: set[_Client] = set()
+        self._commander: _Client | None = None
+        self._state = ""
+
+    async def serve(self, ready: Callable[[], object] | None = None) -> None:
+        """Serve until cancelled; `ready` is called when clients can come.
+
+        Raises:
+            InputError: the port is taken, or `websockets` is not installed.
+        """
+        try:
+            from websockets.asyncio.server import serve
+        except ImportError:
+            raise InputError("websockets is missing; pip install 'tubeopt[control]' brings it") from None
+        options = self.options
+        try:
+            listening = await serve(
+                self._welcome, options.host, options.port, max_size=LONGEST_MESSAGE, max_queue=16, compression=None
+            )
+        except OSError as error:
+            raise InputError(f"port {options.port} cannot be used: {error.strerror or error}") from None
+        async with listening:
+            self.port = next(iter(listening.sockets)).getsockname()[1]
+            tasks = [asyncio.create_task(self._loop()), asyncio.create_task(self._publish())]
+            if ready is not None:
+                ready()
+            try:
+                await asyncio.gather(*tasks)
+            finally:
+                for task in tasks:
+                    task.cancel()
+
+    async def _loop(self) -> None:
+        """A step per period. What is late is not made up for: joints never go faster than their rates."""
+        period, due = self.options.period, self._clock()
+        while True:
+            began = time.process_time()
+            try:
+                self.robot.tick(self._clock(), period)
+            except (InputError, SolveError) as error:
+                LOGGER.warning("the robot holds: %s", error)
+                self.robot.release()
+            self.latencies.append(time.process_time() - began)
+            due = max(due + period, self._clock())
+            await asyncio.sleep(max(due - self._clock(), 0))
+
+    async def _publish(self) -> None:
+        while True:
+            await asyncio.sleep(1 / self.options.publish)
+            if self._clients:
+                self._state = json.dumps(self.robot.report(self._clock()))
+                for client in self._clients:
+                    client.news.set()
+
+    async def _tell(self, client: _Client) -> None:
+        """The newest state, again and again, as fast as the client reads."""
+        while True:
+            await client.news.wait()
+            client.news.clear()
+            await client.socket.send(self._state)
+
+    async def _welcome(self, socket: Any) -> None:
+        """One client from its hello to its end."""
+        from websockets.exceptions import ConnectionClosed
+
+        client = _Client(socket, self.options.rate, self._clock())
+        telling = None
+        with suppress(ConnectionClosed):
+            try:
+                hello = await asyncio.wait_for(socket.recv(), PATIENCE)
+                self._admit(client, hello)
+            except (InputError, TimeoutError) as error:
+                await socket.close(1008, str(error)[:120] or "no hello came")
+                return
+            self._clients.add(client)
+            await socket.send(json.dumps({"op": "welcome", "role": "commander" if client.commander else "watcher"}))
+            telling = asyncio.create_task(self._tell(client))
+            try:
+                async for message in socket:
+                    await self._hear(client, message)
+            finally:
+                telling.cancel()
+                self._leave(client)
+
+    def _admit(self, client: _Client, hello: str | bytes) -> None:
+        """Raises InputError where a client may not come in."""
+        told = _read(hello)
+        token = told.get("token")
+        if told.get("op") != "hello" or not isinstance(token, str):
+            raise InputError("the first message must be a hello with the token")
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
+            raise InputError("the token is another one")
+        if len(self._clients) >= MOST_CLIENTS:
+            raise InputError(f"there are {MOST_CLIENTS} clients already")
+        if told.get("role") == "commander":
+            if self._commander is not None:
+                raise InputError("there is a commander already")
+            self._commander, client.commander = client, True
+
+    def _leave(self, client: _Client) -> None:
+        self._clients.discard(client)
+        if client is self._commander:
+            self._commander = None
+            self.robot.release()
+
+    async def _hear(self, client: _Client, message: str | bytes) -> None:
+        """A message of a client; what makes no sense is answered."""
+        now, rate = self._clock(), self.options.rate
+        client.left = min(rate, client.left + max(now - client.since, 0.0) * rate)
+        client.since = now
+        if client.left < 1:
+            await asyncio.sleep(1 / rate)  # who sends more is read more slowly
+        client.left -= 1
+        try:
+            if not client.commander:
+                raise InputError("a watcher does not command")
+            self.robot.command(_read(message), self._clock())
+        except InputError as error:
+            await client.socket.send(json.dumps({"op": "error", "words": str(error)[:300]}))
+
+
+def _read(message: str | bytes) -> dict[str, Any]:
+    try:
+        read = json.loads(message)
+    except (ValueError, RecursionError):
+        raise InputError("the message is no JSON") from None
+    if not isinstance(read, dict):
+        raise InputError("the message is no JSON object")
+    return read

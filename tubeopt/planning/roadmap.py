@@ -1,0 +1,179 @@
+"""A roadmap for many plans of one robot among the same bodies: where it can be, and the ways between, remembered.
+
+Its points are equilibria in the space of tip rotations and translations, in which a straight line is a motion without
+a snap as long as it is stable. Whether a motion between neighbours holds is looked at when a way leads over it (Bohlin
+and Kavraki 2000), and remembered for the next. Where bodies, margin or clearance change, what was remembered is
+forgotten, and looked at once more as ways need it, while the points stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..bodies.obstacles import Obstacle
+from ..display import Displayed
+from ..errors import InputError, SolveError
+from ..inverse.clock import Clock, LateError
+from ..inverse.search import Way
+from ..inverse.task import Task
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from ..typing import Array, Index
+from .motion import DEFAULT_RATES
+from .options import DEFAULT_PLAN, PlanOptions
+from .question import asked
+
+NEIGHBOURS = 10
+"""Nearest points that each is joined with."""
+
+AT_ONCE = 512
+"""Points that are drawn at once."""
+
+
+@dataclass(eq=False)
+class Roadmap(Displayed):
+    """Points (N, m) of the chart of a robot at which it may be, and which of them may be joined.
+
+    Attributes:
+        parameters: the robot as numbers, by which a map that was saved is known to be its own.
+        edges: (E, 2) numbers of points.
+        known: what was found of edges, for the last question.
+    """
+
+    points: Array
+    parameters: Array = field(repr=False)
+    edges: Index = field(repr=False)
+    known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
+    asked_with: tuple[Any, ...] = field(default=(), repr=False)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def way(self, task: Task, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+        """The shortest way over the map from a point (m,) to the nearest of goals that holds all along; `points` is
+        None where the map has none, or time is over."""
+        self._remember(task)
+        count, ends = len(self.points), np.stack([start, *goals])
+        places = np.concatenate([self.points, ends]) / task.scale
+        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)[:, : 2 * NEIGHBOURS]
+        to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
+        straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
+        edges = np.concatenate([self.edges, to_ends, straight])
+        length = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1) + 1e-9
+        own: dict[tuple[int, int], bool] = {}
+        points = places * task.scale
+        tried = 0
+        while not clock.over:
+            shut = np.array([self._told(own, a, b) is False for a, b in edges.tolist()])
+            found = _shortest(len(places), edges[~shut], length[~shut], count)
+            if found is None:
+                return Way(None, "roadmap", tried, why="the roadmap has no way")
+            pairs = list(pairwise(found))
+            # Both ends first: what begins and ends a way is what the map does not know yet.
+            for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
+                if self._told(own, a, b) is None:
+                    tried += 1
+                    holds = task.motion(points[a], points[b])
+                    if clock.left == 0:  # of which a motion that fails says nothing
+                        break
+                    (self.known if max(a, b) < count else own)[min(a, b), max(a, b)] = holds
+                    if not holds:
+                        break
+            else:
+                return Way(points[found], "roadmap", tried)
+        return Way(None, "roadmap", tried, why="the time for the roadmap was over")
+
+    def _told(self, own: dict[tuple[int, int], bool], a: int, b: int) -> bool | None:
+        key = (min(a, b), max(a, b))
+        return self.known.get(key, own.get(key))
+
+    def _remember(self, task: Task) -> None:
+        """Forget what was found of edges where another question is asked."""
+        if not np.array_equal(task.chart.parameters, self.parameters):
+            raise InputError("the roadmap is of another robot")
+        asks = (task.obstacles, task.min_margin, task.clearance, task.floor, task.margin_room, task.clearance_room)
+        same = len(self.asked_with) == len(asks) and self.asked_with[1:] == asks[1:]
+        if not (same and len(self.asked_with[0]) == len(asks[0]) and all(map(_same, self.asked_with[0], asks[0]))):
+            self.known.clear()
+        self.asked_with = asks
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Points and neighbours as .npz; what is known of edges is not kept, since bodies are not."""
+        np.savez_compressed(path, points=self.points, edges=self.edges, parameters=self.parameters)
+
+
+def _same(one: object, other: object) -> bool:
+    return one is other
+
+
+def _shortest(size: int, edges: Index, length: Array, start: int) -> list[int] | None:
+    """Numbers of the points of the shortest way from `start` to the nearest of those that come after it."""
+    graph = scipy.sparse.csr_array((length, (edges[:, 0], edges[:, 1])), shape=(size, size))
+    far, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    goals = np.arange(start + 1, size)
+    if not np.isfinite(far[goals]).any():
+        return None
+    way = [int(goals[np.argmin(far[goals])])]
+    while way[-1] != start:
+        way.append(int(before[way[-1]]))
+    return way[::-1]
+
+
+def build_roadmap(
+    robot: Robot,
+    *,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    limits: JointLimits | None = None,
+    options: PlanOptions = DEFAULT_PLAN,
+    count: int = 500,
+) -> Roadmap:
+    """A roadmap of `count` points at which a robot may be, or of fewer where `options.time_limit` ends the search.
+
+    Args:
+        obstacles, min_margin, limits, options: as of `plan_trajectory`; of the options clearance, gaps, time limit and
+            seed count.
+
+    Raises:
+        InputError: numbers that make no sense.
+        SolveError: fewer than two points were found.
+    """
+    task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
+    random, n = np.random.default_rng(options.seed), robot.n_tubes
+    space, found, total = task.chart.space, [], 0
+    shifts = space.sample(16 * AT_ONCE)[:, n:]
+    while total < count and not clock.over:
+        z = np.column_stack([random.uniform(-np.pi, np.pi, (AT_ONCE, n)), random.choice(shifts, AT_ONCE)])
+        try:
+            kept = z[task.holds(z)]
+        except LateError:
+            break
+        found.append(kept)
+        total += len(kept)
+    points = np.concatenate(found)[:count] if found else np.zeros((0, len(space.lower)))
+    if len(points) < 2:
+        raise SolveError(f"no roadmap was found within {options.time_limit:g} s: {len(points)} places are free")
+    places = points / task.scale
+    _, near = scipy.spatial.cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(points)))
+    edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
+    return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
+
+
+def load_roadmap(path: str | PathLike[str]) -> Roadmap:
+    """The roadmap that `Roadmap.save` wrote.
+
+    Raises:
+        InputError: no such file, or none of a roadmap.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return Roadmap(file["points"], file["parameters"], file["edges"])
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise InputError(f"{path}: no roadmap can be read from it: {error}") from None

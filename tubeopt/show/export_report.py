@@ -1,0 +1,37 @@
+"""What is said about a robot that was written as a C library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..control.c_library import CLibrary
+from .quantities import Quantity
+from .report import Report, report
+
+LIBRARY: tuple[Quantity[CLibrary], ...] = (
+    Quantity("name", "of the robot"),
+    Quantity("tubes", "of the robot", lambda a: a.robot.n_tubes),
+    Quantity("prefix", "with which all names of the library begin"),
+    Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
+             words=lambda a: ", ".join(a.files)),
+    Quantity("lines", "of C", lambda a: sum(text.count("\n") for text in a.files.values())),
+)  # fmt: skip
+
+
+class CLibraryReport(Report[CLibrary]):
+    """What is said about a C library."""
+
+    command = "export"
+    quantities = LIBRARY
+    file = "library.json"
+
+    def title(self) -> str:
+        """The robot's name."""
+        return f"{self.answer.name} in C"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write the record."""
+        return [self.save_record(directory)]
+
+
+report.register(CLibrary, CLibraryReport)

@@ -1,0 +1,124 @@
+"""A load on the robot under somebody's hands: a force on the tip, gravity, and how much of them the robot bears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...equilibrium.kinematics import forward_kinematics
+from ...equilibrium.result import Equilibrium
+from ...errors import SolveError
+from ...files.units import TO_MILLI, TO_MM
+from ...robots.load import Load
+from ...stability.load_limit import LoadLimit, find_load_limit
+from ...stability.pushing import push
+from .session import Session, moved_to
+
+ARROW = 5.0
+"""Length of the arrow of a force, over how far it moves the tip where that is softest, to first order."""
+
+UP_TO = 10.0
+"""Largest factor on a load that is looked at for its limit."""
+
+GRAVITY = 9.81
+"""m/s^2."""
+
+DIRECTIONS = {
+    "none": None,
+    **{f"along {sign}{axis}": (sign, k) for k, axis in enumerate("xyz") for sign in ("+", "-")},
+}
+
+
+def gravity_of(direction: str) -> tuple[float, float, float] | None:
+    """The acceleration of gravity in a direction of DIRECTIONS, m/s^2."""
+    found = DIRECTIONS[direction]
+    if found is None:
+        return None
+    x, y, z = (GRAVITY if found[0] == "+" else -GRAVITY) * np.eye(3)[found[1]]
+    return float(x), float(y), float(z)
+
+
+def push_on(session: Session, load: Load) -> Session:
+    """The session after its load has slowly become another one, with the snaps on the way.
+
+    Raises:
+        InputError: a load that the robot cannot bear: tubes of unknown weight, or beside one another.
+        SolveError: the branch was lost; the robot stays as it was.
+    """
+    here = session.equilibrium
+    if (here.load or Load()) == load:
+        return session
+    path = push(here, load)
+    there = path.equilibria[-1]
+    return moved_to(session, bare(there) if load == Load() else there, path.snaps)
+
+
+def bare(equilibrium: Equilibrium) -> Equilibrium:
+    """An equilibrium under no force as one without load."""
+    guess = replace(equilibrium, load=None)
+    return forward_kinematics(equilibrium.robot, equilibrium.rotations, equilibrium.translations, guess=guess)
+
+
+def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
+    """Where the robot goes when the load is taken off; None where it snaps on the way."""
+    if equilibrium.load is None:
+        return equilibrium
+    path = push(equilibrium, Load())
+    return None if path.snaps else bare(path.equilibria[-1])
+
+
+def newtons_per_metre(equilibrium: Equilibrium) -> float:
+    """Force on the tip that an arrow of one metre stands for."""
+    softest = float(np.linalg.norm(equilibrium.compliance[:3, :3], 2))
+    return 1 / (ARROW * softest)
+
+
+def head_of(equilibrium: Equilibrium, scale: float) -> np.ndarray:
+    """(3,) where the head of the arrow is, m."""
+    force = np.zeros(3) if equilibrium.load is None else np.array(equilibrium.load.force)
+    return np.asarray(equilibrium.tip_position + force / scale)
+
+
+@dataclass(frozen=True)
+class Bearing:
+    """What a load does: deflection of the tip, m; and the least factor on it that ends the branch, None where it bears
+    UP_TO times as much."""
+
+    deflection: float
+    limit: LoadLimit | None
+
+
+def bearing_of(equilibrium: Equilibrium) -> Bearing | None:
+    """What the load of an equilibrium does; None where it is not that into which an unloaded one grows.
+
+    Raises:
+        SolveError: the branch is lost without a fold or bifurcation close by.
+    """
+    load, rest = equilibrium.load, without_load(equilibrium)
+    if load is None or rest is None:
+        return None
+    joints = equilibrium.rotations, equilibrium.translations
+    limit = find_load_limit(equilibrium.robot, *joints, load, equilibrium=rest, up_to=UP_TO)
+    return Bearing(float(np.linalg.norm(equilibrium.tip_position - rest.tip_position)), limit)
+
+
+def bearing_words(equilibrium: Equilibrium) -> str:
+    """The same in a sentence; empty without load."""
+    load = equilibrium.load
+    if load is None:
+        return ""
+    force = float(np.linalg.norm(load.force)) * TO_MILLI
+    weight = " and weight" if load.gravity is not None else ""
+    what = f"{force:.2f} mN{weight}"
+    try:
+        found = bearing_of(equilibrium)
+    except SolveError as error:
+        return f"{what}: {error}"
+    if found is None:
+        return f"{what}: taken off, the robot snaps"
+    bears = f"bears more than {UP_TO:g} times as much"
+    if found.limit is not None:
+        end = "snaps" if found.limit.kind == "fold" else "buckles"
+        bears = f"{end} at {found.limit.factor:.4f} times as much"
+    return f"{what}: tip moved by {found.deflection * TO_MM:.4f} mm, {bears}"
