@@ -42,6 +42,10 @@ TICK = 0.1
 OVERSHOOT = 8.0
 """Reading above the limit, K, at which the firmware stops."""
 
+STUCK_RISE, STUCK_MS = 3.0, 300
+"""A reading that did not move for so long, ms, while the schedule rose by so much, K, is of a thermometer that lost touch:
+longer than a conversion takes, and more than the steps of a converter."""
+
 CHARGES = (1.0, 0.8, 0.6)
 """States of charge for which the sketch holds a schedule; the sensor's law sees to what lies between."""
 
@@ -144,7 +148,8 @@ def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, table
         "HIGHEST_READING": _float(sensor.highest),
         "START_BELOW": "80.0f",
         "STUCK_WITHIN": _float(max(0.5 * sensor.quantum, 0.02)),
-        "STUCK_HEATING_MS": "3000ul",
+        "STUCK_RISE": _float(max(STUCK_RISE, 8 * sensor.quantum)),
+        "STUCK_MS": f"{STUCK_MS}ul",
         "STUCK_HOLDING_MS": "20000ul",
         "MOST_AMPERE": _float(rig.circuit.peak_limit),
         "LEAST_AMPERE": _float(0.3 * full),

@@ -47,6 +47,7 @@ float reading = 0, volt = 0, ampere = 0, leaking = 0;
 bool electrics = false;
 float stuck_at = 0;
 uint32_t stuck_since = 0;
+float missed_rise = 0; // K that the schedule rose since the reading moved.
 uint8_t bad_readings = 0, bad_currents = 0;
 
 // --- reports ------------------------------------------------------------------------------------------------------------
@@ -129,6 +130,7 @@ void start(bool without_current) {
   place = 0, total = 0, owed = 0, waited = 0, ticks = 0, bad_readings = 0, bad_currents = 0;
   started = stuck_since = next_tick = hardware_milliseconds();
   stuck_at = reading;
+  missed_rise = 0;
   reason = NOT_STOPPED;
   state = HEATING;
 }
@@ -156,6 +158,18 @@ void decide() {
   hardware_switch(dry ? 0 : count);
 }
 
+// Whether the reading stays where it is although the tube must move it. In the ramp it must rise, also while the schedule
+// waits; in the hold nothing is seen of a thermometer that lost touch but that its reading flickers no more.
+bool stuck(float seen, uint32_t now) {
+  if (fabsf(seen - stuck_at) > STUCK_WITHIN || count == 0 || dry) {
+    stuck_at = seen;
+    stuck_since = now;
+    missed_rise = 0;
+  } else missed_rise += (reference_at(place + 1) - reference_at(place)) * TICK_MS / SLOT_MS;
+  const uint32_t span = now - stuck_since;
+  return span > STUCK_HOLDING_MS || (span > STUCK_MS && missed_rise > STUCK_RISE);
+}
+
 // --- what must never be -------------------------------------------------------------------------------------------------
 
 Stop danger() {
@@ -168,15 +182,9 @@ Stop danger() {
   const uint32_t now = hardware_milliseconds();
   if (!bad_readings) {
     reading = seen;
-    if (fabsf(seen - stuck_at) > STUCK_WITHIN || count == 0 || dry) {
-      stuck_at = seen;
-      stuck_since = now;
-    }
     if (reading > TOO_HOT) return OVER_TEMPERATURE;
+    if (stuck(seen, now)) return THERMOMETER_STUCK;
   }
-  // A thermometer that lost touch follows the tube no more: in the ramp it must rise, in the hold it must at least
-  // flicker.
-  if (now - stuck_since > (state == HEATING ? STUCK_HEATING_MS : STUCK_HOLDING_MS)) return THERMOMETER_STUCK;
   electrics = hardware_electrics(&volt, &ampere, &leaking);
   if (electrics && !dry) {
     Stop wrong = NOT_STOPPED;
