@@ -114,8 +114,8 @@ def test_every_fault_switches_off_within_half_a_second(heater: Path, fault: str,
 
 @needs_a_compiler
 def test_a_thermometer_that_lost_touch_cannot_hide_in_the_hold(heater: Path) -> None:
-    # In the hold a reading that stays is what is wanted; only its flicker is missed, and the schedule goes on meanwhile.
-    low, high = plan().spec.window_degC
+    # In the hold a reading that stays is what is wanted; only its flicker is missed, while the schedule goes on.
+    low, _ = plan().spec.window_degC
     rig = SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple())
     begins = led().law.slot * led().law.hold[0]
     found = run(heater, rig, Fault("stuck", begins + 1.03))

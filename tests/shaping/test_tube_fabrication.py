@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from tubeopt.shaping.mold.holes import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
+from tubeopt.show.plots.fabrication_sheet import before, safety, sheet_numbers, time_line
 
 from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
@@ -49,6 +51,28 @@ def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
     # With the leads of the rig's file the tube would be another one.
     given = integrate(thermal_model(TUBE, rig, FINE), SHORT.slot, plan.duty[:-1] / 255)
     assert given.tube.max() - 273.15 > high + 50
+
+
+def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
+    plan = thesis_plan()
+    model = thermal_model(TUBE, thesis_rig(), FINE)
+    history = integrate(model, plan.spec.slot, plan.duty[:-1] / 255, rtol=1e-5)
+    middle = history.tube[:, 0, -1] - 273.15
+    told = [re.match(r"([\d.]+) s: .*?([\d.]+) °C", line) for line in time_line(plan)]
+    seen = [(float(found[1]), float(found[2])) for found in told if found]
+    assert len(seen) == 5
+    for time, value in seen:
+        assert value == pytest.approx(np.interp(time, plan.time, middle), abs=1.5)
+    current = dict(sheet_numbers(made_of(plan)))["current while on / rms of 10 s (A)"]
+    assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
+    words = " ".join(before(made_of(plan)) + safety(plan))
+    assert f"{plan.rig.battery.voltage:.2f} V" in words
+    assert "Polarity: battery plus, fuse, proximal clamp" in words
+
+
+def made_of(plan: HeatingPlan) -> TubeFabrication:
+    """The plan with a mold of its tube."""
+    return TubeFabrication(TUBE, plan_mold([TUBE]), plan.rig, plan, 1, "")
 
 
 def test_the_mold_takes_what_the_heating_knows() -> None:

@@ -85,7 +85,9 @@ class FabricationReport(Report[Fabrication]):
         return Group(grid(columns, cells, title=title), *remarks((*notes, *self.answer.left_out)))
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, and for every tube N mold/, heating/ and rig.yaml in tube_N/."""
+        """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
+        from .plots.fabrication_sheet import plot_fabrication_sheet
+
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]
         for part in self.answer.parts:
@@ -94,6 +96,9 @@ class FabricationReport(Report[Fabrication]):
             paths.append(place / "rig.yaml")
             rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
+            title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
+            plot_fabrication_sheet(part.made, place / "sheet.pdf", title=title)
+            paths.append(place / "sheet.pdf")
         return paths
 
     def pictures(self) -> dict[str, Drawing]:

@@ -43,8 +43,8 @@ OVERSHOOT = 8.0
 """Reading above the limit, K, at which the firmware stops."""
 
 STUCK_RISE, STUCK_MS = 3.0, 300
-"""A reading that did not move for so long, ms, while the schedule rose by so much, K, is of a thermometer that lost touch:
-longer than a conversion takes, and more than the steps of a converter."""
+"""A reading that did not move for so long, ms, while the schedule rose by so much, K, is of a thermometer that lost
+touch: longer than a conversion takes, and more than the steps of a converter."""
 
 CHARGES = (1.0, 0.8, 0.6)
 """States of charge for which the sketch holds a schedule; the sensor's law sees to what lies between."""

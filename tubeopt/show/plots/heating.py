@@ -34,9 +34,9 @@ def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = ""
     grid = figure.add_gridspec(4, 2, width_ratios=(1.35, 1.0), height_ratios=(1.7, 1.7, 1.0, 0.55))
     over_time = figure.add_subplot(grid[0, 0])
     close, duty, battery = (figure.add_subplot(grid[k, 0], sharex=over_time) for k in (1, 2, 3))
-    _draw_temperature(over_time, plan, band)
+    draw_temperature(over_time, plan, band)
     _draw_close(close, plan)
-    _draw_duty(duty, plan)
+    draw_duty(duty, plan)
     _draw_battery(battery, plan)
     for axes in (over_time, close, duty):
         axes.tick_params(labelbottom=False)
@@ -59,7 +59,8 @@ def _window(axes: Axes, plan: HeatingPlan, *, label: bool = True) -> None:
     axes.axhline(plan.spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit" if label else None)
 
 
-def _draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None) -> None:
+def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) -> None:
+    """Curved part and clamps over time, with the window."""
     _window(axes, plan)
     if band is not None:
         lower, upper = band.quantiles()
@@ -90,7 +91,8 @@ def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
     axes.legend(loc="lower center", fontsize=7, ncols=2)
 
 
-def _draw_duty(axes: Axes, plan: HeatingPlan) -> None:
+def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
+    """Counts over time, and the ideal ones."""
     axes.step(plan.time, plan.duty, where="post", color=TUBE, lw=0.8, label="counts")
     axes.plot(plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, color=IDEAL, lw=0.9, label="ideal")
     axes.set_ylabel("duty (of 255)")
