@@ -16,6 +16,10 @@ class InputError(ValueError):
     """The input names something impossible; the message says which field, its value, and what is allowed."""
 
 
+class MissingExtraError(InputError):
+    """A package that an extra brings is not installed; the message has the line that installs it."""
+
+
 class SolveError(RuntimeError):
     """No acceptable solution was found; the message names what was violated.
 
@@ -106,10 +110,10 @@ def extra(module: str, brought_by: str, what: str) -> Any:
         what: is said to need it, in the plural: "STL files".
 
     Raises:
-        InputError: it is not installed; with the line that installs it.
+        MissingExtraError: it is not installed; with the line that installs it.
     """
     try:
         return importlib.import_module(module)
     except ImportError:
         needs = f"{what} need {module}: python -m pip install 'tubeopt[{brought_by}]'"
-        raise InputError(needs) from None
+        raise MissingExtraError(needs) from None

@@ -66,6 +66,25 @@ def test_as_a_module() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        (("ik", THESIS, "--position-mm", "1,2,3"), "there is no option --position-mm; those in mm are --target-mm, "),
+        (("fk", THESIS, "--rotation-rad", "0,1,2"), "there is no option --rotation-rad; did you mean --rotations-deg"),
+        (("fk", THESIS, "--rotations", "0,1,2"), "there is no option --rotations; did you mean --rotations-deg"),
+        (("fk", THESIS, "--nonsense", "1"), "there is no option --nonsense; see tubeopt fk --help"),
+        (("fk", THESIS, "--rotations-deg", "0", "57", "1e2"), "57 1e2 stands alone; several numbers of an option have"),
+        (("fk", THESIS, "other.yaml"), "Got unexpected extra argument"),
+    ],
+)
+def test_a_flag_that_is_not_known_is_told_with_those_that_may_be_meant(
+    run: Run, typed: tuple[str, ...], message: str
+) -> None:
+    outcome = run(*typed)
+    assert outcome.code == 2
+    assert message in outcome.err
+
+
 # --- fk ---------------------------------------------------------------------------------------------------------------
 
 

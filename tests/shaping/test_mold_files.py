@@ -231,3 +231,17 @@ def test_a_missing_library_is_named(
         InputError, match=rf"{hint} files need {library}: python -m pip install 'tubeopt\[fabrication\]'"
     ):
         write(mold, tmp_path / "x")
+
+
+def test_what_needs_a_missing_library_is_left_out_with_a_warning(
+    mold: Mold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    paths = write_mold(mold, tmp_path)
+    assert all(path.is_file() for path in paths)
+    assert {path.suffix for path in paths} == {".svg", ".nc"}
+    assert {record.getMessage() for record in caplog.records} == {
+        f"left out: {kind} files need {library}: python -m pip install 'tubeopt[fabrication]'"
+        for kind, library in (("DXF", "ezdxf"), ("STL", "trimesh"))
+    }

@@ -201,6 +201,22 @@ def test_without_a_compiler_the_general_solver_answers(monkeypatch: pytest.Monke
             assert building._build("int nothing;") is None
 
 
+@compiler
+def test_a_compiler_that_does_not_know_the_processor_is_told_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    own = tmp_path / "old-cc"
+    own.write_text('#!/bin/sh\ncase " $* " in *" -march=native "*) exit 1;; esac\nexec cc "$@"\n')
+    own.chmod(0o755)
+    monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
+    monkeypatch.setenv("CC", str(own))
+    building._tell_once.cache_clear()
+    for text in ("int one(void) { return 1; }", "int two(void) { return 2; }"):
+        assert building._build(text) is not None
+    (record,) = caplog.records
+    assert record.getMessage().startswith(f"{own} cannot compile the kernel with -march=native: ")
+
+
 def test_a_file_that_is_no_library_is_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "kernel.so"
     broken.write_bytes(b"")

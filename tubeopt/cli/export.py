@@ -34,5 +34,4 @@ def export(
     can_be_saved(output.out)
     can_be_saved(c)
     library = c_library(load_robot(robot), name=Path(robot).stem, prefix=prefix)
-    save_c_library(library, c)
-    present(report(library), output)
+    present(report(library), output, written=save_c_library(library, c))

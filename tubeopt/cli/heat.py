@@ -26,7 +26,7 @@ LOG = (
     HeatingStudy,
     arguments={"rig": ("RIG.yaml", "Rig file.")},
     defaults={"charges_percent": DEFAULT_CHARGES, "samples": "64"},
-    example="tubeopt heat configs/rigs/thesis_calcium_silicate.yaml --out results",
+    example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --out results",
 )
 def plan(study: HeatingStudy, output: Output) -> None:
     """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
@@ -67,7 +67,7 @@ def run(study: HeatingRunStudy, output: Output) -> None:
     log = "nothing was saved" if output.out is None else f"{output.out / LOG_FILE} holds what was reported so far"
     with keeping(f"the rig is told to stop; {log}"):
         found = with_live_page(study, output.out, shown=not output.quiet)
-    present(report(found), output)
+    present(report(found), output, written=() if found.log is None else (found.log,))
 
 
 @asks(

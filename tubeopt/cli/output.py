@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,13 +75,13 @@ def _saved_as(output: Output) -> Iterator[None]:
         WIDTH.reset(width_token)
 
 
-def present(answer: Report[Any], output: Output) -> None:
-    """Save an answer where that is wanted, print it, and end as it says.
+def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()) -> None:
+    """Save an answer where that is wanted, print it, and end as it says; files `written` before are named with its own.
 
     With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
     What cannot be saved is printed all the same.
     """
-    files: list[Path] = []
+    files: list[Path] = [*written]
     pictures: list[Path] = []
     ending: Exception | None = None
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 from collections.abc import Iterator
@@ -12,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, MissingExtraError
+
+LOGGER = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -36,6 +39,15 @@ def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def left_out_where_missing() -> Iterator[None]:
+    """A block that writes one of several files; a warning where what it needs is not installed, and no file."""
+    try:
+        yield
+    except MissingExtraError as error:
+        LOGGER.warning(f"left out: {error}")
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:

@@ -388,7 +388,8 @@ def _not_found(
             partial = built.trajectory(task, first, end, rates, statistics)
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {way.why}" if way.why else ""
-    tried = f"{way.motions} motions were tried in {clock.seconds:.1f} s"
+    count = "1 motion was" if way.motions == 1 else f"{way.motions} motions were"
+    tried = f"{count} tried in {clock.seconds:.1f} s"
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 

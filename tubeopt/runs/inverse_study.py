@@ -116,8 +116,10 @@ class InverseStudy(LoadedStudy):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.target_mm is None) == (self.targets is None):
-            raise ValueError("one of target_mm and targets must be given, not both")
+        if self.target_mm is None and self.targets is None:
+            raise ValueError("target_mm and targets are missing; one of them must be given")
+        if self.target_mm is not None and self.targets is not None:
+            raise ValueError("target_mm and targets are given; it must be one of them")
         if self.targets is not None and (self.direction is not None or self.all):
             raise ValueError("direction and all are for a single target, not for a table of targets")
         if self.follow and self.targets is None:

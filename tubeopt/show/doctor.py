@@ -89,7 +89,7 @@ DOCTOR: tuple[Quantity[Doctor], ...] = (
             ", ".join(f"{k}={v}" for k, v in a.threads.items()) or "as the libraries choose, one for small problems"
         ),
     ),
-    Quantity("cache", "cache", lambda a: str(a.cache), words="{cache}, {cache_bytes} bytes"),
+    Quantity("cache", "cache", lambda a: str(a.cache), words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB"),
     Quantity("cache_bytes", "size of the cache, bytes"),
     Quantity(
         "missing",
@@ -147,7 +147,7 @@ def _kernel() -> str:
         return "switched off by TUBEOPT_COMPILE=0"
     found = library(2, False)
     if found is None:
-        return "none: the package brings none, and no C compiler was found"
+        return "none: the package brings none, and no C compiler made one"
     return f"of the package, {found.path.name}" if found.path.parent == FOLDER else "compiled on this machine"
 
 

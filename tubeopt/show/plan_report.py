@@ -157,7 +157,7 @@ def largest_by_history(t: Trajectory) -> Array | None:
 
 def _found(t: Trajectory) -> str:
     s = t.statistics
-    return f"{HOW[s.how]}, {s.motions} motions, {s.search_seconds:.1f} s"
+    return f"{HOW[s.how]}, {s.motions} motion{'' if s.motions == 1 else 's'}, {s.search_seconds:.1f} s"
 
 
 class TrajectoryReport(Report[Trajectory]):

@@ -257,7 +257,9 @@ def _way_out(point: Array, direction: Array, low: Array, high: Array) -> float:
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
     remarks = ["the natural twist and torsion are as given: trials of planar bends say nothing about their spring-back"]
     if not spec.springback.calibrated:
-        remarks.append("the spring-back is not calibrated: tubes will come out straighter; set one, then calibrate")
+        remarks.append(
+            "the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"
+        )
     if turned:
         remarks.append(
             "cut with a ball-nose end mill; A turns the tool about the work: reverse its sign where A names the turn "

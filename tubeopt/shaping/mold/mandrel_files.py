@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ...errors import InputError, SolveError
-from ...files.files import atomic_write, write_text
+from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
 from .channel import channel
@@ -37,12 +37,16 @@ FINE = 1e-4
 def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path]:
     """Write mandrel.stl, and of a turned one mandrel.csv and mandrel.nc; return the paths.
 
+    The solid is left out with a warning where manifold3d or trimesh is not installed.
+
     Raises:
-        InputError: a file cannot be written, or manifold3d or trimesh is not installed.
+        InputError: a file cannot be written.
         SolveError: what was written lies more than 10 um from the curve when it is read back.
     """
     out = Path(directory)
-    paths = [_write_stl(mandrel, out / "mandrel.stl")]
+    paths = []
+    with left_out_where_missing():
+        paths.append(_write_stl(mandrel, out / "mandrel.stl"))
     if isinstance(mandrel.body, Cylinder):
         text = mandrel_gcode(mandrel)
         for path, content, rows in (

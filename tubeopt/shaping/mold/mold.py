@@ -369,7 +369,7 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
     back = spec.springback
     if not back.calibrated:
         remarks.append(
-            "the spring-back is not calibrated: tubes will come out straighter; set one, then `mold calibrate`"
+            "the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"
         )
     if back.curvature_range is not None:
         low, high = back.curvature_range

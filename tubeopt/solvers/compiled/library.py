@@ -199,9 +199,14 @@ def _build(text: str) -> Path | None:
         for tuned in ([OWN_PROCESSOR], []):
             try:
                 compile_to(text, path, tuned)
-                return path
             except (OSError, subprocess.SubprocessError):
                 continue
+            if not tuned:
+                _tell_once(
+                    f"{own[0]} cannot compile the kernel with {OWN_PROCESSOR}: it is compiled for any processor of "
+                    "this kind; answers are the same, some 2 times slower; a newer compiler, named by CC, mends that"
+                )
+            return path
     return None
 
 
@@ -338,12 +343,9 @@ def _method(general: bool) -> Any:
     return method
 
 
-@lru_cache(maxsize=1)
-def _tell_once() -> None:
-    logging.getLogger("tubeopt").warning(
-        "there is no compiled kernel and no C compiler to make one: answers are the same, some 20 times slower; "
-        "install a C compiler (apt install gcc; xcode-select --install) or a wheel that brings the kernel"
-    )
+@lru_cache(maxsize=8)
+def _tell_once(words: str) -> None:
+    logging.getLogger("tubeopt").warning(words)
 
 
 def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
@@ -352,7 +354,12 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
         return None
     path = packaged_kernel(kind, processor_features()) or _build(text())
     if path is None:
-        _tell_once()
+        own = compiler()
+        lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
+        _tell_once(
+            f"there is no compiled kernel and {lacks}: answers are the same, some 20 times slower; "
+            "install a C compiler (apt install gcc; xcode-select --install) or a wheel that brings the kernel"
+        )
     return path
 
 
