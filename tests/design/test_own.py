@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from tests.design.tasks import equal_pair, snap_free_thesis, tightest, two_tubes
-from tubeopt import DesignTask, InputError, forward_kinematics, optimize_design, snap_free_certificate
+from tubeopt import (
+    ConcentricRobot,
+    DesignTask,
+    InputError,
+    Load,
+    forward_kinematics,
+    optimize_design,
+    snap_free_certificate,
+)
 from tubeopt.block.quantities import Expression, recorded
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
@@ -24,9 +32,11 @@ from tubeopt.design import (
     Quantities,
     Reach,
     SnapFree,
+    SnapFreeInUse,
     Target,
     Wall,
 )
+from tubeopt.design.aims import aim
 from tubeopt.design.lookup import at_state
 from tubeopt.design.program import compile_task, state_at
 from tubeopt.design.verify_own import check_own, numbers_of
@@ -87,6 +97,7 @@ def everything(q: Quantities) -> Any:
         for part in (
             pose.rotations, pose.translations, pose.tip_position, pose.tip_direction, pose.margin,
             pose.position(0.37), pose.position(0.93), pose.curvature(0.37), pose.curvature(0.93),
+            pose.deflection((0.03, 0.02, -0.01)),
         )
     ]  # fmt: skip
     return ca.vertcat(*q.tubes.values(), *poses, q.certificate(), q.certificate([-0.01] * q.n_tubes))
@@ -276,3 +287,58 @@ class Nameless(OwnObjective):
 def test_own_objective_says_what_it_is() -> None:
     with pytest.raises(InputError, match="words of Nameless is ''"):
         replace(posed_task(), objective=Nameless())
+
+
+def farthest(robot: ConcentricRobot, poses: Poses, force: tuple[float, float, float]) -> float:
+    """How far a force moves the tip at most, m."""
+    moved = []
+    for joints in zip(poses.rotations, poses.translations, strict=True):
+        tips = [forward_kinematics(robot, *joints, load=load).tip_position for load in (None, Load(force))]
+        moved.append(float(np.linalg.norm(tips[1] - tips[0])))
+    return max(moved)
+
+
+def test_a_design_that_a_payload_moves_least() -> None:
+    poses, force = Poses(((0.0, 2.0), (0.5, -1.0)), ((-0.01, -0.005), (-0.03, -0.02))), (0.02, 0.0, -0.01)
+    free = (Free("curvature", (0, 1), 1.0, 20.0), Free("curved_length", (1,), 0.05, 0.079))
+    task = DesignTask(two_tubes(), free, (poses, SnapFreeInUse(0.3, paths=False)), aim_under(force))
+    found = optimize_design(task, turns=0)
+    least = farthest(found.robot, poses, force)
+    assert found.objectives["tip_deflection"] == pytest.approx(least, rel=1e-5)
+    assert least < 0.8 * farthest(task.robot, poses, force)
+    # What binds are bounds: at each of them the price is how the objective changes with what is bounded.
+    price = next(one for one in found.sensitivities if one.limit.words == "upper bound of the curvature of tube 2")
+    sides = []
+    for step in (0.05, -0.05):
+        tubes = list(found.robot.tubes)
+        tubes[1] = replace(tubes[1], curvature=tubes[1].curvature + step)
+        sides.append(farthest(replace(found.robot, tubes=tuple(tubes)), poses, force))
+    assert price.derivative == pytest.approx((sides[0] - sides[1]) / 0.1, rel=1e-2)
+    with pytest.raises(InputError, match="objective tip_deflection needs task poses"):
+        DesignTask(two_tubes(), free, (SnapFree(0.1),), aim_under(force))
+
+
+def aim_under(force: tuple[float, float, float]) -> Objective:
+    return Objective("tip_deflection", tip_force=force)
+
+
+def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> None:
+    robot, force = two_tubes(), np.array([1e-3, -2e-3, 5e-4])
+    e = forward_kinematics(robot, [0.0, 2.0], [-0.01, -0.005])
+    expression = aim(Objective("tip_stiffness", tip_force=tuple(force)), 2, (0,), (), None)
+    assert expression is not None
+    found = expression(numbers_of(robot, [e]))[0]
+    assert found == pytest.approx(force @ force / (force @ e.compliance[:3, :3] @ force), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kind": "tip_stiffness"}, "tip_force belongs to the objectives tip_deflection and tip_stiffness"),
+        ({"kind": "length", "tip_force": (0.1, 0, 0)}, "tip_force belongs to the objectives"),
+        ({"kind": "tip_deflection", "tip_force": (0, 0, 0)}, "tip_force of the objective is 0; it must push"),
+    ],
+)
+def test_a_tip_force_belongs_to_what_is_told_under_it(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Objective(**given)

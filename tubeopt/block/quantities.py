@@ -39,6 +39,7 @@ SIZES = {
     "curvature": 2,
     "strain": 1,
     "clearance": CLEARANCES,
+    "deflection": 3,
     "certificate": 1,
 }
 """Numbers that a quantity has; the others have one per tube."""
@@ -47,7 +48,7 @@ SIZES = {
 @dataclass(frozen=True)
 class Quantity:
     """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length,
-    the translations (n,) of a certificate, the tube of a strain, or the body of a clearance."""
+    the translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection."""
 
     name: str
     pose: int | None = None
@@ -132,6 +133,10 @@ class PoseQuantities:
         `body` has `signed_distance` and `gradient` of points, as those of `tubeopt.bodies` have.
         """
         return self._of("clearance", body)
+
+    def deflection(self, force: Any) -> Any:
+        """(3,) m, how far a force (3,), N, which keeps its direction, moves the tip. For designs only."""
+        return self._of("deflection", *vector("force", force, 3, "x, y, z").tolist())
 
 
 def _fraction(value: float) -> float:

@@ -51,6 +51,13 @@ def _(one: Objective, n: int, poses: Poses, certified: Points, depth_pose: int |
                 return ca.vertcat(*(q.certificate(row) for row in certified))
             case "margin":
                 return ca.vertcat(*(q.poses[k].margin for k in poses))
+            case "tip_deflection":
+                return ca.vertcat(*(ca.norm_2(q.poses[k].deflection(one.tip_force)) for k in poses))
+            case "tip_stiffness":
+                force = ca.DM(one.tip_force)
+                return ca.vertcat(
+                    *(ca.sumsqr(force) / ca.dot(force, q.poses[k].deflection(one.tip_force)) for k in poses)
+                )
             case "length":
                 return q.tubes["straight_length"] + q.tubes["curved_length"]
             case "reach_radius":

@@ -146,8 +146,9 @@ class _Collocated:
         match one.name:
             case "strain":
                 return ca.mmax(block.strain(one.at[0]))
-            case "clearance":
-                raise InputError("method 'collocation' does not take the clearance from a body; method 'reduced' does")
+            case "clearance" | "deflection":
+                what = "clearance from a body" if one.name == "clearance" else "deflection under a force"
+                raise InputError(f"method 'collocation' does not take the {what}; method 'reduced' does")
             case "tip_direction":
                 return block.tip_rotation[:, 2]
             case "margin":
@@ -209,7 +210,7 @@ class _Collocated:
         else:
             worst = self.opti.variable()
             self.opti.set_initial(worst, objective_value(self.program, self.state, one)[0])
-        self._at_least(one.sign * (worst - numbers), BOUNDED.get(key_of(one), 1.0))
+        self._at_least(one.sign * (worst - numbers), BOUNDED.get(key_of(one), (0.0, 0.0, 1.0))[2])
         return worst
 
     def solved(self) -> tuple[Array, str]:

@@ -31,6 +31,8 @@ def at_state(state: State) -> Linear:
             return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
         if one.name == "strain":
             return _row(pose_strain(state, one.pose, one.at[0]))
+        if one.name == "deflection":
+            return state.deflection(one.pose, one.at)
         if one.name == "clearance":
             return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ..block.own import OwnObjective
-from ..errors import InputError, choice, finite, positive
+from ..errors import InputError, choice, finite, positive, vector
 from ..files.marks import POSITIVE, OneOf, unit
 from .checks import row
 
@@ -17,9 +17,14 @@ KINDS = {
     "strain": ("largest strain", "%", 1e2, 1),
     "length": ("length of the robot", "mm", 1e3, 1),
     "margin": ("least margin", "", 1.0, -1),
+    "tip_deflection": ("tip deflection", "mm", 1e3, 1),
+    "tip_stiffness": ("tip stiffness", "N/m", 1.0, -1),
     "change": ("change of the robot", "", 1.0, 1),
 }
 """Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
+
+PUSHED = ("tip_deflection", "tip_stiffness")
+"""What is told under a force on the tip."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,8 @@ class Objective:
         "strain": largest strain of any tube held straight.
         "length": overall length of the longest tube.
         "margin": the least certificate where a certificate is required, else the least margin of the task poses.
+        "tip_deflection": how far `tip_force` moves the tip, the farthest of all task poses; "tip_stiffness": its size
+            over how far it moves the tip along itself, the least of all task poses.
         "change": sum of squares of the changes from the start, each relative to its size.
     weight: where there are several objectives, what they are multiplied by before they are added, in SI.
     """
@@ -43,6 +50,9 @@ class Objective:
     translations: Annotated[
         tuple[float, ...] | None, unit("mm"), "for tip_curvature and turning_radius; home if not given"
     ] = None
+    tip_force: Annotated[
+        tuple[float, float, float] | None, unit("mN"), "for tip_deflection and tip_stiffness, in axes of the plate"
+    ] = None
 
     def __post_init__(self) -> None:
         choice("objective", self.kind, KINDS)
@@ -51,6 +61,13 @@ class Objective:
             raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
         if self.depth is not None:
             finite("depth of the objective", self.depth)
+        if (self.kind in PUSHED) != (self.tip_force is not None):
+            raise InputError(f"tip_force belongs to the objectives {' and '.join(PUSHED)}, which need it, and no other")
+        if self.tip_force is not None:
+            force = vector("tip_force of the objective", self.tip_force, 3, "x, y, z")
+            if not force.any():
+                raise InputError("tip_force of the objective is 0; it must push")
+            object.__setattr__(self, "tip_force", tuple(force.tolist()))
         if self.translations is not None:
             object.__setattr__(self, "translations", row("translations of the objective", self.translations))
 

@@ -35,12 +35,17 @@ class Pose:
         self.margin = solved.margin
         self.arc_length = arms.arc_lengths(solved.problem.mesh)
 
+    @property
+    def solution(self) -> Solution:
+        """As forward kinematics has it."""
+        result = NewtonResult(self.solved.state, True, 0, 0.0)
+        return Solution(self.problem, self.solved.rotations, result, self.margin)
+
     @cached_property
     def derivatives(self) -> Derivatives:
         """Derivatives at fixed arc lengths."""
-        solved, assembly = self.solved, self.problem.assembly
-        result = NewtonResult(solved.state, True, 0, 0.0)
-        arm = arm_of(Solution(self.problem, solved.rotations, result, self.margin))
+        assembly = self.problem.assembly
+        arm = arm_of(self.solution)
         carriages = tuple((i,) for i in range(assembly.n_tubes))
         return Derivatives(arm, assembly, carriages, wrt=PARAMETERS, margin=self.margin)
 

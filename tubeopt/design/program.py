@@ -35,8 +35,13 @@ POSED = ("margin in use", "certified margin")
 MOST_SLACK = 1e4
 """Steps by which a limit may move at most."""
 
-BOUNDED = {"strain": 1e-2, "margin": 0.1}
-"""Objectives whose worst number is bounded by an unknown of its own, and their sizes."""
+BOUNDED = {
+    "strain": (0.0, 1.0, 1e-2),
+    "margin": (-100.0, 1.0, 0.1),
+    "tip_deflection": (0.0, 1.0, 1e-3),
+    "tip_stiffness": (0.0, 1e6, 1.0),
+}
+"""Objectives whose worst number is bounded by an unknown of its own: its bounds and its size."""
 
 DEPTH_TOLERANCE = 1e-6
 """How exactly (m) the pose of the objective reach_radius keeps its depth."""
@@ -163,7 +168,8 @@ def _recorded(
                 stated.append(statements(one, n, posed, certified))
     aims = {}
     for wanted in task.objectives:
-        found = aim(wanted, n, passed if isinstance(wanted, Objective) else posed, certified, depth_pose)
+        on_the_way = isinstance(wanted, Objective) and wanted.tip_force is None
+        found = aim(wanted, n, passed if on_the_way else posed, certified, depth_pose)
         if found is not None:
             aims[wanted] = found
     return tuple(stated), aims
@@ -201,9 +207,8 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
         lower += [low for low, _ in limits] + [-longest for longest in high_tubes]
         upper += [high for _, high in limits] + [0.0] * n
         scale += [1.0] * n + [max(0.2 * longest, 1e-3) for longest in low_tubes]
-    bounds = {"strain": (0.0, 1.0, 1e-2), "margin": (-100.0, 1.0, 0.1)}
     for name in layout.auxiliary:
-        low, high, size = bounds[name]
+        low, high, size = BOUNDED[name]
         lower.append(low)
         upper.append(high)
         scale.append(size)
@@ -267,7 +272,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
             parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
             changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
         if one.kind in program.layout.auxiliary:
-            column, size = program.layout.column(one.kind), BOUNDED[one.kind]
+            column, size = program.layout.column(one.kind), BOUNDED[one.kind][2]
             values, change = program.aims[one].linear(look)
             change = -one.sign * change
             change[:, column] += one.sign

@@ -11,7 +11,19 @@ import scipy
 from ..errors import SolveError
 from ..solvers.smooth import Optimum, Values, minimise
 from ..typing import Array
-from .program import Program, evaluate, fixed_rows, groups, nowhere, objective_size, stack, state_at, total_objective
+from .objectives import KINDS
+from .program import (
+    BOUNDED,
+    Program,
+    evaluate,
+    fixed_rows,
+    groups,
+    nowhere,
+    objective_size,
+    stack,
+    state_at,
+    total_objective,
+)
 from .rows import HELD, Rows
 from .state import State
 
@@ -142,10 +154,10 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
 def _settle_auxiliary(program: Program, x: Array) -> Array:
     """x with the auxiliary unknowns where the rows behind them are kept, and not more."""
     x = x.copy()
-    names = [name for name in program.layout.auxiliary if name in ("strain", "margin")]
+    names = [name for name in program.layout.auxiliary if name in BOUNDED]
     for name in names:
         column = program.layout.column(name)
-        x[column] = program.upper[column] if name == "strain" else program.lower[column]
+        x[column] = program.upper[column] if KINDS[name][3] > 0 else program.lower[column]
     found = evaluate(program, x) if names else None
     if found is None:
         return x
@@ -155,7 +167,7 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
         mine = slopes[:, column] != 0
         room = values[mine] / np.abs(slopes[mine, column])
         step = float(room.min()) - 1e-3 * program.scale[column]
-        x[column] += -step if name == "strain" else step
+        x[column] -= KINDS[name][3] * step
     return np.clip(x, program.lower, program.upper)
 
 

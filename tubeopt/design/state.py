@@ -10,8 +10,10 @@ import numpy as np
 from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
+from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..typing import Array
+from .deflection import tip_deflection
 from .parameters import DesignSpace
 from .piece_pose import PiecePose
 from .pieces import change_of, given_of
@@ -104,6 +106,7 @@ class State:
         self.x = x
         self._guesses = {} if guesses is None else guesses
         self._poses: dict[int, Pose | PiecePose] = {}
+        self._deflected: dict[tuple[int, tuple[float, float, float]], tuple[Array, Array]] = {}
         self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
 
     @cached_property
@@ -190,6 +193,15 @@ class State:
     def chain(self, index: int) -> Array:
         """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
         return np.concatenate([*self.joint_slopes(index), self._reshaped])
+
+    def deflection(self, index: int, force: tuple[float, float, float]) -> tuple[Array, Array]:
+        """(3,) m, how far a force, N, moves the tip of a pose, and its change (3, X)."""
+        key = index, force
+        if key not in self._deflected:
+            pose, shift = self.shaped(index, "deflection"), self.joint_values(index)[1]
+            robot = ConcentricRobot(self.tubes)
+            self._deflected[key] = tip_deflection(pose, robot, shift, force, self.chain(index))
+        return self._deflected[key]
 
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""

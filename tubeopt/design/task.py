@@ -14,7 +14,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import must_follow_section
 from ..typing import Array
 from .checks import items
-from .objectives import KINDS, AnyObjective, Objective, key_of
+from .objectives import KINDS, PUSHED, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
 from .pieces import PIECE_FIELDS
@@ -181,6 +181,8 @@ def _check_pieces(task: DesignTask) -> None:
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
             raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")
+        if isinstance(wanted, Objective) and wanted.kind in PUSHED:
+            raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
 
 
 def _check_objectives(task: DesignTask) -> None:
@@ -196,5 +198,7 @@ def _check_objectives(task: DesignTask) -> None:
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
+        if one.kind in PUSHED and not task.has_poses:
+            raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):
         raise InputError("an objective is given twice; each must be given once")

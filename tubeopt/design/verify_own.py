@@ -8,9 +8,11 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import CLEARANCES, Look, Quantity, recorded
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
+from ..robots.load import Load
 from ..stability import snap_free_certificate
 from ..typing import Array
 from .requirements import Strain
@@ -37,6 +39,10 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                 return largest_strain(anywhere, robot, (found,))[list(one.at)]
             case "clearance":
                 return np.full(CLEARANCES, least_room(one.at[0], robot, found))
+            case "deflection":
+                force = Load(one.at)
+                pushed = forward_kinematics(robot, found.rotations, found.translations, load=force, guess=found)
+                return pushed.tip_position - found.tip_position
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":

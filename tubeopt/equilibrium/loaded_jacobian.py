@@ -1,17 +1,17 @@
-"""Derivatives of an equilibrium under load by its joint values, by the implicit function theorem.
+"""Derivatives of an equilibrium under load by joint values and dimensions, by the implicit function theorem.
 
 The change dx of the unknowns solves H dx = -dg, H the exact second variation and dg the change of the equations by a
-joint at fixed unknowns. What follows from the unknowns is differentiated along (joint, x) together. Both are central
-differences of functions that have no error of their own to magnify, since nothing is solved for in them.
+joint or dimension at fixed unknowns. What follows from the unknowns is differentiated along it and x together. Both are
+central differences of functions that have no error of their own to magnify, since nothing is solved for in them.
 
-Where a translation changes the order of the breakpoints the unknowns change in number. There the derivative to one side
-is that of the parabola through three equilibria.
+Where a translation or a length changes the order of the breakpoints the unknowns change in number. There the derivative
+to one side is that of the parabola through three equilibria.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -19,17 +19,20 @@ import scipy
 from ..block.transcription.loaded import LoadedProblem, evaluate, tip_frame, tip_position
 from ..block.transcription.loaded_arm import loaded_arm
 from ..errors import InputError, SolveError
+from ..robots.breakpoints import DIMENSIONS
+from ..robots.robot import Robot, is_general
 from ..typing import Array
+from .arm_change import PARAMETERS
 from .load_problem import loaded_problem
 from .loaded import loaded_kinematics, loaded_point
 from .result import Equilibrium
 from .solving import discretisation_of
 
-TURN, SHIFT = 1e-5, 1e-5
-"""Steps of the differences: rad, and as a share of the arm's length."""
+STEP = 1e-5
+"""Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
 
-ONE_SIDED = 1e-4
-"""Step to one side, as a share of the arm's length."""
+ONE_SIDED = 10 * STEP
+"""The same to one side."""
 
 APART = 1e-7
 """Eigenvalues closer than this have no derivative."""
@@ -51,12 +54,15 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
     (Q,); the margin is NaN for loads without one.
 
     Raises:
-        InputError: a name other than "rotations" or "translations"; a side that is not 1 or -1.
+        InputError: a name that is not among PARAMETERS, or a dimension of tubes made of pieces; a side that is not 1
+            or -1.
         SolveError: a fold, where derivatives are infinite.
     """
     for name in wrt:
-        if name not in ("rotations", "translations"):
-            raise InputError(f"wrt has {name!r}; under load it must be of 'rotations' and 'translations'")
+        if name not in PARAMETERS:
+            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+        if name in DIMENSIONS and is_general(equilibrium.robot):
+            raise InputError(f"wrt names {name!r}; under load, of tubes made of pieces, it may name joint values only")
     if side not in (1, -1):
         raise InputError(f"side is {side!r}; it must be 1 or -1")
     point = loaded_point(equilibrium)
@@ -68,10 +74,10 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
     for name in wrt:
         for i in range(len(equilibrium.rotations)):
             sides = _sides(equilibrium, name, i)
-            if any(there.size != problem.size for there, _ in sides):
-                columns.append(_to_one_side(equilibrium, i, side))
+            if len(sides) < 2 or any(there.size != problem.size for there, _ in sides):
+                columns.append(_to_one_side(equilibrium, name, i, side))
                 continue
-            step = TURN if name == "rotations" else SHIFT * problem.torsion.assembly.total_length
+            step = STEP * _unit(equilibrium, name, i)
             slopes = [evaluate(there, alpha, state.x).gradient for there, alpha in sides]
             change = np.linalg.solve(state.hessian, (slopes[1] - slopes[0]) / (2 * step))
             ahead, back = (
@@ -82,17 +88,44 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
     return tuple(np.stack(part, axis=-1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
 
 
+def _unit(e: Equilibrium, name: str, tube: int) -> float:
+    """By what a step is measured: it turns the tip by about as much, in rad."""
+    length = float(e.arc_length[-1])
+    match name:
+        case "rotations":
+            return 1.0
+        case "curvature":
+            return 1 / length
+        case "translations" | "straight_length" | "curved_length":
+            return length
+        case _:
+            return float(getattr(e.robot.tubes[tube], name))
+
+
+def _moved(e: Equilibrium, name: str, tube: int, step: float) -> tuple[Robot, Array, tuple[float, ...]]:
+    """Robot, rotations and translations with one joint or dimension a step further; raises InputError where there is
+    no such robot."""
+    joints = {"rotations": e.rotations.copy(), "translations": e.translations.copy()}
+    robot = e.robot
+    if name in joints:
+        joints[name][tube] += step
+    else:
+        tubes = list(robot.tubes)
+        tubes[tube] = replace(tubes[tube], **{name: getattr(tubes[tube], name) + step})
+        robot = replace(robot, tubes=tuple(tubes))  # type: ignore[arg-type]
+    return robot, joints["rotations"], tuple(joints["translations"].tolist())
+
+
 def _sides(e: Equilibrium, name: str, tube: int) -> list[tuple[LoadedProblem, Array]]:
-    """Problems and rotations with a joint a step further, and a step back."""
+    """Problems and rotations a step further, and a step back; without those of which there is no robot."""
     assert e.load is not None
-    d, out = discretisation_of(e), []
+    d, step, out = discretisation_of(e), STEP * _unit(e, name, tube), []
     for sign in (1, -1):
-        alpha, shift = e.rotations.copy(), e.translations.copy()
-        if name == "rotations":
-            alpha[tube] += sign * TURN
-        else:
-            shift[tube] += sign * SHIFT * e.arc_length[-1]
-        out.append((loaded_problem(e.robot, tuple(shift.tolist()), e.load, d), alpha))
+        try:
+            robot, alpha, shift = _moved(e, name, tube, sign * step)
+            out.append((loaded_problem(robot, shift, e.load, d), alpha))
+        except InputError:
+            continue
     return out
 
 
@@ -128,16 +161,14 @@ def _axis(turn: Array) -> Array:
     return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
 
-def _to_one_side(e: Equilibrium, tube: int, side: int) -> tuple[Array, Array, Array, float, float]:
-    """Derivative by a translation towards the tip (1) or the plate (-1)."""
+def _to_one_side(e: Equilibrium, name: str, tube: int, side: int) -> tuple[Array, Array, Array, float, float]:
+    """Derivative by what moves breakpoints towards the tip (1) or the plate (-1)."""
     assert e.load is not None
-    step = side * ONE_SIDED * float(e.arc_length[-1])
+    step = side * ONE_SIDED * _unit(e, name, tube)
     places = [e]
     for k in (1, 2):
-        shift = e.translations.copy()
-        shift[tube] += k * step
-        joints = e.rotations, tuple(shift.tolist())
-        places.append(loaded_kinematics(e.robot, places[-1], joints, e.load, 1e-8, 0.0))
+        robot, alpha, shift = _moved(e, name, tube, k * step)
+        places.append(loaded_kinematics(robot, places[-1], (alpha, shift), e.load, 1e-8, 0.0))
 
     def slope(values: list[Array]) -> Array:
         return np.asarray((4 * values[1] - 3 * values[0] - values[2]) / (2 * step))

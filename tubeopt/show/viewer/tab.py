@@ -21,15 +21,16 @@ from ...robots.load import Load
 from ...runs.obstacle_file import load_obstacles
 from ...workspaces import workspace
 from . import export
-from .arrow import ForceArrow, handle_size
+from .arrow import ForceArrow
 from .beside import Beside, session_beside
 from .designs import Knob, with_knob
 from .insights import Insights
+from .mark import Mark
 from .panel import Panel
 from .playback import Playback, load_waypoints, make_playback, play_to
 from .plots import torsion_plot
 from .pushing import push_on
-from .scene import SCALE, Scene, animate, ghost_parts, obstacle_parts, swept_part
+from .scene import Scene, animate, ghost_parts, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
 from .swept import swept_volume
@@ -61,7 +62,6 @@ class Tab(Wishes):
         self._time = 0.0
         self._playing: float | None = None
         self._trail = True
-        self._target: Any = None
         self._obstacles = view.obstacles
         self._beside: Beside | None = None
         self._pulling = self._pushing = False
@@ -69,6 +69,10 @@ class Tab(Wishes):
         self._past: deque[Session] = deque(maxlen=UNDONE)
         self._mark: int | str | None = None
         self.panel = Panel(client.gui, self, view)
+        self._say = self.panel.say
+        self._target = Mark(
+            self.scene, "target", lambda place, done: self.lead(place, self.panel.least_margin, done=done)
+        )
         self._arrow = ForceArrow(self.scene, self.panel.push, view, self.push)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
         self._worker = Worker(
@@ -180,6 +184,8 @@ class Tab(Wishes):
         def go() -> None:
             try:
                 job()
+            except (InputError, SolveError) as error:
+                self._say(str(error), bad=True)
             finally:
                 # What waited did not show the change that left it to be shown.
                 if self._stale and not self._worker.waiting:
@@ -251,27 +257,20 @@ class Tab(Wishes):
             self.scene.show(equilibrium)
             if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
                 self._say(words, bad=True)
-            if self._target is not None and not self._pulling:
-                self._target.position = tuple(equilibrium.tip_position * SCALE)
+            if not self._pulling:
+                self._target.follow(equilibrium.tip_position)
             self._arrow.show(equilibrium, held=self._pushing)
             self.scene.show_trail(self.session, self._trail)
             self.panel.show(self.session, self._insights.certificate, torsion_plot(equilibrium))
             self._insights.plot()
         self.panel.sync(self.session, dragged)
 
-    def _say(self, text: str, *, bad: bool = False) -> None:
-        self.panel.say(text, bad=bad)
-
     def _toggle_ghosts(self) -> None:
         if self.scene.has("ghosts"):
             self.scene.clear("ghosts")
             self._say("")
             return
-        try:
-            others = other_equilibria(self.session)
-        except (InputError, SolveError) as error:
-            self._say(str(error), bad=True)
-            return
+        others = other_equilibria(self.session)
         self.scene.layer("ghosts", ghost_parts(others))
         self._say(others_words(others))
 
@@ -282,7 +281,7 @@ class Tab(Wishes):
         elif layer == "map":
             self._insights.want_map(on)
         elif layer == "target":
-            self._mark_target(on)
+            self._target.put(self.session.equilibrium.tip_position, self.session.robot, on)
         elif layer == "force":
             self._arrow.mark(self.session.equilibrium, on)
         elif layer == "beside":
@@ -311,27 +310,9 @@ class Tab(Wishes):
             self._say("there is no trajectory whose swept volume could be shown", bad=True)
             return
         self._say("joining shapes …")
-        try:
-            swept = swept_volume(self._playback)
-        except InputError as error:
-            self._say(str(error), bad=True)
-            return
+        swept = swept_volume(self._playback)
         self.scene.layer("swept", [swept_part(swept.surface)])
         self._say(f"the arm sweeps {swept.volume * 1e6:.2f} cm3 (hulls between {swept.shapes} shapes; snaps left out)")
-
-    def _mark_target(self, on: bool) -> None:
-        if self._target is not None:
-            self._target.remove()
-            self._target = None
-        if not on:
-            return
-        here = self.session.equilibrium
-        self._target = self.scene.handle(
-            "target",
-            here.tip_position,
-            handle_size(here.robot),
-            lambda target, done: self.lead(target, self.panel.least_margin, done=done),
-        )
 
     def _load(self, what: str, name: str, content: bytes) -> None:
         takers = {"trajectory": self._take_trajectory, "obstacles": self._take_obstacles, "beside": self._take_beside}
