@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from ...errors import InputError
 from .common import unpacked, using
@@ -50,21 +53,45 @@ def _with_common(token: str, fn: Callable[..., Any], args: tuple[Any, ...], kwar
 
 
 class ClusterExecutor(Executor):
-    """Tasks of one run on a cluster.   workers: threads that the cluster has at the start."""
+    """Tasks of one run on a cluster.   workers: threads that the cluster has at the start.
+
+    Answers are fetched once tasks have ended. Dask's own executor looks at the state of a task after it has fetched the
+    answer, and takes an answer for an error where the worker that held it died in between.
+    """
 
     def __init__(self, client: Any, token: str) -> None:
-        self._tasks = client.get_executor(pure=False)
-        self._token = token
+        self._client, self._token = client, token
+        self._tasks: WeakKeyDictionary[Future[Any], Any] = WeakKeyDictionary()
         self.workers = sum(client.nthreads().values())
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """A future of the call; Dask computes it again where a worker dies."""
-        future: Future[Any] = self._tasks.submit(_with_common, self._token, fn, args, kwargs)
+        future: Future[Any] = Future()
+        task = self._client.submit(_with_common, self._token, fn, args, kwargs, pure=False)
+        self._tasks[future] = task
+        task.add_done_callback(partial(_tell, future))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Give up what is not done yet."""
-        self._tasks.shutdown(wait=wait and not cancel_futures)
+        """Give up what is not done yet, or wait for it."""
+        left = {future: task for future, task in list(self._tasks.items()) if not future.done()}
+        if cancel_futures or not wait:
+            self._client.cancel(list(left.values()))
+        else:
+            wait_for(left)
+
+
+def _tell(future: Future[Any], task: Any) -> None:
+    """Tell a future how its task on the cluster has ended."""
+    try:
+        answer = task.result()
+    except CancelledError:
+        future.cancel()
+        future.set_running_or_notify_cancel()
+    except BaseException as error:
+        future.set_exception(error)
+    else:
+        future.set_result(answer)
 
 
 @contextmanager
