@@ -10,8 +10,9 @@ import pytest
 
 from tests.design.tasks import equal_pair, snap_free_thesis, two_tubes
 from tubeopt import DesignSolution, DesignTask, InputError, optimize_design
+from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import (
-    Corridor,
+    Avoid,
     Free,
     Length,
     Nesting,
@@ -88,9 +89,9 @@ def test_free_poses_lengths_and_own_parts() -> None:
 
 
 def test_what_no_block_expresses_is_refused() -> None:
-    corridor = Corridor(((0.0, 0.0, -0.01), (0.0, 0.0, 0.2)), 0.1)
+    corridor = Avoid((Corridor(((0.0, 0.0, -0.01), (0.0, 0.0, 0.2)), 0.1),))
     task = DesignTask(two_tubes(), (Free("curvature", (0, 1), 2.0, 40.0),), (POSE, corridor))
-    for other, words in ((corridor, "Corridor"), (Strain((0.02,)), "Strain in poses")):
+    for other, words in ((corridor, "Avoid"), (Strain((0.02,)), "Strain in poses")):
         with pytest.raises(InputError, match=f"method 'collocation' does not take the requirement {words}"):
             optimize_design(replace(task, requirements=(POSE, other)), method="collocation")
     with pytest.raises(InputError, match=r"method is 'colocation'.*did you mean 'collocation'"):

@@ -11,8 +11,9 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import ConcentricRobot, DesignTask, InputError, Piece, Tube, optimize_design, snap_free_certificate
 from tubeopt.block.quantities import Quantity
+from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import (
-    Corridor,
+    Avoid,
     Free,
     Objective,
     Poses,
@@ -166,7 +167,7 @@ def test_free_pieces_that_make_no_sense(given: dict[str, Any], words: str) -> No
 def test_an_expression_along_the_arm_is_refused() -> None:
     task = DesignTask(THESIS, [PATTERN], [Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))], Objective("change"))
     state = State(Layout(task.space, (FixedPose((0.0,) * 3, (0.0,) * 3),), (), ()), task.space.start)
-    for name, at in (("strain", (0,)), ("clearance", (Corridor(((0, 0, 0), (0, 0, 0.2)), 0.05),))):
+    for name, at in (("strain", (0,)), ("clearance", (Avoid((Corridor(((0, 0, 0), (0, 0, 0.2)), 0.05),)),))):
         with pytest.raises(InputError, match=f"speaks of the {name} in a pose"):
             at_state(state)(Quantity(name, 0, at))
 

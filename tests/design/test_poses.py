@@ -10,10 +10,10 @@ import pytest
 
 from tests.design.tasks import THESIS, two_tubes
 from tubeopt import ConcentricRobot, DesignTask, JointLimits, Tube, follow, forward_kinematics, optimize_design
+from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
     Avoid,
-    Corridor,
     Coverage,
     Free,
     Objective,
@@ -59,7 +59,7 @@ def corner_task(targets: int = 3) -> DesignTask:
         ),
         (
             Reach(tuple(Target(point) for point in points)),
-            Corridor(corridor(), 12 * MM),
+            Avoid((Corridor(corridor(), 12 * MM),)),
             SnapFreeInUse(0.1),
             Strain((0.025,)),
         ),

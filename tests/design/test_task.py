@@ -9,8 +9,8 @@ import pytest
 from tests.design.tasks import THESIS, two_tubes
 from tests.examples import eccentric_robot
 from tubeopt import DesignTask, InputError, optimize_design
+from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import (
-    Corridor,
     Coverage,
     Free,
     Length,

@@ -34,6 +34,10 @@ BODIES: list[tuple[dict[str, Any], Obstacle]] = [
         {"kind": "corridor", "centreline_mm": [[0, 0, 0], [0, 0, 9]], "radius_mm": 2},
         Corridor(((0, 0, 0), (0, 0, 9e-3)), 2e-3),
     ),
+    (
+        {"kind": "corridor", "centreline_mm": [[0, 0, 0], [0, 0, 9]], "radius_mm": [2, 3]},
+        Corridor(((0, 0, 0), (0, 0, 9e-3)), (2e-3, 3e-3)),
+    ),
 ]  # fmt: skip
 
 

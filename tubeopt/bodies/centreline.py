@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive, vector
 from ..typing import Array, Index, Mask
+from .corridors import Corridor
 from .distance_field import DistanceField
 
 MOST = 400_000
@@ -35,6 +36,22 @@ class Centreline(Displayed):
     def arc_length(self) -> Array:
         """(K,) m."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+
+    @property
+    def corridor(self) -> Corridor:
+        """The corridor around it that lies within the way all along.
+
+        Between two points, h apart, the distance from the wall is not less than either end's less how far that is; a
+        radius that goes linearly from one to the other exceeds this by (h^2 - change^2) / 2h at most, which is taken
+        off.
+
+        Raises:
+            InputError: the way is no wider than that.
+        """
+        h = np.maximum(np.linalg.norm(np.diff(self.points, axis=0), axis=1), 1e-12)
+        excess = np.maximum(h**2 - np.diff(self.radius) ** 2, 0.0) / (2 * h)
+        radii = self.radius - np.maximum(np.append(excess, 0.0), np.insert(excess, 0, 0.0))
+        return Corridor(tuple(map(tuple, self.points.tolist())), tuple(radii.tolist()))
 
 
 def centreline(field: DistanceField, start: ArrayLike, end: ArrayLike, *, spacing: float = 1e-3) -> Centreline:

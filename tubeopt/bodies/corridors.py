@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from os import PathLike
 from typing import Annotated, Any
 
@@ -18,6 +19,7 @@ from ..files.units import MM
 from ..typing import Array
 from .frames import ras
 from .obstacles import Capsule, Point3, as_points, greater, triple
+from .round_cones import RoundCone
 from .scene import Scene
 from .triangles import Triangles
 
@@ -32,14 +34,17 @@ AROUND = 0.25
 class Corridor:
     """Everything but the points within `radius` of a polyline: a vessel, in which the arm must stay.
 
-    It is closed at both ends by half balls: let the centreline begin behind the plate and go on beyond the target.
+    With a radius for every point it goes linearly between them: the vessel is the union of such balls. It is closed at
+    both ends by half balls: let the centreline begin behind the plate and go on beyond the target. Inside, the distance
+    is the depth in the ball in which a point lies deepest, which is not above that from the wall.
 
     Raises:
-        InputError: fewer than two points, numbers that are not finite, a radius that is not greater than 0.
+        InputError: fewer than two points, numbers that are not finite, a radius that is not greater than 0, several
+            radii that are not as many as the points.
     """
 
     centreline: Annotated[tuple[Point3, ...], unit("mm"), "at least two points"]
-    radius: Annotated[float, unit("mm"), POSITIVE]
+    radius: Annotated[float | tuple[float, ...], unit("mm"), POSITIVE, "one, or one for every point"]
 
     def __post_init__(self) -> None:
         try:
@@ -52,12 +57,17 @@ class Corridor:
         if len(points) < 2:
             raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
         object.__setattr__(self, "centreline", points)
-        object.__setattr__(self, "radius", positive("radius of the corridor", self.radius))
+        object.__setattr__(self, "radius", _radius(self.radius, len(points)))
+
+    @property
+    def radii(self) -> Array:
+        """(k,) radius at every point of the centreline, m."""
+        return np.broadcast_to(np.array(self.radius), len(self.centreline))
 
     @cached_property
-    def _parts(self) -> tuple[Capsule, ...]:
-        ends = zip(self.centreline[:-1], self.centreline[1:], strict=True)
-        return tuple(Capsule(a, b, self.radius) for a, b in ends)
+    def _parts(self) -> tuple[Capsule | RoundCone, ...]:
+        ends = zip(pairwise(self.centreline), pairwise(self.radii.tolist()), strict=True)
+        return tuple(Capsule(a, b, p) if p == q else RoundCone(a, b, p, q) for (a, b), (p, q) in ends)
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance from the wall, m; positive inside the vessel."""
@@ -76,11 +86,21 @@ class Corridor:
         return -self._inside.nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors towards the centreline."""
+        """(..., 3) unit vectors along which the distance from the wall grows."""
         array = as_points(points)
         nearest = np.argmin([part.signed_distance(array) for part in self._parts], axis=0)
         towards = np.array([-part.gradient(array) for part in self._parts])
         return np.asarray(np.take_along_axis(towards, nearest[None, ..., None], axis=0)[0])
+
+
+def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
+    """One radius of a corridor, or as many as its centreline has points."""
+    if not isinstance(radius, list | tuple | np.ndarray):
+        return positive("radius of the corridor", radius)
+    radii = tuple(positive(f"radius {k + 1} of the corridor", each) for k, each in enumerate(radius))
+    if len(radii) != count:
+        raise InputError(f"corridor has {len(radii)} radii for {count} points; it must have 1 or {count}")
+    return radii
 
 
 @dataclass(frozen=True)

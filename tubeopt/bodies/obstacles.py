@@ -46,12 +46,12 @@ class Obstacle(Protocol):
     def __hash__(self) -> int: ...
 
 
-def _root(square: Any) -> Any:
+def root(square: Any) -> Any:
     return (square + SMOOTH**2) ** 0.5
 
 
 def greater(a: Any, b: Any) -> Any:
-    return (a + b + _root((a - b) ** 2)) / 2
+    return (a + b + root((a - b) ** 2)) / 2
 
 
 def unit_vectors(vectors: Array, otherwise: Array) -> Array:
@@ -90,7 +90,7 @@ class Sphere:
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
         a, b, c = self.centre
-        return _root((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) - self.radius
+        return root((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) - self.radius
 
     ROUND = True
     """Whether the ball that covers the body is the body."""
@@ -151,12 +151,12 @@ class Capsule:
         (u, v, w), square = self._axis()
         a, b, c = x - self.start[0], y - self.start[1], z - self.start[2]
         if square == 0:
-            return _root(a**2 + b**2 + c**2) - self.radius
+            return root(a**2 + b**2 + c**2) - self.radius
         # The fraction along the axis, held between 0 and 1; in metres while it is rounded off.
         length = square**0.5
         along = greater((a * u + b * v + c * w) / length, 0.0)
         t = -greater(-along, -length) / length
-        return _root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
+        return root((a - t * u) ** 2 + (b - t * v) ** 2 + (c - t * w) ** 2) - self.radius
 
     SOLID = True
 
@@ -259,12 +259,12 @@ class Box:
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
         beyond = [
-            _root((value - (a + b) / 2) ** 2) - (b - a) / 2
+            root((value - (a + b) / 2) ** 2) - (b - a) / 2
             for value, a, b in zip((x, y, z), self.low, self.high, strict=True)
         ]
         outside = [greater(each, 0.0) for each in beyond]
         inside = greater(greater(beyond[0], beyond[1]), beyond[2])
-        return _root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
+        return root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
 
     SOLID = True
 

@@ -18,6 +18,7 @@ from ..typing import Array
 from .frames import Frame
 from .images import LabelImage
 from .obstacles import as_points
+from .round_cones import RoundCone, depth
 
 LUMEN, TARGET = 1, 2
 """Labels of the images."""
@@ -42,17 +43,8 @@ class Phantom:
         """(...) how deep points (..., 3), m, lie within the ball of the union in which they lie deepest, m; negative
         outside, where it is the distance from it."""
         array = as_points(points) * 1e3
-        best = np.full(array.shape[:-1], -np.inf)
-        for start, end, wide, narrow in self.stretches if stretches is None else stretches:
-            a, axis = np.array(start), np.subtract(end, start)
-            length = float(np.linalg.norm(axis))
-            along = (array - a) @ axis / length
-            off = np.sqrt(np.maximum(((array - a) ** 2).sum(-1) - along**2, 0.0))
-            # The centre of the ball in which a point lies deepest: ahead of its foot where radii grow.
-            slope = (narrow - wide) / length
-            t = np.clip((along + off * slope / np.sqrt(1 - slope**2)) / length, 0.0, 1.0)
-            best = np.maximum(best, wide + (narrow - wide) * t - np.hypot(off, along - t * length))
-        return best * 1e-3
+        cones = [RoundCone(*stretch) for stretch in (self.stretches if stretches is None else stretches)]
+        return depth(cones, array) * 1e-3
 
     def image(self, voxel: float = 5e-4, frame: Frame | None = None) -> LabelImage:
         """Labels of voxels of one size, m: LUMEN, and TARGET within it; the image lies along the axes of the plate, or

@@ -9,7 +9,6 @@ from .pareto import FrontPoint, ParetoFront, pareto_front
 from .relaxation import Change, InfeasibleDesignError, Relaxation
 from .requirements import (
     Avoid,
-    Corridor,
     Coverage,
     Length,
     Nesting,
@@ -33,7 +32,6 @@ __all__ = [
     "Candidate",
     "Change",
     "Check",
-    "Corridor",
     "Coverage",
     "DesignSolution",
     "DesignTask",

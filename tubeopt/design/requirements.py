@@ -208,44 +208,6 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Corridor:
-    """At every task pose the whole arm, with its thickness, lies in a tube around a polyline.
-
-    Distance is to the nearest point of the polyline, so that its ends are round. Nothing is said of the ways between
-    poses: `plan_trajectory` finds and proves such.
-    """
-
-    centreline: Annotated[tuple[tuple[float, float, float], ...], unit("mm"), "at least two points"]
-    radius: Annotated[float, unit("mm"), POSITIVE]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centreline", table("centreline of the corridor", self.centreline, 3))
-        if len(self.centreline) < 2:
-            raise InputError("centreline of the corridor has 1 point; it must have at least 2")
-        positive("radius of the corridor", self.radius)
-
-    def signed_distance(self, points: Array) -> Array:
-        """(m,) how far points (m, 3) lie inside, m, < 0 outside."""
-        return self.radius - self._nearest(points)[0]
-
-    def gradient(self, points: Array) -> Array:
-        """(m, 3) of `signed_distance`, 0 on the centreline."""
-        distance, gap = self._nearest(points)
-        return -gap / np.maximum(distance, 1e-12)[:, None]
-
-    def _nearest(self, points: Array) -> tuple[Array, Array]:
-        """Distance (m,) from the centreline, and the way (m, 3) from its nearest point."""
-        line = np.array(self.centreline)
-        a, way = line[:-1], np.diff(line, axis=0)
-        long = np.maximum((way**2).sum(1), 1e-300)
-        t = np.clip(((points[:, None] - a) * way).sum(2) / long, 0.0, 1.0)
-        gap = points[:, None] - (a + t[:, :, None] * way)
-        distance = np.linalg.norm(gap, axis=2)
-        rows, nearest = np.arange(len(points)), distance.argmin(1)
-        return distance[rows, nearest], gap[rows, nearest]
-
-
-@dataclass(frozen=True)
 class Avoid:
     """At every task pose the whole arm, with its thickness, is at least `clearance` (m) away from every obstacle.
 
@@ -287,7 +249,6 @@ Requirement = (
     | Reach
     | Coverage
     | Poses
-    | Corridor
     | Avoid
     | OwnRequirement
 )

@@ -15,7 +15,6 @@ from .lookup import at_state
 from .order import Place, order_gaps
 from .requirements import (
     Avoid,
-    Corridor,
     Coverage,
     Length,
     Nesting,
@@ -93,8 +92,6 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
         case Coverage():
             return replace(requirement, tolerance=requirement.tolerance + amount)
-        case Corridor():
-            return replace(requirement, radius=requirement.radius + amount)
         case Avoid():
             return replace(requirement, clearance=requirement.clearance - amount)
         case OwnRequirement():

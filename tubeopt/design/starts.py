@@ -13,7 +13,7 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .pose import Pose
 from .program import Program, built_in, corners
-from .requirements import Avoid, Corridor, Coverage, Reach
+from .requirements import Avoid, Coverage, Reach
 from .solved import solve_pose
 from .state import FreePose
 
@@ -131,7 +131,6 @@ def _outside(program: Program, poses: list[Pose]) -> Array:
     out = np.zeros(len(poses))
     for one in program.task.requirements:
         for k, pose in enumerate(poses):
-            if isinstance(one, Corridor | Avoid):
-                wanted = one.clearance if isinstance(one, Avoid) else 0.0
-                out[k] += max(0.0, wanted - float(one.signed_distance(pose.position).min()))
+            if isinstance(one, Avoid):
+                out[k] += max(0.0, one.clearance - float(one.signed_distance(pose.position).min()))
     return out

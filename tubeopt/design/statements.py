@@ -17,7 +17,6 @@ from ..physics.strain import surface_strain
 from .limit import Limit
 from .requirements import (
     Avoid,
-    Corridor,
     Coverage,
     Length,
     Nesting,
@@ -125,20 +124,13 @@ def _(requirement: Strain, n: int, poses: Poses, points: Points) -> Stated:
 
 
 @_stated.register
-def _(requirement: Corridor, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("radius of the corridor", requirement.radius, True, "mm", 1e3, 1e-3)
-    return [(limit, partial(_clear, requirement, 0.0, poses), None)] if poses else []
-
-
-@_stated.register
 def _(requirement: Avoid, n: int, poses: Poses, points: Points) -> Stated:
     limit = Limit("clearance of the obstacles", requirement.clearance, False, "mm", 1e3, 1e-3)
-    return [(limit, partial(_clear, requirement, requirement.clearance, poses), None)] if poses else []
 
+    def room(q: Quantities) -> Any:
+        return ca.vertcat(*(q.poses[k].clearance(requirement) for k in poses)) - requirement.clearance
 
-def _clear(body: Corridor | Avoid, wanted: float, poses: Poses, q: Quantities) -> Any:
-    """The arm is so far away in every pose."""
-    return ca.vertcat(*(q.poses[k].clearance(body) for k in poses)) - wanted
+    return [(limit, room, None)] if poses else []
 
 
 @_stated.register

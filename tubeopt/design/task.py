@@ -20,7 +20,6 @@ from .parameters import DesignSpace, Free, design_space
 from .pieces import PIECE_FIELDS
 from .requirements import (
     Avoid,
-    Corridor,
     Coverage,
     Length,
     Poses,
@@ -154,7 +153,7 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(f"strain has {len(limits)} limits; it must be 1 or {n} (one per tube)")
             case Length(tube=tube) if not 0 <= tube < n:
                 raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
-            case SnapFreeInUse() | Stroke() | Corridor() | Avoid() if not task.has_poses:
+            case SnapFreeInUse() | Stroke() | Avoid() if not task.has_poses:
                 raise InputError(
                     f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
                 )
@@ -162,7 +161,7 @@ def _check_requirements(task: DesignTask) -> None:
                 one.checked()
             case _:
                 pass
-    for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, Corridor):
+    for kind in (SnapFree, SnapFreeInUse, Strain, Stroke):
         if len(of_kind(task.requirements, kind)) > 1:
             raise InputError(f"{kind.__name__} is required twice; it must be given once")
 
@@ -173,7 +172,7 @@ def _check_pieces(task: DesignTask) -> None:
         return
     for one in task.requirements:
         posed = isinstance(one, Strain) and one.in_poses and task.has_poses
-        if isinstance(one, Corridor | Avoid | Coverage) or posed:
+        if isinstance(one, Avoid | Coverage) or posed:
             what = "strain in poses" if posed else type(one).__name__
             raise InputError(f"{what} is required; a design of pieces does not take it")
         if isinstance(one, SnapFree) and (one.box is not None or one.max_force):

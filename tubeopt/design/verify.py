@@ -20,7 +20,6 @@ from .order import pose_places, worst_order
 from .program import Program, corners, state_at
 from .requirements import (
     Avoid,
-    Corridor,
     Coverage,
     Reach,
     SnapFree,
@@ -115,7 +114,7 @@ def verify(
             checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
             if one.paths and len(equilibria) > 1:
                 checks.append(_paths(program, robot, x, one))
-        elif isinstance(one, Corridor | Avoid):
+        elif isinstance(one, Avoid):
             checks.append(_anatomy(one, robot, equilibria))
         elif isinstance(one, OwnRequirement):
             checks.append(Check(*check_own(one, robot, equilibria)))
@@ -164,15 +163,14 @@ def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUs
     return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
 
 
-def _anatomy(one: Corridor | Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
+def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
     room = min((clearance(one, robot, e) for e in equilibria), default=np.inf)
-    name = "corridor" if isinstance(one, Corridor) else "obstacles"
-    return Check(f"room between the arm and the {name} at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
+    return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
 
 
-def clearance(one: Corridor | Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
+def clearance(one: Avoid, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
     """Least room (m) between the surface of the arm at its shape points and the anatomy, beyond what is demanded."""
-    return least_room(one, robot, equilibrium) - (one.clearance if isinstance(one, Avoid) else 0.0)
+    return least_room(one, robot, equilibrium) - one.clearance
 
 
 def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:

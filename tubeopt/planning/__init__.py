@@ -6,6 +6,7 @@ from .motion import RateLimits
 from .options import PlanOptions
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
+from .reach_share import ReachShare, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import follow_tip_path
 from .trajectory import PlanStatistics, Trajectory
@@ -15,10 +16,12 @@ __all__ = [
     "PlanStatistics",
     "Proof",
     "RateLimits",
+    "ReachShare",
     "Roadmap",
     "TipGoal",
     "Trajectory",
     "build_roadmap",
+    "evaluate_reach",
     "follow_the_leader",
     "follow_tip_path",
     "load_roadmap",

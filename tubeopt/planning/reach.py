@@ -63,7 +63,7 @@ def _closest(chart: Chart, start: Array, position: Array) -> float:
         if miss <= NEAR:
             break
         slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
-        rows, bounds = _constraints(chart, z)
+        rows, bounds = chart_constraints(chart, z)
         weights = np.vstack([slope, 1e-3 * np.eye(m)])
         found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
         if found is None:
@@ -72,7 +72,7 @@ def _closest(chart: Chart, start: Array, position: Array) -> float:
     return miss * space.length
 
 
-def _constraints(chart: Chart, z: Array) -> tuple[Array, Array]:
+def chart_constraints(chart: Chart, z: Array) -> tuple[Array, Array]:
     """Rows and bounds of a step in units of the scales: ranges of the translations, order, and not too far."""
     space = chart.space
     n, m = space.robot.n_tubes, len(z)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from ..bodies.corridors import Corridor
 from ..design import (
     Avoid,
-    Corridor,
     Coverage,
     Free,
     Length,
@@ -156,9 +156,9 @@ class PoseEntry(Entry):
 class CorridorEntry(Part):
     """A tube around a polyline in which the whole arm must stay."""
 
-    def build(self) -> Corridor:
+    def build(self) -> Avoid:
         """The requirement in SI."""
-        return Corridor(**values(Corridor, self))
+        return Avoid((Corridor(**values(Corridor, self)),))
 
 
 class AvoidEntry(Part):

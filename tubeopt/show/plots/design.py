@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from ...bodies.corridors import Corridor
 from ...bodies.obstacles import Capsule, Sphere
-from ...design import Avoid, Corridor, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
+from ...design import Avoid, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
 from ...design.pareto import front_label
 from ...design.requirements import of_kind
 from ...design.stock import objective_label
@@ -59,7 +60,8 @@ def plot_poses(solution: DesignSolution) -> Figure:
     ]
     if of_kind(solution.task.requirements, Reach):
         handles += views[0].plot([], [], "o", ms=6, mfc="none", mec=INK, label="target")
-    if of_kind(solution.task.requirements, Corridor):
+    bodies = [body for avoid in of_kind(solution.task.requirements, Avoid) for body in avoid.obstacles]
+    if of_kind(bodies, Corridor):
         handles += views[0].plot([], [], color=CORRIDOR, lw=8, label="corridor")
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
@@ -81,8 +83,6 @@ def _draw_arm(axes: Axes, equilibrium: Equilibrium, i: int, j: int) -> None:
 def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
     from matplotlib.patches import Circle
 
-    for corridor in of_kind(solution.task.requirements, Corridor):
-        _draw_tube(axes, np.array(corridor.centreline)[:, [i, j]] * TO_MM, corridor.radius * TO_MM, CORRIDOR)
     for avoid in of_kind(solution.task.requirements, Avoid):
         for body in avoid.obstacles:
             if isinstance(body, Sphere):
@@ -90,20 +90,23 @@ def _draw_anatomy(axes: Axes, solution: DesignSolution, i: int, j: int) -> None:
                 axes.add_patch(Circle(centre, body.radius * TO_MM, fc=BODY, ec=FAINT, lw=0.7, zorder=1))
             elif isinstance(body, Capsule):
                 line = np.array([body.start, body.end])[:, [i, j]] * TO_MM
-                _draw_tube(axes, line, body.radius * TO_MM, BODY)
+                _draw_tube(axes, line, np.full(2, body.radius * TO_MM), BODY)
+            elif isinstance(body, Corridor):
+                _draw_tube(axes, np.array(body.centreline)[:, [i, j]] * TO_MM, body.radii * TO_MM, CORRIDOR)
 
 
-def _draw_tube(axes: Axes, line: Array, radius: float, colour: str) -> None:
-    """All that is within `radius` of a projected polyline."""
+def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
+    """All that is within radii (k,) of a projected polyline (k, 2)."""
     from matplotlib.patches import Circle, Polygon
 
-    for a, b in pairwise(line):
+    for (a, b), (wide, narrow) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
         way = b - a
         size = float(np.linalg.norm(way))
         if size > 1e-9:
-            across = radius * np.array([-way[1], way[0]]) / size
-            axes.add_patch(Polygon([a + across, b + across, b - across, a - across], fc=colour, ec="none", zorder=0))
-    for centre in line:
+            across = np.array([-way[1], way[0]]) / size
+            corners = [a + wide * across, b + narrow * across, b - narrow * across, a - wide * across]
+            axes.add_patch(Polygon(corners, fc=colour, ec="none", zorder=0))
+    for centre, radius in zip(line, radii.tolist(), strict=True):
         axes.add_patch(Circle((float(centre[0]), float(centre[1])), radius, fc=colour, ec="none", zorder=0))
 
 

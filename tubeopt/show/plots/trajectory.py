@@ -177,11 +177,11 @@ def _arm(arm: Equilibrium, strong: float) -> Mesh:
 def _body(obstacle: object) -> Mesh | None:
     """An obstacle as facets; None for a half-space, which has no bounds."""
     if isinstance(obstacle, Sphere):
-        return _swept(np.array([obstacle.centre, obstacle.centre]), obstacle.radius, OBSTACLE)
+        return _swept(np.array([obstacle.centre, obstacle.centre]), np.full(2, obstacle.radius), OBSTACLE)
     if isinstance(obstacle, Capsule):
-        return _swept(np.array([obstacle.start, obstacle.end]), obstacle.radius, OBSTACLE)
+        return _swept(np.array([obstacle.start, obstacle.end]), np.full(2, obstacle.radius), OBSTACLE)
     if isinstance(obstacle, Corridor):
-        return _swept(np.array(obstacle.centreline), obstacle.radius, VESSEL, capped=False)
+        return _swept(np.array(obstacle.centreline), obstacle.radii, VESSEL, capped=False)
     if isinstance(obstacle, BoxObstacle):
         return _cuboid(np.array(obstacle.low), np.array(obstacle.high))
     if isinstance(obstacle, MeshObstacle):
@@ -195,8 +195,8 @@ def _body(obstacle: object) -> Mesh | None:
     return None
 
 
-def _swept(line: Array, radius: float, colour: Array, *, capped: bool = True) -> Mesh:
-    """The surface at a distance from a polyline, with half balls at its ends if `capped`."""
+def _swept(line: Array, radii: Array, colour: Array, *, capped: bool = True) -> Mesh:
+    """The surface at distances (k,) from the points (k, 3) of a polyline, with half balls at its ends if `capped`."""
     step = np.diff(line, axis=0)
     tangent = np.array([s / max(np.linalg.norm(s), 1e-12) for s in step] or [[0, 0, 1.0]])
     if not step.any():
@@ -206,16 +206,16 @@ def _swept(line: Array, radius: float, colour: Array, *, capped: bool = True) ->
     angle = np.linspace(0, 2 * np.pi, 21)
     ends = [(line[0], tangent[0], -1.0), (line[-1], tangent[-1], 1.0)]
     lifts = np.linspace(0, np.pi / 2, 7)
-    places = [(line[0], tangent[0], radius)]
+    places = [(line[0], tangent[0], radii[0])]
     for k in range(1, len(line) - 1):
         mean = tangent[k - 1] + tangent[k]
-        places.append((line[k], mean / max(float(np.linalg.norm(mean)), 1e-12), radius))
-    places.append((line[-1], tangent[-1], radius))
+        places.append((line[k], mean / max(float(np.linalg.norm(mean)), 1e-12), radii[k]))
+    places.append((line[-1], tangent[-1], radii[-1]))
     if capped:
         first, along, _ = ends[0]
         last, onwards, _ = ends[1]
-        front = [(first - radius * np.sin(x) * along, along, radius * np.cos(x)) for x in lifts[:0:-1]]
-        back = [(last + radius * np.sin(x) * onwards, onwards, radius * np.cos(x)) for x in lifts[1:]]
+        front = [(first - radii[0] * np.sin(x) * along, along, radii[0] * np.cos(x)) for x in lifts[:0:-1]]
+        back = [(last + radii[-1] * np.sin(x) * onwards, onwards, radii[-1] * np.cos(x)) for x in lifts[1:]]
         places = [*front, *places, *back]
     for centre, normal, size in places:
         x = aside - (aside @ normal) * normal

@@ -185,16 +185,16 @@ def obstacle_surface(obstacle: Obstacle, reach: float) -> Surface:
         InputError: a body of unknown kind.
     """
     if isinstance(obstacle, Sphere):
-        return _capsule(np.array(obstacle.centre), np.array(obstacle.centre), obstacle.radius)
+        return _capsule(np.array(obstacle.centre), np.array(obstacle.centre), obstacle.radius, obstacle.radius)
     if isinstance(obstacle, Capsule):
-        return _capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius)
+        return _capsule(np.array(obstacle.start), np.array(obstacle.end), obstacle.radius, obstacle.radius)
     if isinstance(obstacle, Box):
         return _box(np.array(obstacle.low), np.array(obstacle.high))
     if isinstance(obstacle, HalfSpace):
         return _plane(np.array(obstacle.point), np.array(obstacle.normal), reach)
     if isinstance(obstacle, Corridor):
-        ends = zip(obstacle.centreline[:-1], obstacle.centreline[1:], strict=True)
-        return join([_capsule(np.array(start), np.array(end), obstacle.radius) for start, end in ends])
+        line, radii = np.array(obstacle.centreline), obstacle.radii.tolist()
+        return join([_capsule(*each) for each in zip(line[:-1], line[1:], radii[:-1], radii[1:], strict=True)])
     if isinstance(obstacle, MeshObstacle):
         return Surface(np.array(obstacle.vertices), np.array(obstacle.faces, dtype=np.uint32))
     if isinstance(obstacle, DistanceField):
@@ -203,10 +203,10 @@ def obstacle_surface(obstacle: Obstacle, reach: float) -> Surface:
     raise InputError(f"there is no picture of a {type(obstacle).__name__}")
 
 
-def _capsule(start: Array, end: Array, radius: float) -> Surface:
+def _capsule(start: Array, end: Array, radius: float, end_radius: float) -> Surface:
     length = float(np.linalg.norm(end - start))
     angle = np.linspace(0, np.pi / 2, 9)
-    top = np.column_stack([radius * np.sin(angle), length + radius * np.cos(angle)])
+    top = np.column_stack([end_radius * np.sin(angle), length + end_radius * np.cos(angle)])
     bottom = np.column_stack([radius * np.cos(angle), -radius * np.sin(angle)])
     body = _revolved(np.concatenate([top, bottom]))
     axes = _axes((end - start) / length if length else np.array([0.0, 0.0, 1.0]))

@@ -1,0 +1,139 @@
+"""Tubes for a region of a patient: the share of it that is reached by ways without a snap, made large by a simplex
+search from the robot that is there (Nelder and Mead 1965), or by SciPy's differential evolution, in the same time.
+
+The share of few places does not tell neighbours apart; the score that is searched with takes in how far the places that
+are not reached are missed by. What comes of it is judged by other places of the region, over larger roadmaps with other
+random numbers, and by plans with proof to some that are reached.
+
+Usage: python -m benchmarks.reach_design [--solver simplex|evolution|none] [--seconds 60] [--seed 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+import tubeopt
+from tubeopt import ConcentricRobot, InputError, PlanOptions, SolveError
+from tubeopt.bodies.anatomy import field_of_image
+from tubeopt.bodies.distance_field import DistanceField
+from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
+from tubeopt.planning import evaluate_reach, plan_trajectory
+from tubeopt.typing import Array
+
+ROOT = Path(__file__).resolve().parents[1]
+WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
+OPTIONS = PlanOptions(clearance=2e-4, objective="none", time_limit=30)
+RANGE = 0.4, 1.8
+"""By what each tube's curvature may be multiplied."""
+
+BRANCH = slice(4, 5)
+"""Of the stretches of the bronchial tree: the lower lobe on the left."""
+
+INSIDE = 1.5e-3
+"""Distance (m) of places from the wall, at least."""
+
+CLOSE = 0.01
+"""Distance (m) from which on a place that is missed counts nothing."""
+
+PLACES, HELD_OUT, PLANNED = 12, 48, 12
+
+
+class OverError(Exception):
+    """The time is over."""
+
+
+def region(seed: int) -> tuple[DistanceField, Array]:
+    """The way that bars all else, and places (N, 3) of the region, m, in random order."""
+    phantom = bronchial_tree()
+    image = phantom.image(1e-3)
+    free = image.chosen([LUMEN, TARGET])
+    centres = image.frame.placed(np.argwhere(free) * image.spacing)
+    inside = centres[phantom.depth(centres, phantom.stretches[BRANCH]) > INSIDE]
+    return field_of_image(image, lumen=free), np.random.default_rng(seed).permutation(inside)
+
+
+def bent(robot: ConcentricRobot, factors: Array) -> ConcentricRobot:
+    """The robot with its tubes' curvatures multiplied."""
+    tubes = zip(robot.tubes, factors.tolist(), strict=True)
+    return replace(robot, tubes=tuple(replace(tube, curvature=tube.curvature * by) for tube, by in tubes))
+
+
+def loss(robot: ConcentricRobot, body: DistanceField, places: Array, options: PlanOptions) -> tuple[float, float]:
+    """What is searched to be small, and the share that is reached."""
+    try:
+        found = evaluate_reach(robot, WITHDRAWN, places, obstacles=[body], options=options, count=200)
+    except (InputError, SolveError):
+        return 1.0, 0.0
+    beyond = np.maximum(found.miss - found.tolerance, 0.0)
+    return float(np.minimum(beyond / CLOSE, 1.0).mean() + (1 - found.share)) / 2, found.share
+
+
+def searched(robot: ConcentricRobot, body: DistanceField, places: Array, given: argparse.Namespace) -> Array:
+    """The best factors (n,) that the solver finds in its time."""
+    until = time.process_time() + given.seconds
+    best: list[tuple[float, float, Array]] = []
+
+    def value(factors: Array) -> float:
+        if time.process_time() > until:
+            raise OverError
+        found, share = loss(bent(robot, np.clip(factors, *RANGE)), body, places, OPTIONS)
+        best.append((found, share, np.clip(factors, *RANGE)))
+        return found
+
+    begin, n = np.ones(robot.n_tubes), robot.n_tubes
+    try:
+        if given.solver == "simplex":
+            simplex = np.vstack([begin, begin + 0.3 * (np.eye(n) - 1 / n)])
+            options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 0.0}
+            scipy.optimize.minimize(value, begin, method="Nelder-Mead", bounds=[RANGE] * n, options=options)
+        else:
+            scipy.optimize.differential_evolution(
+                value, [RANGE] * n, x0=begin, popsize=5, rng=given.seed, polish=False, maxiter=10_000
+            )
+    except OverError:
+        pass
+    found, share, factors = min(best, key=lambda one: one[0])
+    print(f"{given.solver}: {len(best)} designs, loss {found:.3f}, share of the {PLACES} places {share:.2f}")
+    return factors
+
+
+def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> str:
+    """What the robot reaches of places that were not searched with, and how many plans to some of them are proved."""
+    options = replace(OPTIONS, seed=seed + 100)
+    found = evaluate_reach(robot, WITHDRAWN, places, obstacles=[body], options=options, count=500)
+    some = np.flatnonzero(found.reached)[:PLANNED]
+    proved = 0
+    for k in some:
+        try:
+            goal = found.rotations[k], found.translations[k]
+            proved += plan_trajectory(robot, WITHDRAWN, goal, obstacles=[body], options=options).proved
+        except SolveError as error:
+            print(f"  {error}")
+    return f"{found.share:.2f} of {len(places)} other places reached; {proved} of {len(some)} plans to them proved"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--solver", choices=("simplex", "evolution", "none"), default="simplex")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+    assert isinstance(robot, ConcentricRobot)
+    body, places = region(given.seed)
+    factors = np.ones(robot.n_tubes)
+    if given.solver != "none":
+        factors = searched(robot, body, places[:PLACES], given)
+    robot = bent(robot, factors)
+    print("curvatures (1/m):", ", ".join(f"{tube.curvature:.2f}" for tube in robot.tubes))
+    print(judge(robot, body, places[PLACES : PLACES + HELD_OUT], given.seed), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""What share of places a robot reaches by ways without a snap: how good a design is for a region of a patient.
+
+Ways are those of a roadmap, looked at as the search of a plan looks at them: margin, clearance and ranges at points so
+close that what lies between deviates by less than what is to spare. `plan_trajectory` proves them one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..bodies.obstacles import Obstacle
+from ..display import Displayed
+from ..errors import InputError, SolveError, positive
+from ..inverse.clock import Clock, LateError
+from ..inverse.least_squares import constrained_least_squares
+from ..inverse.task import Task
+from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
+from ..typing import Array, Mask
+from .goals import check_start, start_equilibrium
+from .motion import DEFAULT_RATES
+from .options import DEFAULT_PLAN, PlanOptions
+from .question import asked
+from .reach import DIFFERENCE, chart_constraints
+from .roadmap import Roadmap, build_roadmap
+
+LOOKED_AT, CANDIDATES = 30, 4
+"""Points of the roadmap, those with the nearest tips, that are looked at for each place; those to which ways lead from
+which it is approached."""
+
+ITERATIONS = 15
+"""Most Gauss-Newton steps from each."""
+
+SHORTER = 0.5 ** np.arange(5)
+"""Shares of a step that are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReachShare(Displayed):
+    """What became of N places for the tip.
+
+    Attributes:
+        targets: (N, 3) m.
+        miss: (N,) least distance from them at which an arm ends to which a way was found, m; that of the start where
+            there is none better.
+        tolerance: distance up to which a place counts as reached, m.
+        rotations, translations: (N, n) joint values of these arms, rad and m; NaN where there is none.
+        examined: points at which the robot may be that the roadmap has.
+    """
+
+    targets: Array
+    miss: Array
+    tolerance: float
+    rotations: Array = field(repr=False)
+    translations: Array = field(repr=False)
+    examined: int = 0
+
+    @property
+    def reached(self) -> Mask:
+        """(N,) which of the places are reached."""
+        return np.asarray(self.miss <= self.tolerance)
+
+    @property
+    def share(self) -> float:
+        """Of the places, those that are reached."""
+        return float(self.reached.mean())
+
+
+@small
+def evaluate_reach(
+    robot: Robot,
+    start: Any,
+    targets: ArrayLike,
+    *,
+    tolerance: float = 5e-4,
+    obstacles: Sequence[Obstacle] = (),
+    min_margin: float = 0.05,
+    options: PlanOptions = DEFAULT_PLAN,
+    count: int = 300,
+) -> ReachShare:
+    """The places that the tip reaches from where the robot stands, by ways that keep margin and clearance.
+
+    What is not found may yet be there: the share is an estimate from below, the better the larger `count`.
+
+    Args:
+        start: as of `plan_trajectory`.   targets: (N, 3) positions for the tip, m, as `Anatomy.target`.
+        tolerance: distance (m) of the tip from a place that counts as reached.
+        obstacles, min_margin, options: as of `build_roadmap`; the time limit holds for all of it.
+        count: points of the roadmap.
+
+    Raises:
+        InputError: a table of wrong shape, numbers that make no sense, a start out of range.
+        SolveError: the robot cannot be where it starts.
+    """
+    places = _places(targets)
+    positive("tolerance", tolerance)
+    task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options)
+    first = start_equilibrium(task.chart.space, start)
+    check_start(task, first)
+    begin, n = task.chart.of(first), robot.n_tubes
+    miss = np.linalg.norm(first.tip_position - places, axis=1)
+    joints = np.full((len(places), len(begin)), np.nan)
+    examined = 0
+    with suppress(LateError, SolveError):  # what was found by then
+        roadmap = build_roadmap(robot, obstacles=obstacles, min_margin=min_margin, options=options, count=count)
+        examined, own = len(roadmap), task.from_to(begin, begin)
+        search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip, clock)
+        for k, place in enumerate(places):
+            for gap, z in search.approached(place, tolerance):
+                if gap >= miss[k] or clock.over:
+                    break
+                if search.leads(z):
+                    miss[k], joints[k] = gap, task.chart.joints(z[None], own.arms(z[None]))[0]
+    whole = np.array([task.chart.space.joint(q) for q in joints])
+    return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], examined)
+
+
+def _places(targets: ArrayLike) -> Array:
+    try:
+        places = np.array(targets, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("targets is no table of numbers; it must be rows of x, y, z in m") from None
+    if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise InputError(f"targets has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
+    return places
+
+
+@dataclass(eq=False)
+class _Search:
+    """Ways from `begin` (m,) over a roadmap, whose points have their tips at `tips` (N, 3)."""
+
+    task: Task
+    roadmap: Roadmap
+    begin: Array
+    tips: Array
+    clock: Clock
+    joined: dict[int, bool] = field(default_factory=dict)
+
+    def leads(self, z: Array) -> bool:
+        """Whether a way is found to a point (m,)."""
+        return self.roadmap.way(self.task, self.begin, [z], self.clock).points is not None
+
+    def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
+        """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
+        ends: list[tuple[float, Array]] = []
+        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[:LOOKED_AT].tolist():
+            if self.clock.over or len(ends) == CANDIDATES:
+                break
+            if j not in self.joined:
+                self.joined[j] = self.leads(self.roadmap.points[j])
+            if self.joined[j]:
+                ends.append(_approach(self.task, self.roadmap.points[j], place, 0.2 * tolerance))
+                if ends[-1][0] <= tolerance:
+                    break
+        return sorted(ends, key=lambda end: end[0])
+
+
+def _approach(task: Task, start: Array, place: Array, enough: float) -> tuple[float, Array]:
+    """How close (m) Gauss-Newton comes to a place by points at which the robot may be, and the last of them."""
+    chart, z, m = task.chart, start, len(start)
+    scale = chart.space.scale
+    moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(scale)])
+    tips = chart.arms(z + moves, 0.0).tip
+    miss = float(np.linalg.norm(tips[0] - place))
+    for _ in range(ITERATIONS):
+        if miss <= enough:
+            break
+        gap = (tips - place) / chart.space.length
+        slope = ((gap[1:] - gap[0]) / DIFFERENCE).T
+        weights = np.vstack([slope, 1e-3 * np.eye(m)])
+        step = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), *chart_constraints(chart, z))
+        if step is None:
+            break
+        tried = z + SHORTER[:, None] * (step.x * scale)
+        arms = task.arms(tried)
+        left = np.where(task.spare(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - place, axis=1), np.inf)
+        best = int(left.argmin())
+        if left[best] > 0.99 * miss:
+            break
+        z, miss = tried[best], float(left[best])
+        tips = chart.arms(z + moves, 0.0).tip
+    return miss, z
