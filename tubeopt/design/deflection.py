@@ -29,5 +29,7 @@ def tip_deflection(
     # What no unknown moves need not be differentiated.
     moves = chain.reshape(len(PARAMETERS), robot.n_tubes, -1).any((1, 2))
     names = [name for name, moved in zip(PARAMETERS, moves, strict=True) if moved]
-    change = pushed.jacobian(wrt=names).position @ chain[np.repeat(moves, robot.n_tubes)] if names else 0.0
+    change = np.zeros((3, chain.shape[1]))
+    if names:
+        change += pushed.jacobian(wrt=names).position @ chain[np.repeat(moves, robot.n_tubes)]
     return pushed.tip_position - plain.tip_position, change - pose.tip_slopes[0] @ chain

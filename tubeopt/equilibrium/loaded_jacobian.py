@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -106,13 +107,13 @@ def _moved(e: Equilibrium, name: str, tube: int, step: float) -> tuple[Robot, Ar
     """Robot, rotations and translations with one joint or dimension a step further; raises InputError where there is
     no such robot."""
     joints = {"rotations": e.rotations.copy(), "translations": e.translations.copy()}
-    robot = e.robot
+    robot: Any = e.robot
     if name in joints:
         joints[name][tube] += step
     else:
         tubes = list(robot.tubes)
         tubes[tube] = replace(tubes[tube], **{name: getattr(tubes[tube], name) + step})
-        robot = replace(robot, tubes=tuple(tubes))  # type: ignore[arg-type]
+        robot = replace(robot, tubes=tuple(tubes))
     return robot, joints["rotations"], tuple(joints["translations"].tolist())
 
 
