@@ -9,6 +9,7 @@ from .pareto import FrontPoint, ParetoFront, pareto_front
 from .relaxation import Change, InfeasibleDesignError, Relaxation
 from .requirements import (
     Avoid,
+    Corridor,
     Coverage,
     Length,
     Nesting,
@@ -32,6 +33,7 @@ __all__ = [
     "Candidate",
     "Change",
     "Check",
+    "Corridor",
     "Coverage",
     "DesignSolution",
     "DesignTask",

@@ -54,7 +54,7 @@ def _(one: Objective, n: int, poses: Poses, certified: Points, depth_pose: int |
             case "tip_deflection":
                 return ca.vertcat(*(ca.norm_2(q.poses[k].deflection(one.tip_force)) for k in poses))
             case "tip_stiffness":
-                force = ca.DM(one.tip_force)
+                force = ca.DM(list(one.tip_force or ()))
                 return ca.vertcat(
                     *(ca.sumsqr(force) / ca.dot(force, q.poses[k].deflection(one.tip_force)) for k in poses)
                 )

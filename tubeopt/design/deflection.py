@@ -27,7 +27,7 @@ def tip_deflection(
     plain = to_equilibrium(robot, pose.solution, shift, ("newton", "guess", 0.0))
     pushed = forward_kinematics(robot, plain.rotations, shift, load=Load(force), guess=plain)
     # What no unknown moves need not be differentiated.
-    moves = chain.reshape(len(PARAMETERS), robot.n_tubes, -1).any((1, 2))
+    moves = np.asarray(chain.reshape(len(PARAMETERS), robot.n_tubes, -1).any((1, 2)))
     names = [name for name, moved in zip(PARAMETERS, moves, strict=True) if moved]
     change = np.zeros((3, chain.shape[1]))
     if names:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..block.own import OwnRequirement
+from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
@@ -236,6 +237,12 @@ class Avoid:
         nearest = np.argmin([body.signed_distance(points) for body in self.obstacles], axis=0)
         gradient = np.array([body.gradient(points) for body in self.obstacles])
         return np.asarray(gradient[nearest, np.arange(len(points))])
+
+
+def Corridor(centreline: Sequence[Sequence[float]], radius: float | tuple[float, ...]) -> Avoid:
+    """`Avoid` of all that is outside of a corridor: at every task pose the whole arm lies in a tube around a polyline
+    (N, 3), m, with one radius (m) or one for every point."""
+    return Avoid((Vessel(centreline, radius),))
 
 
 Requirement = (
