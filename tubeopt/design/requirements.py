@@ -239,7 +239,7 @@ class Avoid:
         return np.asarray(gradient[nearest, np.arange(len(points))])
 
 
-def Corridor(centreline: Sequence[Sequence[float]], radius: float | tuple[float, ...]) -> Avoid:
+def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:
     """`Avoid` of all that is outside of a corridor: at every task pose the whole arm lies in a tube around a polyline
     (N, 3), m, with one radius (m) or one for every point."""
     return Avoid((Vessel(centreline, radius),))
