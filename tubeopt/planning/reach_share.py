@@ -86,7 +86,7 @@ def evaluate_reach(
 ) -> ReachShare:
     """The places that the tip reaches from where the robot stands, by ways that keep margin and clearance.
 
-    What is not found may yet be there: the share is an estimate from below, the better the larger `count`.
+    What is not found may yet be there: the share is an estimate from below, on average the better the larger `count`.
 
     Args:
         start: as of `plan_trajectory`.   targets: (N, 3) positions for the tip, m, as `Anatomy.target`.
