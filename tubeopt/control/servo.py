@@ -172,6 +172,8 @@ class Servo:
             raise InputError(
                 f"seed has margin {self._here.margin:.3g}; it must be min_margin, {self.options.min_margin:g}, or more"
             )
+        if self.options.objective == "compliance" and _compiled_slopes(self._here.equilibrium) is None:
+            raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
     @property
     def equilibrium(self) -> Equilibrium:
