@@ -6,10 +6,10 @@ energy of a dead load has the gradient
 
     g = (t_i - T_i, m - M),    T_i = - int_s^(own end) V_i' - M.a_i' / K,    M = (R' m_w)_xy,    m_w = int_s^L t x n.
 
-Along what goes linearly from the torques and moments of the one equilibrium to those of the other, at fixed fractions of
-the sections, it vanishes at both ends, so that |g| <= max |g_tt| / 8 in between. With mu the lesser margin of both, and
-q0 + q1 r a bound of how far the second variation, relative to T, is from that at the end nearer in time, in a ball of
-radius r around the chord,
+Along what goes linearly from the torques and moments of the one equilibrium to those of the other, at fixed fractions
+of the sections, it vanishes at both ends, so that |g| <= max |g_tt| / 8 in between. With mu the lesser margin of both,
+and q0 + q1 r a bound of how far the second variation, relative to T, is from that at the end nearer in time, in a ball
+of radius r around the chord,
 
     (mu - q0)^2 > 2 q1 |g|
 
@@ -79,7 +79,7 @@ class _Bounds:
         own = np.sqrt(np.cumsum(give, axis=1) + (self.spring.v / self.kt[:, 0])[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= weight_i, and so on, where T = 1."""
-        self.swing = self._along(self.slope * own) + np.sqrt(np.cumsum(self.long.v / self.stiffness, axis=1))
+        self.swing = self._swing(give)
         """(B, K) int |psi'| up to the end of every section is at most this where T = 1."""
         size, torque, moment = intervals.loads
         bound = self.pairs.sum(3) + self.slope * self.lever[..., None]
@@ -87,9 +87,17 @@ class _Bounds:
         self.changes = self._changes(torque, moment)
         self._chord()
 
-    def _along(self, each: Array) -> Array:
-        """(B, K) int over the arm up to the end of every section of the sum over the tubes."""
-        return np.asarray(np.cumsum(self.long.v * each.sum(2), axis=1))
+    def _swing(self, give: Array) -> Array:
+        """The most of int sum A_i |y_i| + |r| up to the end of every section where T = 1; `give` (B, K, n) is h / kt.
+
+        Its square is int m_i^2 / kt_i + int 1 / K, with m_i int A_i from there on, linear in every section.
+        """
+        here = np.cumsum(self.long.v[..., None] * self.slope, axis=1)
+        before = np.concatenate([np.zeros_like(here[:, :1]), here[:, :-1]], axis=1)
+        high, low = (np.maximum(here[:, :, None] - each[:, None], 0.0) for each in (before, here))
+        inside = give[:, None] * (high**2 + high * low + low**2) / 3
+        held = (self.spring.v / self.kt[:, 0])[:, None] * here**2
+        return np.asarray(np.sqrt((inside.sum(2) + held).sum(2) + np.cumsum(self.long.v / self.stiffness, axis=1)))
 
     def _changes(self, torque: Array, moment: Array) -> _Changes:
         """What differs between both ends, sampled, with what lies between samples: no more than half of their distance
@@ -167,7 +175,7 @@ class _Bounds:
         """(B,) by how much the second variation relative to T differs; `stretched`: with sections as they are at the
         nearer end, and with the load there."""
         b, h, w, lever = self, self.long.v, self.weight, self.lever
-        dh, own, bend, dn = (b._stretched() if stretched else b._still())
+        dh, own, bend, dn = b._stretched() if stretched else b._still()
         pair = np.hypot(own[..., :, None], own[..., None, :])
         m = moved.moment + lever * moved.frame
         each = h[..., None, None] * moved.turn[1] + dh[..., None, None]

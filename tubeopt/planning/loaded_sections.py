@@ -62,7 +62,7 @@ class LoadedArms(Arms):
     def under(pull: Pull, constants: Constants, equilibria: Sequence[Equilibrium]) -> LoadedArms:
         """Those of a list of equilibria."""
         plain = Arms.of(constants, equilibria)
-        return LoadedArms(*(getattr(plain, field.name) for field in fields(Arms)), pull=pull)
+        return LoadedArms(**{field.name: getattr(plain, field.name) for field in fields(Arms)}, pull=pull)
 
     @cached_property
     def ends(self) -> Array:
@@ -92,14 +92,14 @@ class LoadedArms(Arms):
         """(P, n) what each tube bears, N m."""
         c, before = self.constants, self._sides[1]
         natural = c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), before)
-        return (self.torsion - natural) * c.at(c.torsional, before) * (before < c.ended)
+        return np.asarray((self.torsion - natural) * c.at(c.torsional, before) * (before < c.ended))
 
     @cached_property
     def moment(self) -> Array:
         """(P, 2) bending moment of the load, in the Bishop frame, N m."""
         pulls, stiffness = self._pulls(self._sides[1])
         bent = np.concatenate([e.curvature for e in self.equilibria])
-        return stiffness[:, None] * bent - pulls.sum(1)
+        return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
 
     @cached_property
     def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -190,7 +190,7 @@ class LoadedIntervals(Intervals):
     def twist(self) -> Array:
         """(B, K, n) natural twist, 1/m, by size."""
         c = self.arms.constants
-        return np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), self.stretch))
+        return np.asarray(np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), self.stretch)))
 
     @cached_property
     def loads(self) -> tuple[Array, Array, Array]:

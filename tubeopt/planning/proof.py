@@ -176,9 +176,7 @@ def verify_trajectory(  # noqa: PLR0913
     return proof if forced is None else _under_force(proof, forced)
 
 
-def _first(
-    robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array], load: Load | None
-) -> Equilibrium:
+def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array], load: Load | None) -> Equilibrium:
     """The stable equilibrium at the first joint values, under the load."""
     if load is not None:
         check_load(robot, load, tuple(joints[1].tolist()))
