@@ -465,7 +465,6 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
     eccentric = load_robot("configs/robots/thesis_etr.yaml")
     steel = rod(0.1, 1e-3)
     calls: list[tuple[Any, str]] = [
-        (lambda: forward_kinematics(thesis, ROTATIONS, load=load, method="ipopt"), "under load it must be 'newton'"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=load, verify=True), "verify is set"),
         (lambda: forward_kinematics(thesis, ROTATIONS, guess=e), "guess bears a load"),
         (lambda: forward_kinematics(eccentric, (0, 1, 2), load=load), "only concentric robots"),
