@@ -116,7 +116,7 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
 
 
 def _resampled(values: Array, size: int, axis: int) -> Array:
-    """Values on a finer grid of as many points (a period) along an axis, by their Fourier series: `scipy.signal.resample`
+    """Values on a finer grid of a period along an axis, by their Fourier series: as `scipy.signal.resample`, but
     without its package, whose import takes longer than all that is asked of a table."""
     spectrum, old = np.moveaxis(np.fft.rfft(values, axis=axis), axis, 0), values.shape[axis]
     if old % 2 == 0:
