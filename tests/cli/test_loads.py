@@ -122,6 +122,13 @@ def test_how_much_the_robot_bears(run: Run, tmp_path: Path) -> None:
     assert "no load is given" in refused(run(*asked[:-1]))[0]
 
 
+def test_how_hard_the_robot_can_push(run: Run) -> None:
+    told = answer(run("load-limit", THESIS, "--axial", "--json"))
+    assert told["limit"]["factor"] == pytest.approx(124.6476536, abs=1e-6)
+    assert told["load"].endswith("mN at the tip")
+    assert "axial is given beside a load" in refused(run("load-limit", THESIS, "--axial", "--tip-force-mN", "1,0,0"))[0]
+
+
 def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
     recording = str(ROOT / "configs" / "experiments" / "synthetic_forces.csv")
     data = answer(run("force", THESIS, recording, "--noise-mm", "0.1", "--json", "--out", str(tmp_path)))
