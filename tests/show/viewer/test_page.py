@@ -69,7 +69,7 @@ def test_another_robot_stands_beside_and_obstacles_are_loaded(tab: Tab) -> None:
     tab.wait_for("message", "example_equal_ends.yaml: stands beside, at the same joint values")
     tab.upload("Put another robot beside (YAML)", CONFIGS / "two_tube.yaml")
     tab.wait_for("message", "two tubes has 2 tubes; it must have 3")
-    tab.upload("Load obstacles (YAML)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
+    tab.upload("Load bodies (YAML, mesh, image)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
     tab.wait_for("message", "two_bodies.yaml: obstacles, 2, of which the tip keeps clear when it is led")
     tab.tab("Joints")
     tab.type("rotation of tube 1", 90)
