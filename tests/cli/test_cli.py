@@ -231,8 +231,8 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
         (["--tolerance", "x"], "--tolerance-rad is 'x'; it must be a number"),
         (
             ["--translations-mm", "201,0,0"],
-            "translation of tube 1 is 0.201 m, which pulls it out of its actuator; it must be at most its "
-            "straight_length, 0.2 m",
+            "--translations-mm: translation of tube 1 is 201 mm, which pulls it out of its actuator; it must be at "
+            "most its straight_length, 200 mm",
         ),
     ],
 )

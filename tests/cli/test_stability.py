@@ -442,7 +442,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         ),
         (
             ["certify", THESIS, "--lower-mm", "5,0,0", "--upper-mm", "0,0,0"],
-            "lower translation of tube 1 is 0.005 m; it must be at most upper, 0 m",
+            "--lower-mm: lower translation of tube 1 is 5 mm; it must be at most upper, 0 mm",
         ),
         (["stability-map", TWO], "the robot has 2 tubes; a map over two relative rotations needs at least 3"),
         (["stability-map", THESIS, "--tubes", "1,4"], "--tubes is [1, 4]; it must be two different tubes from 1 to 3"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import re
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -20,6 +22,10 @@ CODES: dict[type[Exception], tuple[int, str]] = {
     NotProvedError: (NOT_PROVED, "not_proved"),
 }
 """What is raised -> exit code, and what it is called in JSON."""
+
+
+METRES = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])")
+"""A length in a message of the library."""
 
 
 def failure(error: Exception) -> tuple[str, int, str] | None:
@@ -62,6 +68,50 @@ def _meant(flag: str, known: list[str]) -> str:
         return f"; did you mean {' or '.join(alike)}?"
     same = [name for name in known if units[flag] and units[name] == units[flag]]
     return f"; those in {units[flag]} are {', '.join(same)}" if same else ""
+
+
+@contextmanager
+def told_by_flag(flags: Mapping[str, str]) -> Iterator[None]:
+    """Say by which of the flags (key -> flag) that were typed something came in that makes no sense, in its unit."""
+    try:
+        yield
+    except InputError as error:
+        told = "\n".join(_with_flag(line, flags) for line in str(error).splitlines())
+        if told == str(error):
+            raise
+        raise InputError(told) from None
+
+
+def _with_flag(line: str, flags: Mapping[str, str]) -> str:
+    """A line such as "slot is 0.03 s; ..." after the one flag whose name is in what is said to be something."""
+    what, found, _ = line.partition(" is ")
+    if not found or ":" in what or what.startswith("-"):
+        return line
+    words = _words(what)
+    named = [key for key, flag in flags.items() if flag and _words(_parted(key)[0]) <= words]
+    return f"{flags[named[0]]}: {_in_unit(line, _parted(named[0])[1])}" if len(named) == 1 else line
+
+
+def _words(text: str) -> set[str]:
+    """Of a key or a phrase, in the singular."""
+    return {word.removesuffix("s") for word in re.split(r"[^A-Za-z0-9]+", text) if word}
+
+
+def _parted(key: str) -> tuple[str, str]:
+    """What a key is called, and its unit."""
+    from ..files.units import unit_of
+
+    unit = unit_of(key)
+    return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
+
+
+def _in_unit(line: str, unit: str) -> str:
+    """Lengths in m are told in mm to those who typed mm."""
+    if unit != "mm":
+        return line
+    return re.sub(
+        r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])", lambda found: f"{1e3 * float(found[1]):g} mm", line
+    )
 
 
 def error_record(message: str, code: int, kind: str) -> dict[str, object]:

@@ -32,6 +32,7 @@ from ..runs.base import Study
 from ..show.progress import working
 from ..show.report import PICTURE_FORMATS
 from ..show.reports import report
+from .failures import told_by_flag
 from .interruption import keeping
 from .messages import LOGGER
 from .output import Output, can_be_saved, present
@@ -132,14 +133,16 @@ def asks(
         _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
         taken = {part.name for part in parts}
         own = [part for part in parts if part.name not in ("output", *fields)]
+        usual = {part.name: part.default for part in keyed}
 
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
             for key, field in fields.items():
                 if field.is_required() and key not in given and not names[key]:
                     raise InputError(f"{called[key].split(',')[0]} is missing")
-            question = check(study, constant | given, "", names=names)
-            function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
+            with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}):
+                question = check(study, constant | given, "", names=names)
+                function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__
         return _command(run, [*keyed, *own], example, note)
@@ -171,8 +174,9 @@ def asks_file(
                 key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(fields[key]) else value
                 for key, value in _given(fields, typed).items()
             }
-            data = {**load_yaml(path), **given}
-            function(check_kind({kind: study}, data, path, names={key: names[key] for key in given}), output)
+            data, flags = {**load_yaml(path), **given}, {key: names[key] for key in given}
+            with told_by_flag(flags):
+                function(check_kind({kind: study}, data, path, names=flags), output)
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__
         return _command(run, [file, *keyed], example, note)
@@ -273,7 +277,7 @@ def _override(key: str, field: FieldInfo, flag: str) -> inspect.Parameter:
 
 
 def _sentence(field: FieldInfo) -> str:
-    words = field.description or ""
+    words = (field.description or "").replace(", relative to this file", "")
     return words[:1].upper() + words[1:] + "." * (bool(words) and not words.endswith("."))
 
 
