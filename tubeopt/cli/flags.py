@@ -139,7 +139,7 @@ def asks(
             given = _given(fields, typed)
             for key, field in fields.items():
                 if field.is_required() and key not in given and not names[key]:
-                    raise InputError(f"{called[key].split(',')[0]} is missing")
+                    raise InputError(f"{called[key].split(',')[0]} is missing: {_about(field)}")
             with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}):
                 question = check(study, constant | given, "", names=names)
                 function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
@@ -277,8 +277,13 @@ def _override(key: str, field: FieldInfo, flag: str) -> inspect.Parameter:
 
 
 def _sentence(field: FieldInfo) -> str:
-    words = (field.description or "").replace(", relative to this file", "")
+    words = _about(field)
     return words[:1].upper() + words[1:] + "." * (bool(words) and not words.endswith("."))
+
+
+def _about(field: FieldInfo) -> str:
+    """What a key is, where it is typed: files are then relative to where one is."""
+    return (field.description or "").replace(", relative to this file", "")
 
 
 def _can_be_typed(field: FieldInfo) -> bool:
