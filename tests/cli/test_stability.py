@@ -424,7 +424,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         (["snap", THESIS, "--to-mm", "0,nan,0"], "--to-mm[1] is NaN; it must be a finite number"),
         (
             ["snap", THESIS, "--from-deg", "1,0,0", "--to-deg", "1,0,0"],
-            "the way ends at the joint values at which it starts; give to_deg or to_mm others",
+            "the way ends at the joint values at which it starts; give --to-deg or --to-mm others",
         ),
         (
             ["snap", THESIS, "--to-mm", "300,0,0"],
@@ -438,7 +438,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         ),
         (
             ["certify", THESIS, "--box", "--translations-mm", "0,0,0"],
-            "translations_mm are given as well as a box of translations; give one of them",
+            "--translations-mm are given as well as a box of translations; give one of them",
         ),
         (
             ["certify", THESIS, "--lower-mm", "5,0,0", "--upper-mm", "0,0,0"],

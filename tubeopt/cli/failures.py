@@ -27,6 +27,9 @@ CODES: dict[type[Exception], tuple[int, str]] = {
 METRES = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])")
 """A length in a message of the library."""
 
+OF_FILE = re.compile(r"\S+\.\w+: ")
+"""How a message on what stands in a file begins."""
+
 
 def failure(error: Exception) -> tuple[str, int, str] | None:
     """Message, exit code and kind of what a command raised; None of what is nobody's mistake but ours."""
@@ -71,15 +74,32 @@ def _meant(flag: str, known: list[str]) -> str:
 
 
 @contextmanager
-def told_by_flag(flags: Mapping[str, str]) -> Iterator[None]:
-    """Say by which of the flags (key -> flag) that were typed something came in that makes no sense, in its unit."""
+def told_by_flag(typed: Mapping[str, str], known: Mapping[str, str]) -> Iterator[None]:
+    """Say by which flag something came in that makes no sense, and in its unit.
+
+    Args:
+        typed: keys of the study -> flags that were given.   known: those that could be.
+    """
     try:
         yield
     except InputError as error:
-        told = "\n".join(_with_flag(line, flags) for line in str(error).splitlines())
+        told = "\n".join(_with_flag(_in_flags(line, known), typed) for line in str(error).splitlines())
         if told == str(error):
             raise
         raise InputError(told) from None
+
+
+def _in_flags(line: str, flags: Mapping[str, str]) -> str:
+    """A line with flags in place of keys, unless it is about a file; a key that is a plain word only beside another."""
+    if OF_FILE.match(line):
+        return line
+    out = line
+    for key, flag in sorted(flags.items(), key=lambda item: "_" not in item[0]):
+        if "_" in key:
+            out = re.sub(rf"(?<![\w./-]){key}(?!\w)", flag, out)
+        elif out != line:
+            out = re.sub(rf"\b(and|or) {key}\b", rf"\1 {flag}", out)
+    return out
 
 
 def _with_flag(line: str, flags: Mapping[str, str]) -> str:

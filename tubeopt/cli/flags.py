@@ -13,6 +13,7 @@ function takes besides stays as it is; where it takes a key too, it gets that as
 from __future__ import annotations
 
 import inspect
+import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
@@ -121,6 +122,7 @@ def asks(
     fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
     called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
     names = _names(fields, called, tuple(placed))
+    first = {key: re.split("[,/]", called[key])[0] for key in fields if key not in placed}
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
     def command_of(function: Callable[..., None]) -> Made:
@@ -140,7 +142,7 @@ def asks(
             for key, field in fields.items():
                 if field.is_required() and key not in given and not names[key]:
                     raise InputError(f"{called[key].split(',')[0]} is missing: {_about(field)}")
-            with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}):
+            with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
                 question = check(study, constant | given, "", names=names)
                 function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
@@ -175,7 +177,7 @@ def asks_file(
                 for key, value in _given(fields, typed).items()
             }
             data, flags = {**load_yaml(path), **given}, {key: names[key] for key in given}
-            with told_by_flag(flags):
+            with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
                 function(check_kind({kind: study}, data, path, names=flags), output)
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__

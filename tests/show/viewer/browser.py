@@ -25,9 +25,6 @@ FLAGS = [
     "--disable-dev-shm-usage",
 ]
 
-TEN_PICTURES_A_SECOND = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 100)"
-"""Script of a page: drawn by software as often as a screen asks, a robot takes a processor of its own."""
-
 PATIENCE = 30_000
 """Longest wait, ms: software draws slowly where others keep the processor busy."""
 
@@ -59,7 +56,6 @@ class Tab:
     def __init__(self, context: Any, address: str) -> None:
         self.page = context.new_page()
         self.page.set_default_timeout(PATIENCE)
-        self.page.add_init_script(TEN_PICTURES_A_SECOND)
         self.page.goto(address)
         # That drawing by software is slow is not for tests to be told, least of all over the buttons.
         self.page.add_style_tag(content=".mantine-Notifications-root { display: none !important }")
