@@ -72,8 +72,8 @@ def check_collocation(task: DesignTask) -> None:
     """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
     if task.space.spots:
         raise InputError(
-            "method is 'collocation'; shapes, planes and slots of pieces are designed by method 'reduced' (a block takes "
-            "PIECES as they are: EquilibriumBlock)"
+            "method is 'collocation', which takes no pieces of tubes, of which a design frees shapes and slots; method "
+            "'reduced' does"
         )
     for one in task.requirements:
         if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):

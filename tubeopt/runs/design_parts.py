@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, create_model
+from pydantic import Field
 
 from ..bodies.corridors import Corridor
 from ..design import (
@@ -30,13 +30,11 @@ from ..design import (
 from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.fields import Part, asking, described, entry_of, values
+from ..files.fields import Part, asking, described, entry_of, extended, values
 from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
 from ..robots.file import Range
 from ..robots.tubes import Tube
 from .obstacle_file import Bodies
-
-E = TypeVar("E", bound=Entry)
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""
@@ -80,15 +78,7 @@ RANGES = {
 """Keys of a free dimension."""
 
 
-def _with_ranges(base: type[E]) -> type[E]:
-    keys: dict[str, Any] = {
-        key: (Range | None, Field(None, description=one.about or None)) for key, one in RANGES.items()
-    }
-    model: type[E] = create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
-    return model
-
-
-@_with_ranges
+@extended({key: (Range | None, Field(None, description=one.about or None)) for key, one in RANGES.items()})
 class FreeEntry(Part):
     """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, PlainValidator, ValidationInfo
 
 from ..files.checked import Number, check
-from ..files.fields import Part, asking, entry_of, values
+from ..files.fields import Part, asking, described, entry_of, extended, values
 from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
@@ -59,6 +59,11 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     return check(LoadEntry, value, "")
 
 
+PUSHES = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
+"""Keys of a load that a study may have beside it."""
+
+
+@extended({key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in PUSHES.items()})
 class LoadedStudy(Study):
     """A study of a robot on which something may push; the keys of its own replace what the load says."""
 
@@ -67,18 +72,10 @@ class LoadedStudy(Study):
         PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
         Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
     ] = None
-    tip_force_mN: Triple | None = Field(None, description="force on the tip in axes of the plate", examples=["X,Y,Z"])
-    tip_moment_mN_m: Triple | None = Field(
-        None, description="moment on the tip in axes of the plate", examples=["X,Y,Z"]
-    )
-    gravity_m_per_s2: Triple | None = Field(
-        None, description="gravity, which acts on the mass of the tubes", examples=["X,Y,Z"]
-    )
 
     def pushing(self) -> Load | None:
         """The load, None without one."""
-        names = ("tip_force_mN", "tip_moment_mN_m", "gravity_m_per_s2")
-        own = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        own = {key: getattr(self, key) for key in PUSHES if getattr(self, key) is not None}
         if self.load is None and not own:
             return None
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
