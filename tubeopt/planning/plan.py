@@ -16,6 +16,7 @@ from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way, find_way, shorten
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -70,7 +71,7 @@ Faults = tuple[str, ...]
 
 
 @small
-def plan_trajectory(
+def plan_trajectory(  # noqa: PLR0913
     robot: Robot,
     start: Any,
     goal: Any,
@@ -80,6 +81,7 @@ def plan_trajectory(
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
+    load: Load | None = None,
 ) -> Trajectory:
     """A motion from one equilibrium to another that stays on one stable branch all the way, and the proof of it.
 
@@ -92,9 +94,12 @@ def plan_trajectory(
         min_margin: least margin all the way, in [0, 1).
         rate_limits: of the actuators.   limits: range of every joint; by default `robot.limits`.
         options: search, objective of smoothing, time limit, and the like.
+        load: that the robot bears all the way; a start without it is first loaded. Margin, clearance and rates are
+            those of the loaded robot, whose way is shortened and rounded, but not smoothed by a program.
 
     Raises:
-        InputError: start or goal out of range, or numbers that make no sense.
+        InputError: start or goal out of range, or numbers that make no sense; a load for which nothing is proved (see
+            `verify_trajectory`), or beside `max_force`, a roadmap, or a cost of smoothing.
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
 
@@ -109,7 +114,7 @@ def plan_trajectory(
         >>> plan.proved
         True
     """
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
     with in_time(clock):
         return _planned(task, start, goal, rate_limits, options, clock)
 
@@ -118,7 +123,7 @@ def _planned(
     task: Task, start: Any, goal: Any, rate_limits: RateLimits, options: PlanOptions, clock: Clock
 ) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
-    first = start_equilibrium(task.chart.space, start)
+    first = start_equilibrium(task.chart.space, start, task.chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -161,7 +166,7 @@ def _way(
         left = max(0.0, until - clock.seconds)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
@@ -247,7 +252,9 @@ def _motions(
 
 def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
     """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
-    straight line. With bodies in the way smoothing takes twice as long."""
+    straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    if task.chart.load is not None:
+        return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
         return length >= SHORT
@@ -353,6 +360,7 @@ def build(
         limits=None if space.robot.limits is None else limits_of(space),
         clock=clock,
         max_force=task.max_force,
+        load=task.chart.load,
     )
     if not (proof.holds or proof.open):
         return proof.faults
