@@ -163,13 +163,13 @@ async def drain(socket: Any) -> int:
 async def pester(port: int, end: float, count: int) -> int:
     """Messages that make no sense, spread over the time; how many were answered."""
     socket = await enter(port, "watcher")
-    answered, pause = 0, max(end - time.monotonic() - 1, 0) / count
+    answered, began = 0, time.monotonic()
     for k in range(count):
+        await asyncio.sleep(max(began + (end - began) * 0.95 * k / count - time.monotonic(), 0))
         await socket.send(JUNK[k % len(JUNK)])
         while json.loads(await socket.recv())["op"] != "error":
             pass
         answered += 1
-        await asyncio.sleep(pause)
     await socket.close()
     return answered
 

@@ -59,13 +59,13 @@ class CPose:
 @dataclass(frozen=True, eq=False)
 class CSlopes:
     """Derivatives by rotations and translations: of tip (3, 2n), turn vector (3, 2n), tip rotations (n, 2n) and margin
-    (2n,); and the compliance (6, 6) of the tip."""
+    (2n,); and the compliance (6, 6) of the tip, None where the library does not know it."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
-    compliance: Array
+    compliance: Array | None
 
 
 class CRobot:
@@ -86,7 +86,7 @@ class CRobot:
         self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
         # What goes in and comes out stays where it is: to ask NumPy for an address takes as long as a step's algebra.
         self._in, self._pose, self._report = np.zeros(max(12, 2 * self._n)), np.zeros(3 * self._n + 16), np.zeros(3)
-        self._slopes = np.zeros(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36)
+        self._slopes = np.full(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36, np.nan)
         self._length, self._points = np.zeros(POINTS), np.zeros((POINTS, 3))
         self._shape = self._function("shape")
         self._shape_at = self._memory, POINTS, *map(_at, (self._length, self._points))
@@ -138,9 +138,9 @@ class CRobot:
         """Derivatives at the last equilibrium."""
         self._call("slopes_at")
         n = self._n
-        parts = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-        shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
-        return CSlopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+        tip, turn, ends, margin, compliance = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+        known = None if np.isnan(compliance[0]) else compliance.reshape(6, 6)
+        return CSlopes(tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, known)
 
     def servo(self, command: Array) -> tuple[CPose, float, float, Why]:
         """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
