@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
 
 START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 
@@ -157,3 +160,27 @@ def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(
         assert not [name for name, kind in kinds.items() if kind in "bBdDC"]  # nothing that can be written to
         assert not {"malloc", "calloc", "realloc", "free"} & set(kinds)
         assert all(name.startswith("crl_") for name, kind in kinds.items() if kind == "T")
+
+
+RUN_IN_NODE = """
+import { readFile } from "node:fs/promises";
+import { WASI } from "node:wasi";
+const wasi = new WASI({ version: "preview1", args: ["test"] });
+const module = await WebAssembly.compile(await readFile(process.argv[2]));
+process.exit(wasi.start(await WebAssembly.instantiate(module, wasi.getImportObject())));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node")
+def test_it_passes_its_test_as_web_assembly(tmp_path: Path) -> None:
+    pytest.importorskip("ziglang", reason="no ziglang")
+    save_c_library(c_library(TWO_TUBES), tmp_path)
+    (tmp_path / "run.mjs").write_text(RUN_IN_NODE)
+    zig = [sys.executable, "-m", "ziglang", "cc", "--target=wasm32-wasi", "-O2", "-msimd128", "-std=c99"]
+    parts = ["-Wall", "-Wextra", "-Werror", "test.c", "tubeopt_robot.c", "-o", "test.wasm"]
+    subprocess.run([*zig, *parts], cwd=tmp_path, check=True, timeout=600)
+    told = subprocess.run(
+        ["node", "--no-warnings", "run.mjs", "test.wasm"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "all is well" in told.stdout

@@ -191,6 +191,11 @@ class CServo:
         self._robot = CRobot(library)
         self.equilibrium = self._robot.solve(*seed)
 
+    @property
+    def compliance(self) -> Array | None:
+        """(6, 6) of the tip: a small force and moment -> its translation and turn; None where the library has none."""
+        return self._robot.slopes().compliance
+
     def step(self, command: Command, dt: float) -> CStep:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
         if command.pivot is not None:

@@ -8,6 +8,9 @@
 
 #include "tubeopt_robot.h"
 
+#ifndef CLOCK_THREAD_CPUTIME_ID /* WebAssembly knows no processor time */
+#define CLOCK_THREAD_CPUTIME_ID CLOCK_MONOTONIC
+#endif
 #define N TUBEOPT_TUBES
 #define STEPS 20000
 
