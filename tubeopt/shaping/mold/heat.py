@@ -63,8 +63,8 @@ class HeatSpec:
         float,
         unit("W_per_m2_K"),
         POSITIVE,
-        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in a "
-        "groove of 2 mm in a board, 75 um of air: calibrate it",
+        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in "
+        "a groove of 2 mm in a board, 75 um of air: calibrate it",
     ] = round(gap_conductance(USUAL_GAP, AMBIENT), 1)
 
     def __post_init__(self) -> None:
