@@ -52,7 +52,7 @@ def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_no
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
     law, sensor = led().law, Thermocouple()
     fleet, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
-    history = run_loop(fleet, law, sensor, steps=4)
+    history = run_loop(fleet, law, sensor)
     for b in range(1, 4):
         member = replace(
             fleet.model, properties=fleet.model.properties[b : b + 1], volumes=fleet.model.volumes[b : b + 1]
