@@ -1,12 +1,12 @@
 """How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
 
-The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and simulated in
-steps of a tenth of a second on a grid of three times as many cells and shells. Where that misses the window, the
-program's bounds are shifted by the difference between the two grids, and it is solved again (deferred correction): what
-holds in the end holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count
-alone keeps it; where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
-Where the soonest hold is asked for, the greatest counts that keep the limits are sooner still (`haste`), and what they
-do is checked alike.
+Where the soonest hold is asked for, the greatest counts that keep the limits are tried first (`haste`). Where these do
+not keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
+grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
+and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
+it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
+returned. Counts never break the ramp where one count alone keeps it; where they fall behind the ideal schedule for
+that, it is solved again with more room below the ramp.
 """
 
 from __future__ import annotations
