@@ -126,7 +126,7 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("energy_error", "part of the energy that is not accounted for", label="energy balance",
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
-    Quantity("iterations", "of the optimal control problem, in its last round"),
+    Quantity("iterations", "of the optimal control problem, in its last round; 0 where none was needed"),
     Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
     Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
     Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),

@@ -118,7 +118,7 @@ def _end_temperatures(tube: Tube, rig: Rig, trial: Trial) -> Array:
     slot = trial.duration / SLOTS
     at = (np.arange(SLOTS) + 0.5) * slot
     duty = trial.duty / COUNTS * np.minimum(at / trial.ramp if trial.ramp else 1.0, 1.0) * np.ones(SLOTS)
-    history = simulate(model, slot, duty)
+    history = simulate(model, slot, duty, steps=3)
     return np.asarray(history.tube[-1, :, -1]) - ZERO_CELSIUS
 
 

@@ -70,6 +70,8 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     axes.plot(plan.time, plan.clamp_temperature, color=COLD, lw=1.0, label="clamps")
     for at in (plan.hold_start, plan.hold_end):
         axes.axvline(at, color=FAINT, lw=0.6, ls=":")
+    # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
+    axes.text(plan.time[-1], 0.5 * plan.highest, "unquenched", fontsize=7, ha="right", color=FAINT)
     axes.set_ylabel("temperature (°C)")
     axes.set_ylim(0, None)
     axes.set_xlim(0, plan.time[-1])
