@@ -28,7 +28,7 @@ from ..materials import MoldMaterial
 AMBIENT = 20.0 + ZERO_CELSIUS
 
 USUAL_GAP = 75e-6
-"""Even gap of air, m, to which that of a groove of 2 mm in board comes around a tube of 1.92 mm (`groove_air`)."""
+"""Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.groove_air`)."""
 
 TALBOT_POINTS = 24
 """Points of the contour: more gains nothing in double precision."""
@@ -63,8 +63,8 @@ class HeatSpec:
         float,
         unit("W_per_m2_K"),
         POSITIVE,
-        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in a "
-        "groove of 2 mm in a board, 75 um of air: calibrate it",
+        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in "
+        "a groove of 2 mm in a board, 75 um of air: calibrate it",
     ] = round(gap_conductance(USUAL_GAP, AMBIENT), 1)
 
     def __post_init__(self) -> None:
