@@ -107,7 +107,7 @@ class Battery:
         table = np.array(self.open_circuit)
         most = float(table[-1, 1])
         if not table[0, 1] <= finite("voltage", voltage) <= CHARGED * most:
-            raise InputError(f"voltage is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
+            raise InputError(f"voltage of the battery is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
         if voltage > most:
             LOGGER.warning(
                 f"the battery shows {voltage:g} V, a full one {most:g} V at rest: it is taken as full; let it rest, or "
