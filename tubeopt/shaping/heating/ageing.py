@@ -18,7 +18,8 @@ SHORTEST = 120.0
 
 
 def ageing(plan: HeatingPlan) -> tuple[float, float]:
-    """Length (m) of tube beside the curved part, at each end, that gets to where nitinol ages; its longest time (s)."""
+    """Length (m) of tube beside the curved part, at each end, whose hottest is where nitinol ages; its longest time (s)
+    there."""
     half = len(plan.position) // 2
     outside = np.flatnonzero(~plan.curved[:half])
     spans = np.diff(plan.time, append=plan.time[-1])
@@ -27,7 +28,9 @@ def ageing(plan: HeatingPlan) -> tuple[float, float]:
     place = plan.position[:half]
     faces = np.concatenate([[0.0], 0.5 * (place[1:] + place[:-1]), place[-1:]])
     widths = np.diff(faces)[outside]
-    return float(widths[times > 0].sum()), float(times.max(initial=0.0))
+    hottest = plan.temperature[:, outside].max(0)
+    ages = (hottest > AGEING[0]) & (hottest < AGEING[1])
+    return float(widths[ages].sum()), float(times[ages].max(initial=0.0))
 
 
 def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
@@ -37,8 +40,8 @@ def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
         return ()
     than = "less" if longest < SHORTEST else "more"
     return (
-        f"beside the bend {1e3 * length:.0f} mm of tube at each end get to {AGEING[0]:.0f} to {AGEING[1]:.0f} degC, "
-        f"for {longest:.0f} s at most, where Ti-50.8Ni precipitates fastest and its Af moves: {than} than the "
-        f"{SHORTEST:.0f} s of the shortest treatment that is told of (BIOMED2007, p. 89); measure Af of what is not "
-        "cut off",
+        f"beside the bend {1e3 * length:.0f} mm of tube at each end get no hotter than {AGEING[0]:.0f} to "
+        f"{AGEING[1]:.0f} degC, for {longest:.0f} s at most, where Ti-50.8Ni precipitates fastest and its Af moves: "
+        f"{than} than the {SHORTEST:.0f} s of the shortest treatment that is told of (BIOMED2007, p. 89); measure Af "
+        "of what is not cut off",
     )
