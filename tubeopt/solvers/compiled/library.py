@@ -165,7 +165,7 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
     return tables + c_text(constants, generator, "kernel.c")
 
 
-def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
+def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str | Path) -> str:
     """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
     constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"

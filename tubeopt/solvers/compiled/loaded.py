@@ -10,6 +10,7 @@ import ctypes
 import threading
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -47,7 +48,11 @@ SOLVED = 0
 
 def loaded_source(n: int) -> str:
     """The C text of the kernel for n concentric tubes under load."""
-    generator = ca.CodeGenerator("mechanics.c")
+    return loaded_text(n, ca.CodeGenerator("mechanics.c"), "loaded.c")
+
+
+def loaded_text(n: int, generator: ca.CodeGenerator, file: str | Path) -> str:
+    """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
     defines = {
@@ -78,11 +83,12 @@ def loaded_source(n: int) -> str:
         "HARDLY_SOFTENED": CONTINUATION.hardly_softened,
     }
     tables = {"TANGENT": tangent_forms(), "TURN": world_turns()}
+    braces = str.maketrans("[]", "{}")
     arrays = "".join(
-        f"static const double {name}[3][4][4] = {{{', '.join(repr(float(v)) for v in table.ravel())}}};\n"
+        f"static const double {name}[3][4][4] = {str(table.tolist()).translate(braces)};\n"
         for name, table in tables.items()
     )
-    return arrays + c_text(defines, generator, "loaded.c")
+    return arrays + c_text(defines, generator, file)
 
 
 _POINTERS = (
