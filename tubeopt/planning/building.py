@@ -109,6 +109,7 @@ def build(
         limits=None if space.robot.limits is None else limits_of(space),
         clock=clock,
         max_force=task.max_force,
+        load=task.chart.load,
     )
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip

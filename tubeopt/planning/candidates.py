@@ -74,7 +74,9 @@ def motions_near(
 
 def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
     """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
-    straight line. With bodies in the way smoothing takes twice as long."""
+    straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    if task.chart.load is not None:
+        return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
         return length >= SHORT

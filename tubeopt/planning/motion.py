@@ -36,12 +36,11 @@ EACH = "for all tubes, or one per tube"
 
 @dataclass(frozen=True)
 class RateLimits(Displayed):
-    """How fast the actuators are.
+    """How fast the actuators are; but for the tip, one number for all tubes, or one per tube.
 
     Args:
         rotation, translation: greatest rates, rad/s and m/s.
         rotation_acceleration, translation_acceleration: rad/s^2 and m/s^2.
-        Each is one number for all tubes, or one per tube.
         tip: greatest speed of the tip, m/s; None where it does not matter.
 
     Raises:

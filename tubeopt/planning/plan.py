@@ -16,6 +16,7 @@ from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way, find_way, shorten
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -52,7 +53,7 @@ FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
 
 
 @small
-def plan_trajectory(
+def plan_trajectory(  # noqa: PLR0913
     robot: Robot,
     start: Any,
     goal: Any,
@@ -62,6 +63,7 @@ def plan_trajectory(
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
+    load: Load | None = None,
 ) -> Trajectory:
     """A motion from one equilibrium to another that stays on one stable branch all the way, and the proof of it.
 
@@ -74,9 +76,12 @@ def plan_trajectory(
         min_margin: least margin all the way, in [0, 1).
         rate_limits: of the actuators.   limits: range of every joint; by default `robot.limits`.
         options: search, objective of smoothing, time limit, and the like.
+        load: that the robot bears all the way; a start without it is first loaded. Margin, clearance and rates are
+            those of the loaded robot, whose way is shortened and rounded, but not smoothed by a program.
 
     Raises:
-        InputError: start or goal out of range, or numbers that make no sense.
+        InputError: start or goal out of range, or numbers that make no sense; a load for which nothing is proved (see
+            `verify_trajectory`), or beside `max_force`, a roadmap, or a cost of smoothing.
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
 
@@ -91,7 +96,7 @@ def plan_trajectory(
         >>> plan.proved
         True
     """
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
     with in_time(clock):
         return _planned(task, start, goal, rate_limits, options, clock)
 
@@ -100,7 +105,7 @@ def _planned(
     task: Task, start: Any, goal: Any, rate_limits: RateLimits, options: PlanOptions, clock: Clock
 ) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
-    first = start_equilibrium(task.chart.space, start)
+    first = start_equilibrium(task.chart.space, start, task.chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -143,7 +148,7 @@ def _way(
         left = max(0.0, until - clock.seconds)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way

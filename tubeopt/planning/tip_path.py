@@ -78,6 +78,14 @@ def follow_tip_path(  # noqa: PLR0913
         InputError: fewer than two points, a curve longer than 1000 tubes, a start whose tip is elsewhere, numbers that
             make no sense.
         SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> motion = tubeopt.follow_tip_path(robot, [[0.0, -0.03, 0.13], [0.005, -0.03, 0.13]])
+        >>> motion.proof.holds, bool(motion.deviation.max() <= 5e-4)
+        (True, True)
     """
     positive("tolerance", tolerance)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
