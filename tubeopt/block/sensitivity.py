@@ -12,12 +12,14 @@ from ..errors import InputError, choice
 from .composed import JOINTS, ComposedBlock
 from .given import LENGTHS
 from .guess import poses_of
+from .stability import refuse_load
 from .transcription.chain import OF_TUBE
 from .transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 
 
 def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every input a, with dx as unknowns."""
+    refuse_load(block, "the Jacobian")
     names, inputs = (wrt,) if isinstance(wrt, str) else tuple(wrt), (*JOINTS, *block.dimensions)
     # What follows from the pieces of a tube is no input of its own.
     own = [name for name in inputs if block.chain is None or name not in (*OF_TUBE.values(), "curved_length")]
