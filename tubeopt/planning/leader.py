@@ -22,10 +22,10 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
+from .building import Built, actuators, build
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, actuators, build
 from .question import asked, in_time
 from .timing import through
 from .tip_path import distance_from

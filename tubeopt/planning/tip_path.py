@@ -20,10 +20,10 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
+from .building import Built, actuators, build
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, actuators, build
 from .question import asked
 from .reach import least_miss
 from .timing import through
