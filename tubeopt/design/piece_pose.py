@@ -25,12 +25,12 @@ class PiecePose:
     def __init__(
         self, solved: Solved, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
     ) -> None:
-        self.problem, self.margin = solved.problem, solved.margin
-        self._solved, self._tubes, self._changes = solved, tuple(tubes), changes
+        self.solved, self.problem, self.margin = solved, solved.problem, solved.margin
+        self._tubes, self._changes = tuple(tubes), changes
 
     @cached_property
     def _solution(self) -> Solution:
-        solved = self._solved
+        solved = self.solved
         return Solution(solved.problem, solved.rotations, NewtonResult(solved.state, True, 0, 0.0), solved.margin)
 
     @cached_property
@@ -54,6 +54,16 @@ class PiecePose:
     def frame(self) -> Array:
         """(m, 3, 3) Bishop frame at the shape points."""
         return self._equilibrium.frame
+
+    @property
+    def arc_length(self) -> Array:
+        """(m,) of the shape points, m."""
+        return self._equilibrium.arc_length
+
+    @property
+    def shape_slopes(self) -> tuple[Array, Array, Array]:
+        """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
+        return self.derivatives.shape
 
     @property
     def tip_slopes(self) -> tuple[Array, Array]:
