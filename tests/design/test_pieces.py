@@ -40,8 +40,10 @@ from tubeopt.design.parameters import design_space
 from tubeopt.design.relaxation import InfeasibleDesignError
 from tubeopt.design.state import FixedPose, FreePose, Layout, State
 from tubeopt.runs.design_parts import FreeEntry
+from tubeopt.stability.certificate import convexity
 from tubeopt.typing import Array
 
+PATTERN_OF_TWO = Free("piece_bending_factor", (0, 1), 0.2, 1.0, torsion_share=0.5)
 PATTERN = Free("piece_bending_factor", (0, 1, 2), 0.2, 1.0, torsion_share=0.5)
 
 
@@ -106,6 +108,25 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
         up, down = (arm_points(State(layout, x + 1e-6 * sign * row).pose(0), SHARES) for sign in (1, -1))
         found = (up - down) / 2e-6
         assert np.abs(slope[:, :, k] - found).max() < 2e-6 * np.abs(found).max() + 1e-9
+
+
+def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
+    inner = Tube.of_pieces(1.0e-3, 0.7e-3, [Piece(0.04, -24.0), Piece(0.04, -22.0)], straight_length=0.04)
+    outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.045, 26.0), Piece(0.02, (-20.0, 0.0, 4.0))], straight_length=0.02)
+    space = design_space((inner, outer), [Free("piece_curvature", (0, 1), -30.0, 30.0), PATTERN_OF_TWO])
+    layout = Layout(space, (), ((-0.004, -0.001),), ())
+    x = 0.95 * space.start
+
+    def look(at: Array) -> tuple[Array, Array]:
+        return at_state(State(layout, at))(Quantity("certificate", at=(-0.004, -0.001)))
+
+    value, slope = look(x)
+    robot = ConcentricRobot(space.tubes(x))
+    assert value == pytest.approx(snap_free_certificate(robot, (-0.004, -0.001)), abs=2e-6)
+    assert value > convexity(robot, np.array([-0.004, -0.001])) + 1.0
+    steps = 1e-4 * space.scale
+    found = [(look(x + d)[0] - look(x - d)[0]) / (2 * h) for d, h in zip(np.diag(steps), steps, strict=True)]
+    assert np.abs(slope.ravel() - np.ravel(found)).max() < 1e-4 * np.abs(found).max()
 
 
 def test_pieces_are_bent_into_a_corridor() -> None:
