@@ -23,6 +23,7 @@ from . import (
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
 from .design import DesignSolution, DesignTask, optimize_design
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
+from .equilibrium.clearance import ClearanceCorrection, clearance_correction
 from .equilibrium.file import load_equilibrium
 from .equilibrium.kinematics import forward_kinematics
 from .equilibrium.result import Equilibrium, Jacobian, Statistics, Status, Verification
@@ -111,6 +112,7 @@ __all__ = [
     "Branch",
     "Camera",
     "Certificate",
+    "ClearanceCorrection",
     "ConcentricRobot",
     "DesignSolution",
     "DesignTask",
@@ -175,6 +177,7 @@ __all__ = [
     "WorstMargin",
     "build_roadmap",
     "certify",
+    "clearance_correction",
     "deflection_bound",
     "energy_map",
     "estimate_force",

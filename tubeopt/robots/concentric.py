@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
@@ -9,7 +10,7 @@ from os import PathLike
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError
+from ..errors import InputError, numbers, positive
 from ..typing import Array, late
 from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
@@ -29,10 +30,12 @@ class ConcentricRobot(Displayed):
         joint_limits: what the actuators allow, in their readings; None is what the lengths allow (see `limits`).
         calibration: how readings of the drives become joint values; None where they read true.
         friction: between neighbouring tubes, for those who ask for motion with it; None where none is known.
+        clearance: (n - 1,) m, radial, of every tube in the next one, for those who ask how far it lets the arm tilt;
+            None: it does not count.
 
     Raises:
         InputError: no tube, tubes that do not nest, an inner tube shorter than an outer one, limits, a
-            calibration or a friction for another number of tubes.
+            calibration, a friction or clearances for another number of tubes.
     """
 
     tubes: tuple[Tube, ...]
@@ -40,6 +43,7 @@ class ConcentricRobot(Displayed):
     joint_limits: JointLimits | None = None
     calibration: Calibration | None = None
     friction: Friction | None = None
+    clearance: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         tubes = tuple(self.tubes)
@@ -63,6 +67,8 @@ class ConcentricRobot(Displayed):
             )
         check_calibration(self.calibration, len(tubes))
         check_friction(self.friction, len(tubes))
+        if self.clearance is not None:
+            object.__setattr__(self, "clearance", per_pair("clearance", self.clearance, len(tubes)))
 
     @property
     def n_tubes(self) -> int:
@@ -96,6 +102,18 @@ class ConcentricRobot(Displayed):
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
         late("tubeopt.robots.file.save_robot")(self, path)
+
+
+def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
+    """A number, 0 or more, for every pair of neighbours, of one for each or one for all; raises InputError."""
+    values = tuple(positive(name, x, zero=True) for x in numbers(name, given))
+    values = values * (n_tubes - 1) if len(values) == 1 else values
+    if len(values) != n_tubes - 1:
+        raise InputError(
+            f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {n_tubes - 1}, one for "
+            "every pair of neighbours, or 1"
+        )
+    return values
 
 
 def friction_of(robot: Robot) -> Friction | None:

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import Part, asking, to_data, values
 from ..files.marks import Usual
-from ..files.units import MM, to_si
+from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, save_yaml
 from .calibration_file import CalibrationEntry, calibration_to_dict
 from .concentric import ConcentricRobot
@@ -173,11 +173,16 @@ class ConcentricEntry(RobotEntry):
     kind: Literal["concentric"]
     tubes: list[TubeEntry] = Field(min_length=1)
     friction: FrictionEntry | None = Field(None, description="between neighbouring tubes; none where not given")
+    clearance_mm: list[NotNegative] | None = Field(
+        None, description="radial, of every tube in the next one, or one for all; it does not count where not given"
+    )
 
     def build(self) -> ConcentricRobot:
         """The robot in SI."""
         friction = self.friction.build() if self.friction else None
-        return ConcentricRobot(tuple(tube.build() for tube in self.tubes), **self.common(), friction=friction)
+        room = None if self.clearance_mm is None else tuple(to_si(x, MM) for x in self.clearance_mm)
+        tubes = tuple(tube.build() for tube in self.tubes)
+        return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=room)
 
 
 @asking(EccentricRobot)
@@ -283,6 +288,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         data["calibration"] = calibration_to_dict(robot.calibration)
     if isinstance(robot, ConcentricRobot) and robot.friction is not None:
         data["friction"] = friction_to_dict(robot.friction)
+    if isinstance(robot, ConcentricRobot) and robot.clearance is not None:
+        data["clearance_mm"] = [in_unit(x, MM) for x in robot.clearance]
     return data
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 from ..files.units import TO_MM
 from .robot import Robot
+from .tubes import Tube
 
 TIGHT_MM = 0.01
 """Radial clearance below which tubes bind: what drawn tubing and its ovality already use up."""
@@ -14,10 +18,16 @@ LOOSE_MM = 0.1
 
 def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
     """Tube -> the tube around it, if any, and the radial clearance (mm) between them; tubes counted from 0."""
-    return {
-        i: (o, round((robot.tubes[o].inner_diameter - robot.tubes[i].outer_diameter) * TO_MM, 9) / 2)
-        for i, o in robot.nested_pairs
-    }
+    return {i: (o, round(_room(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
+
+
+def drawn_clearance(tubes: Sequence[Tube]) -> tuple[float, ...]:
+    """(n - 1,) radial clearance of every tube in the next one by their diameters, m."""
+    return tuple(_room(inner, outer) for inner, outer in pairwise(tubes))
+
+
+def _room(inner: Tube, outer: Tube) -> float:
+    return (outer.inner_diameter - inner.outer_diameter) / 2
 
 
 def fit_warnings(robot: Robot) -> list[str]:

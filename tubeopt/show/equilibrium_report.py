@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
-from ..files.units import TO_MILLI
-from ..robots.concentric import friction_of
+from ..files.units import TO_MILLI, TO_MM
+from ..robots.concentric import ConcentricRobot, friction_of
 from ..stability import friction_band
 from ..typing import Array
 from .load_words import LOADED
@@ -36,6 +37,11 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
              "before, to first order; absent without friction", lambda e: by_history(e), optional=True),
     line("friction holds it", lambda e: _held_within(e)),
+    Quantity("tip_by_clearance_mm", "tip position where the room between the tubes lets it tilt to, to first order; "
+             "absent without clearance", lambda e: _tilted(e, "tip_position"), optional=True),
+    Quantity("tip_clearance_radius_mm", "how far that can be from the tip position at most; absent without clearance",
+             lambda e: _tilted(e, "tip_radius"), optional=True),
+    line("clearance", lambda e: _loose(e)),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
     Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
     Quantity("margin", "margin", words=lambda e: margin_in_words(e.margin)),
@@ -64,6 +70,21 @@ def by_history(e: Equilibrium) -> Array | None:
 def _held_within(e: Equilibrium) -> str | None:
     half = by_history(e)
     return None if half is None else f"within ± {millimetres(half, '.3f')} along x, y, z, to first order"
+
+
+def _tilted(e: Equilibrium, name: str) -> Any:
+    """Of the correction for clearance; None where the robot's file tells of none."""
+    if not isinstance(e.robot, ConcentricRobot) or not any(e.robot.clearance or ()):
+        return None
+    return getattr(clearance_correction(e), name)
+
+
+def _loose(e: Equilibrium) -> str | None:
+    place = _tilted(e, "tip_position")
+    if place is None:
+        return None
+    moved = millimetres(place - e.tip_position, ".3f")
+    return f"tilts the tip by {moved}, at most {_tilted(e, 'tip_radius') * TO_MM:.3f} mm"
 
 
 def _how(e: Equilibrium) -> str:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..typing import Array
@@ -105,7 +104,7 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
     values = table.turned - transmission * table.twist
     sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
-        values = scipy.signal.resample(values, n, axis=axis)
+        values = _resampled(values, n, axis)
     angles = np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in sizes], indexing="ij"), axis=-1)
     gap = _tips(angles, k) + values - wanted
     # Relative to the last tube, then that itself where it counts: continuous along the grid, in turns.
@@ -114,6 +113,15 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
     chosen = angles[hit] + TURN / 2 / np.array(sizes)
     tips = _tips(chosen, k)
     return tips if dimension == k else tips + wanted[-1]
+
+
+def _resampled(values: Array, size: int, axis: int) -> Array:
+    """Values on a finer grid of a period along an axis, by their Fourier series: as `scipy.signal.resample`, but
+    without its package, whose import takes longer than all that is asked of a table."""
+    spectrum, old = np.moveaxis(np.fft.rfft(values, axis=axis), axis, 0), values.shape[axis]
+    if old % 2 == 0:
+        spectrum[old // 2] /= 2  # the highest frequency stands for both of its signs
+    return np.asarray(np.fft.irfft(np.moveaxis(spectrum, 0, axis), size, axis=axis) * (size / old))
 
 
 def _may_be_whole(values: Array, own: int) -> NDArray[np.bool_]:

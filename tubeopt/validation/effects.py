@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robots.eccentric import EccentricRobot
+from ..robots.fit import drawn_clearance
 from ..robots.robot import Robot
 from .measurements import Measurements
 from .setup import Setup, members
@@ -212,6 +213,13 @@ def _friction_span(context: Context, index: int | None) -> Span:
     return Span(start, 0.0, max(start, 50 * scale), scale, scale)
 
 
+def _clearance_span(context: Context, index: int | None) -> Span:
+    """From what the file or the drawing says; a tilt grows with the root of it, which has no slope at 0."""
+    drawn = max(drawn_clearance(context.robot.tubes)[index or 0], 5e-6)
+    start = float(context.setup.clearance[index or 0]) or drawn
+    return Span(start, 0.0, 5 * max(start, drawn), drawn, 0.5 * drawn)
+
+
 DEGREE = math.pi / 180
 
 EFFECTS: dict[str, Effect] = {
@@ -242,6 +250,10 @@ EFFECTS: dict[str, Effect] = {
     "friction": Effect(
         "torque per length that rubbing bears between tube I and the next one, N m per m", "N", "pair",
         _friction_span, _put("friction"), needs="way", history=True,
+    ),
+    "clearance": Effect(
+        "radial clearance of tube I in the next one, which lets the arm beyond its end tilt", "m", "pair",
+        _clearance_span, _put("clearance"), compared=False,
     ),
     "curvature": Effect(
         "precurvature of tube I, 1/m; without a number, a common factor on all", "1/m", "kind",

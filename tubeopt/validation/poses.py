@@ -9,9 +9,11 @@ import numpy as np
 import scipy
 
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
+from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
+from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 
@@ -77,7 +79,26 @@ def solve_poses(
     if stations.any():
         position = _along(robot, rotations, translations, stations, np.isfinite(margin), shapes)
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
-    return Poses(position, turned @ _about_z(theta), margin, length, failures)
+    poses = Poses(position, turned @ _about_z(theta), margin, length, failures)
+    if loose(robot):
+        for k in np.flatnonzero(poses.found):
+            tilt(
+                poses, int(k), shapes.get(int(k)) or forward_kinematics(robot, rotations[k], translations[k]), stations
+            )
+    return poses
+
+
+def loose(robot: Robot) -> bool:
+    """Whether the robot is known to have room between its tubes."""
+    return isinstance(robot, ConcentricRobot) and bool(np.any(robot.clearance or 0.0))
+
+
+def tilt(poses: Poses, row: int, shape: Equilibrium, stations: Array) -> None:
+    """Put a row where the room between the tubes lets the arm tilt to."""
+    tilted = clearance_correction(shape)
+    moved, at = tilted.position - shape.position, np.maximum(shape.arc_length[-1] - stations, 0.0)
+    poses.position[row] += np.column_stack([np.interp(at, shape.arc_length, along) for along in moved.T])
+    poses.frame[row] = tilted.turn @ poses.frame[row]
 
 
 def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:

@@ -10,13 +10,13 @@ import scipy
 
 from ..block.transcription.arm import Arm
 from ..block.transcription.whole_arm import evaluate_arm
-from ..equilibrium.friction import Held
+from ..equilibrium.friction import Held, to_held_equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..stability.rubbing_following import rubbing_legs
 from ..typing import Array, Index
-from .poses import Poses
+from .poses import Poses, loose, tilt
 
 COARSE = -1
 """Refinement of the mesh: where slip ends is then off by less than what tips are measured to."""
@@ -38,6 +38,7 @@ def rubbed_poses(
     position, frame = np.full((count, len(stations), 3), np.nan), np.full((count, 3, 3), np.nan)
     margin, length = np.full(count, np.nan), np.zeros(count)
     failures: list[tuple[int, str]] = []
+    poses = Poses(position, frame, margin, length, ())
     curved = np.array([tube.curved_length for tube in robot.tubes])
     for run in runs:
         table, k = np.hstack([alpha[run], shift[run]]), 0
@@ -48,9 +49,11 @@ def rubbed_poses(
                 length[row], margin[row] = arm.arc_length[-1], held.margin
                 position[row] = _along(arm, stations)
                 frame[row] = arm.frame[-1] @ _about_z(arm.rotation[last, -1])
+                if loose(robot):
+                    tilt(poses, row, to_held_equilibrium(robot, held, "way"), stations)
         except (InputError, SolveError) as error:
             failures += [(int(row), str(error)) for row in run[k + (not np.isnan(margin[run[k]])) :]]
-    return Poses(position, frame, margin, length, tuple(failures))
+    return replace(poses, failures=tuple(failures))
 
 
 def _arm(held: Held) -> Arm:

@@ -11,7 +11,6 @@ from ..errors import InputError
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
-from ..robots.friction import Friction
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..typing import Array
@@ -29,6 +28,7 @@ class Setup:
         latency: s by which the measured tips come later than the joint readings.
         rotation, rotation_gain, rotation_play, translation, translation_gain: (n,) of the drives; see `Calibration`.
         friction: (n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others.
+        clearance: (n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others.
         curvature, straight_length, curved_length, bending_stiffness, torsional_stiffness: (m,) of the tubes that the
             robot is described by, one per segment of an eccentric one; straight_length with the transmission.
         plate_shift, plate_tilt: (3,) m and (2,) rad about x and y, by which the plate stands off where the
@@ -45,6 +45,7 @@ class Setup:
     translation: Array
     translation_gain: Array
     friction: Array
+    clearance: Array
     curvature: Array
     straight_length: Array
     curved_length: Array
@@ -70,6 +71,7 @@ class Setup:
             translation=np.array(drives.translation_offsets),
             translation_gain=np.array(drives.translation_gains),
             friction=_torques(robot),
+            clearance=_clearance(robot),
             curvature=np.array([tube.curvature for tube in tubes]),
             straight_length=np.array([tube.straight_length + extra for tube in tubes]),
             curved_length=np.array([tube.curved_length for tube in tubes]),
@@ -120,8 +122,12 @@ class Setup:
         if isinstance(given, EccentricRobot):
             # What is behind the straight part of the tube is transmission, as far as there is any.
             extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
-        friction = with_torque(friction_of(given), self.friction)
-        return _rebuild(given, tubes, extra, self.calibration(found_by), friction)
+        drives = self.calibration(found_by)
+        if isinstance(given, ConcentricRobot):
+            friction = with_torque(friction_of(given), self.friction)
+            loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
+            return replace(given, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
+        return _rebuild(given, tubes, extra, drives)
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
         changed: dict[str, Any] = {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
@@ -133,8 +139,9 @@ class Setup:
         return replace(tube, **changed, **_stiffness(tube, kb, kt))
 
 
-TUBES = ("friction", "curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
-"""What describes the tubes and how they rub."""
+DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
+TUBES = ("friction", "clearance", *DIMENSIONS)
+"""What describes the tubes, how they rub, and how loose they are."""
 
 
 def _torques(robot: Robot) -> Array:
@@ -142,6 +149,12 @@ def _torques(robot: Robot) -> Array:
         return np.zeros(0)
     pairs = robot.n_tubes - 1
     return np.zeros(pairs) if robot.friction is None else np.array(robot.friction.per_pair("torque", pairs))
+
+
+def _clearance(robot: Robot) -> Array:
+    if not isinstance(robot, ConcentricRobot):
+        return np.zeros(0)
+    return np.zeros(robot.n_tubes - 1) if robot.clearance is None else np.array(robot.clearance)
 
 
 def _stiffness(tube: Tube, bending: float, torsional: float) -> dict[str, Any]:
@@ -164,10 +177,8 @@ def members(robot: Robot) -> tuple[Tube, ...]:
 
 
 def _rebuild(
-    given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None, friction: Friction | None
-) -> CommonRobot:
-    if isinstance(given, ConcentricRobot):
-        return replace(given, tubes=tubes, calibration=drives, friction=friction)
+    given: Robot, tubes: tuple[Tube, ...], transmission: float, drives: Calibration | None
+) -> EccentricRobot | SegmentedEccentricRobot:
     if isinstance(given, SegmentedEccentricRobot):
         return replace(given, segments=tubes, calibration=drives)
     if isinstance(given, EccentricRobot):

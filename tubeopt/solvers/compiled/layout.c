@@ -98,9 +98,11 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
     l->pieces = 0;
     l->sections = count - 1;
     for (int k = 0; k + 1 < count; k++) {
-        double length = cuts[k + 1] - cuts[k], middle = (cuts[k] + cuts[k + 1]) / 2, steepest = 0;
-        double kb[N], m[N];
+        double length = cuts[k + 1] - cuts[k], middle = (cuts[k] + cuts[k + 1]) / 2;
         int present[N], curved[N], bent = 0;
+#if !GENERAL
+        double kb[N], m[N], steepest = 0;
+#endif
         l->section_start[k] = cuts[k];
         for (int i = 0; i < N; i++) {
             present[i] = middle < l->end[i];

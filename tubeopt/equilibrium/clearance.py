@@ -1,0 +1,186 @@
+"""What room between the tubes does to an arm: where a tube ends, those inside it leave it off its axis, and tilted.
+
+Let y be the way of the inner tubes across the outer one, |y| <= delta, and rho the difference of what both would be
+bent to alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending stiffnesses k_i and k_o,
+
+    1/2 int k_i k_o / (k_i + k_o) |y'' - rho|^2 ds,     |y| <= delta,     no moment where the outer tube ends.
+
+Far inside, the wall bears the moment. Towards the end it is lost over a length l from one wall to the other:
+y'' = rho x / l and rho l^2 / 6 = 2 delta, so
+
+    l = sqrt(12 delta / rho)     and the tilt is     rho l / 2 = sqrt(3 delta rho),
+
+as long as rho turns little over l. Shorter overlaps leave the inner tubes free: the tilt is rho times their length. The
+line that both would have stays where it is, so that k_o / (k_i + k_o) of tilt and of delta is that of the inner tubes.
+
+At most: the moment M, over k_i k_o / (k_i + k_o), is straight but for the walls, which bend its graph towards
+themselves; its extremes lie where a wall is touched, and there y'' = M + rho points away from the wall. So
+|M| <= max |rho| =: R and |y''| <= 2 R, and with Landau's inequality the tilt is at most 2 sqrt(2 delta R). This is a
+proof for tubes that are bent in one plane and pushed by nothing but each other.
+
+The same effects are treated by Ha, Fagogenis and Dupont, "Modeling tube clearance and bounding the effect of friction
+in concentric tube robot kinematics", IEEE Transactions on Robotics 35(2), 2019.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..display import Displayed
+from ..errors import InputError
+from ..robots.assembly import Assembly, where
+from ..robots.concentric import ConcentricRobot, per_pair
+from ..robots.fit import drawn_clearance
+from ..typing import Array
+from .result import Equilibrium
+
+SHORTEST = 1e-9
+"""Parts of an arm beyond the end of a tube that are shorter (m) do not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaving(Displayed):
+    """Where the tubes inside leave a tube that ends in front of the plate.
+
+    Attributes:
+        tube: the one that ends, from 0.   arc_length: where, m.   clearance: radial, m.
+        mismatch: by how much both would be bent differently if left alone, 1/m.
+        contact: length over which the inner tubes cross from one wall to the other, m.
+        turn: (3,) rotation vector, rad, by which all beyond is turned, and shift (3,), m, by which it is moved.
+        most_turn, most_shift: bounds of their sizes, rad and m, proved for tubes that are bent in one plane and pushed
+            by nothing but each other.
+    """
+
+    tube: int
+    arc_length: float
+    clearance: float
+    mismatch: float
+    contact: float
+    turn: Array
+    shift: Array
+    most_turn: float
+    most_shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceCorrection(Displayed):
+    """An arm with the tilts that the room between its tubes allows, to first order in them.
+
+    Attributes:
+        equilibrium: of tubes on one centreline.   leavings: where tubes are left, base to tip.
+        position: (M, 3) of the points of the arm, m.   tip_position: (3,).
+        turn: (3, 3) by which the frame of the tip is turned.   tip_rotation: (3, 3) that frame.
+        radius: (M,) m, how far points can be from where they are without clearance, by the bounds of `leavings`.
+    """
+
+    equilibrium: Equilibrium
+    leavings: tuple[Leaving, ...]
+    position: Array
+    turn: Array
+    radius: Array
+
+    @property
+    def tip_position(self) -> Array:
+        """(3,) m."""
+        return np.asarray(self.position[-1])
+
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, 3)."""
+        return np.asarray(self.turn @ self.equilibrium.tip_rotation)
+
+    @property
+    def tip_radius(self) -> float:
+        """How far the tip can be from where it is without clearance, m."""
+        return float(self.radius[-1])
+
+
+def clearance_correction(
+    equilibrium: Equilibrium, clearance: Sequence[float] | float | None = None
+) -> ClearanceCorrection:
+    """How far the room between its tubes lets a concentric robot be from where its equilibrium says.
+
+    Args:
+        clearance: (n - 1,) m, radial, of every tube in the next one, or one number for all; by default those of the
+            robot's file, else those of its diameters.
+
+    Raises:
+        InputError: an eccentric robot, or clearances that are negative, not finite, or for another number of tubes.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
+        >>> tilted = tubeopt.clearance_correction(pose, 20e-6)
+        >>> bool(np.linalg.norm(tilted.tip_position - pose.tip_position) < tilted.tip_radius)
+        True
+    """
+    e, robot = equilibrium, equilibrium.robot
+    if not isinstance(robot, ConcentricRobot):
+        raise InputError("robot is eccentric; clearance between tubes is that of concentric ones")
+    given = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
+    room = per_pair("clearance", given, robot.n_tubes)
+    ends = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])
+    leavings = tuple(found for o in ends if (found := _leaving(e, o, room[o - 1])) is not None)
+    position, turn, radius = e.position.copy(), np.zeros(3), np.zeros(len(e.position))
+    for leaving in leavings:
+        beyond = np.maximum(e.arc_length - leaving.arc_length, 0.0)
+        lever = e.position - e.position[int(np.searchsorted(e.arc_length, leaving.arc_length))]
+        ahead = (beyond > 0)[:, None]
+        position += ahead * (np.cross(leaving.turn, lever) + leaving.shift)
+        radius += ahead[:, 0] * (leaving.most_turn * np.linalg.norm(lever, axis=1) + leaving.most_shift)
+        turn = turn + leaving.turn
+    return ClearanceCorrection(e, leavings, position, _rotation(turn), radius)
+
+
+def _leaving(e: Equilibrium, outer: int, room: float) -> Leaving | None:
+    """What happens where a tube ends; None where that is behind the plate, at the tip, or both bend alike."""
+    end = float(e.tube_end[outer])
+    if end <= 0 or e.arc_length[-1] - end < SHORTEST:
+        return None
+    assembly = e.robot.assembly(e.translations)
+    before = e.arc_length <= end
+    mismatch, stiffness = _mismatch(assembly, e, outer, np.append(e.arc_length[before], end))
+    here, largest = mismatch[-1], float(np.linalg.norm(mismatch, axis=1).max())
+    size = float(np.linalg.norm(here))
+    if size * end < 1e-12:
+        return None
+    contact = min(np.sqrt(12 * room / size), end)
+    tilt = min(np.sqrt(3 * room * size), size * end)
+    inside = stiffness[1] / stiffness.sum()
+    frame = e.frame[int(np.searchsorted(e.arc_length, end))]
+    axis = frame[:, :2] @ here / size
+    sideways = np.cross(axis, frame[:, 2])
+    reach = min(np.sqrt(2 * room / largest), end)
+    most = 2 * room / reach + largest * reach if room else 0.0
+    turn, shift = inside * tilt * axis, inside * room * sideways
+    return Leaving(outer, end, room, size, float(contact), turn, shift, float(inside * most), inside * room)
+
+
+def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tuple[Array, Array]:
+    """(X, 2) difference of what the tubes inside and the outer one are bent to alone, 1/m, in the arm's frame at arc
+    lengths up to where the outer one ends; and the bending stiffness (2,) of both at the last, N m^2."""
+    inside = np.minimum(at, at[-1] - SHORTEST)
+    angle = np.column_stack([np.interp(inside, e.arc_length, row) for row in e.rotation])
+    if assembly.general:
+        there = assembly.cross_sections(inside, inside)
+        stiffness, moment = there.stiffness, there.moment
+        angle += there.phase - there.wound
+    else:
+        present, curved = where(assembly.transition, assembly.end, assembly.curvature, inside[:, None])
+        stiffness = present * assembly.bending_stiffness
+        moment = curved * assembly.bending_stiffness * assembly.curvature
+    pulls = moment[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    own = stiffness[:, :outer].sum(1), stiffness[:, outer]
+    alone = pulls[:, :outer].sum(1) / own[0][:, None] - pulls[:, outer] / own[1][:, None]
+    return alone, np.array([own[0][-1], own[1][-1]])
+
+
+def _rotation(turn: Array) -> Array:
+    """(3, 3) of a rotation vector."""
+    from scipy.spatial.transform import Rotation  # takes as long to load as thousands of solves
+
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
