@@ -45,18 +45,18 @@ def readout(session: Session, certificate: float | None) -> str:
     return (
         f'<div style="{BOX}" data-testid="readout">'
         f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
-        f"{legend(e.robot.n_tubes)}<br>{lines} {bar}"
+        f"{tube_colours(e.robot.n_tubes)}<br>{lines} {bar}"
         f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
     )
 
 
-def legend(n_tubes: int) -> str:
+def tube_colours(n_tubes: int) -> str:
     """Which tube has which colour, the innermost first."""
     marks = (
         f'<span style="color:{tube_colour(i)}">\N{BLACK CIRCLE}</span>\N{NO-BREAK SPACE}tube\N{NO-BREAK SPACE}{i + 1}'
         for i in range(n_tubes)
     )
-    return f'<span data-testid="legend">{" ".join(marks)}</span>'
+    return f'<span data-testid="tubes">{" ".join(marks)}</span>'
 
 
 def certificate_words(certificate: float | None) -> str:
