@@ -24,11 +24,12 @@ from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import piece_sizes, piece_tables
-from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text, with_included
+from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text
+from ..solvers.compiled.text import c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .c_loads import loaded_cases, loads_source
-from .c_text import C_FOLDER, numbers, static_table, tubes_text
+from .c_text import C_FOLDER, tubes_text
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
@@ -167,7 +168,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "\n/* --- the numbers of the robot --- */\n",
         *(f"#define {key} {value!r}" for key, value in defines.items()),
     ]
-    lines += [static_table(key, table) for key, table in tables.items()]
+    lines += [c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
     if pieces:

@@ -18,10 +18,10 @@ from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..solvers.compiled.library import HERE, with_included
 from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, ROUGH_DEGREE, loaded_text
+from ..solvers.compiled.text import HERE, numbers, static_table, with_included
 from ..typing import Array
-from .c_text import C_FOLDER, numbers, static_table, tubes_text
+from .c_text import C_FOLDER, tubes_text
 
 SEEN = re.compile(r"^(size_t (?:workspace|answer)_size|int solve_loaded|void solve_many_loaded)", re.MULTILINE)
 """What the kernel shows to Python."""

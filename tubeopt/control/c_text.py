@@ -5,25 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..robots.robot import Robot
+from ..solvers.compiled.text import numbers
 
 C_FOLDER = Path(__file__).parent / "c"
-
-
-def numbers(values: ArrayLike) -> str:
-    """Literals, by rows, that are read back to the last bit."""
-
-    def literal(value: float) -> str:
-        return repr(value) if np.isfinite(value) else "-INFINITY" if value < 0 else "INFINITY"
-
-    return ", ".join(literal(float(value)) for value in np.ravel(np.asarray(values, dtype=float)))
-
-
-def static_table(name: str, values: ArrayLike) -> str:
-    """A constant of C."""
-    return f"static const double {name}[] = {{{numbers(values)}}};"
 
 
 def tubes_text(robot: Robot) -> str:

@@ -10,7 +10,6 @@ import ctypes
 import threading
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -27,7 +26,8 @@ from ...physics.torsion import section_functions
 from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
-from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
+from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, kernel_path, load_library
+from .text import c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
 """Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
@@ -51,7 +51,7 @@ def loaded_source(n: int) -> str:
     return loaded_text(n, ca.CodeGenerator("mechanics.c"), "loaded.c")
 
 
-def loaded_text(n: int, generator: ca.CodeGenerator, file: str | Path) -> str:
+def loaded_text(n: int, generator: ca.CodeGenerator, file: str) -> str:
     """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
