@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..block.transcription.explicit import explicit_kind
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -88,6 +89,7 @@ class PredictiveServo:
         self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
         self._chart = Chart(self._guard.space)
+        explicit_kind(robot)  # or it raises
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
@@ -128,9 +130,11 @@ class PredictiveServo:
             return self._servo.step(command, dt)
         lacking = self._renew(knots)
         if not lacking:
-            there, lacking = self._guard.go(*self._along(knots, dt))
+            change, passed = self._along(knots, dt)
+            there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0))
             if Why.HELD not in lacking:
                 self._waited = 0
+                self._leave_behind(passed)
                 return ServoStep(there, lacking, *told)
         self._waited += 1
         if self._waited <= PATIENCE:
@@ -202,18 +206,29 @@ class PredictiveServo:
             return None
         return self._chart.of(found.equilibrium)
 
-    def _along(self, knots: Knots, dt: float) -> tuple[Array, Why]:
-        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may."""
+    def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
+        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may; and
+        how many knots that passes."""
         space, here, options = self._guard.space, self._guard.here, self.options
         rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
         turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)
-        passed = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
-        time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), passed))])
-        at = np.array([[np.interp(dt, time, column) for column in knots.z.T]])
-        wanted = self._chart.joints(at, self._chart.arms(at, 0.0))[0]
-        change = np.clip(wanted, space.lower, space.upper) - here.q
-        share = float((np.abs(change) / (rate * dt)).max())
-        return change / max(share, 1.0), Why.RATE if time[-1] > dt else Why(0)
+        moved = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
+        time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), moved))])
+        passed = float(np.interp(dt, time, np.arange(len(time))))
+        at = _places(knots.z, np.array([passed]))
+        change = np.clip(self._chart.joints(at, self._chart.arms(at, 0.0))[0], space.lower, space.upper) - here.q
+        share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
+        return change / max(share, 1.0), passed
+
+    def _leave_behind(self, passed: float) -> None:
+        """Cut what is left of the way into as many knots again, after some have been passed."""
+        if self._way is not None:
+            self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
+
+
+def _places(z: Array, at: Array) -> Array:
+    """(k, m) places on a polyline (K, m), by numbers (k,) of its points."""
+    return np.column_stack([np.interp(at, np.arange(len(z)), column) for column in z.T])
 
 
 def _aim(command: Command) -> Aim:
