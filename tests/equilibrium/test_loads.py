@@ -27,10 +27,11 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.loaded import evaluate, unknowns
-from tubeopt.equilibrium.load_problem import loaded_problem, mass_per_length
+from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import loaded_point
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
+from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.typing import Array
 

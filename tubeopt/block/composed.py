@@ -109,10 +109,13 @@ class ComposedBlock(Outputs, Generic[N]):
         scale = {"torsion": 1 / reach, "position": reach}
         if push is not None:
             scale |= dict.fromkeys(burdened.UNKNOWNS, push.typical / reach)
-        shapes = self._shapes()
+        shapes = self.shapes()
+        names = (*UNKNOWNS, *burdened.UNKNOWNS)[: len(shapes)]
+        # What every unknown of the arm typically is.
+        self.typical = [scale.get(name, 1.0) for name in names]
         self.columns = [
-            self.program.variable(self.label + name, rows * columns, scale=scale.get(name, 1.0))
-            for name, (rows, columns) in zip((*UNKNOWNS, *burdened.UNKNOWNS), shapes, strict=False)
+            self.program.variable(self.label + name, rows * columns, scale=typical)
+            for name, (rows, columns), typical in zip(names, shapes, self.typical, strict=True)
         ]
         self.numbers = None
         if self._moving:
@@ -123,7 +126,7 @@ class ComposedBlock(Outputs, Generic[N]):
         begin = self._start_model(self._given.start)
         self._set_guess(begin, shape_at_start(self.near, begin))
 
-    def _shapes(self) -> tuple[tuple[int, int], ...]:
+    def shapes(self) -> tuple[tuple[int, int], ...]:
         """Of all unknowns of the arm."""
         pieces, degree = self.layout.n_pieces, self._grid.degree
         under_load = burdened.sizes(pieces, degree) if self._grid.loaded else ()
@@ -133,7 +136,7 @@ class ComposedBlock(Outputs, Generic[N]):
         """The arm at joint values and dimensions in numbers, its unknowns nought."""
         self.begin_numbers = dict(numbers)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.fittings}
-        zero = tuple(ca.DM.zeros(*shape) for shape in self._shapes())
+        zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes())
         return burdened.arm_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, shape: Shape) -> None:

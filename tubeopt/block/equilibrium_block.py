@@ -45,7 +45,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
             `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
         load: what pushes on concentric tubes: force and moment at the tip, weight, a constant force per length; None is
-            that of `near`. The margin is then no expression; `equilibrium` tells it.
+            that of `near`. Margin and certificate are then no expressions; `equilibrium` tells the margin.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
