@@ -13,11 +13,10 @@ from ..block.transcription.collocated import ENDS
 from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES
 from ..block.transcription.tableau import tableau
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import masses
 from ..errors import InputError, SolveError
 from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import ROUND_OFF
-from ..robots.load import Load
+from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import CHECK_DEGREE, DEGREE, ROUGH_DEGREE, loaded_text
 from ..solvers.compiled.text import HERE, numbers, static_table, with_included
@@ -48,7 +47,7 @@ def loads_source(robot: Robot, name: str) -> str:
             "loads are asked for; in C they are for concentric tubes that are straight, then one arc each: "
             "forward_kinematics(..., load=) solves for tubes made of pieces, and no model has loads off the centreline"
         )
-    mass, n = masses(robot, Load(gravity=(0.0, 0.0, -9.81))), robot.n_tubes
+    mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -9.81))), robot.n_tubes
     generator = ca.CodeGenerator("mechanics_of_loads.c")
     generator.add(coupling_rate_function(n))
     defines = {

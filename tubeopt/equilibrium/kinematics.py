@@ -32,7 +32,7 @@ from .continuation import (
     largest_twist,
 )
 from .load_problem import check_load
-from .loaded import loaded_kinematics
+from .loaded import loaded_kinematics, solved_by_ipopt
 from .result import Equilibrium, Status
 from .solving import (
     DEFAULT_DISCRETISATION,
@@ -107,7 +107,8 @@ def forward_kinematics(  # noqa: PLR0913
             grows with the load; with one, the branch of the guess is followed to these joint values and this load.
         method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
             nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
-            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`.
+            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are one: least
+            potential energy, with the orientation of the arm as constraints, from what "newton" finds.
         tolerance: wanted accuracy of theta(s), rad, and of the tip as a fraction of the length of the arm, with tubes
             made of pieces of 10 mm; the mesh is refined until the estimate is below.
         verify: also re-integrate adaptively and report the difference in `.verification`.
@@ -115,7 +116,8 @@ def forward_kinematics(  # noqa: PLR0913
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
-            actuator, unknown method; a load on an eccentric robot, or with another method, `verify` or discretisation.
+            actuator, unknown method; a load on an eccentric robot, with `verify` or a discretisation, or with IPOPT
+            where it has no energy.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
@@ -138,9 +140,10 @@ def forward_kinematics(  # noqa: PLR0913
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
         check_load(robot, load, shift)
-        _only_plain(by, verify, discretisation)
+        _only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        return loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
+        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
+        return found if by is NAMED["newton"] else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
@@ -157,10 +160,15 @@ def forward_kinematics(  # noqa: PLR0913
     return verify_equilibrium(equilibrium) if verify else equilibrium
 
 
-def _only_plain(by: Method, verify: bool, discretisation: Discretisation) -> None:
+def _only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisation) -> None:
     """Raise InputError for what there is not under load."""
-    if by is not NAMED["newton"]:
-        raise InputError(f"method is {by.name!r} or has settings of its own; under load it must be 'newton'")
+    if by.name == "newton" and by is not NAMED["newton"]:
+        raise InputError("method has settings of Newton's method; under load they are chosen for you")
+    if by.name != "newton" and not load.has_energy:
+        raise InputError(
+            f"method is {by.name!r}; under a moment or a force that turns with the tip, which have no energy to be "
+            "made least, it must be 'newton'"
+        )
     if verify:
         raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
     if discretisation != DEFAULT_DISCRETISATION:
