@@ -43,6 +43,9 @@ ROOM, RISE = 0.01, 0.3
 """Margin above its floor at which the tip slides, as a step along the floor bends away from it; and the share of what
 the joints could do for the margin that a step must do at most."""
 
+AHEAD = 5.0
+"""Steps, as long as all joints turning and sliding together could make them, within which bodies are looked at."""
+
 TURN, SHIFT = 0.3, 0.05
 """Longest step whatever the rates: rad, and share of the longest tube."""
 
@@ -126,10 +129,13 @@ class Servo:
             kinds.append(Why.MARGIN)
         scene = self.guard.scene
         if scene.bodies:
-            contacts = here.outline.contacts(scene, options.clearance + NEAR * space.length)
-            rows.append(here.contact_slopes(scene, contacts) * space.scale)
-            bounds.append(np.minimum(APPROACH * (options.clearance - contacts.distance), 0.0))
-            kinds += [Why.OBSTACLE] * len(contacts.distance)
+            # What the joints could come close to in some steps; the guard sees what is more.
+            swept = AHEAD * (rate[:n].max() * space.length + rate[n:].max(initial=0.0))
+            contacts = here.outline.contacts(scene, options.clearance + min(swept, NEAR * space.length))
+            if len(contacts.distance):
+                rows.append(here.contact_slopes(scene, contacts) * space.scale)
+                bounds.append(np.minimum(APPROACH * (options.clearance - contacts.distance), 0.0))
+                kinds += [Why.OBSTACLE] * len(contacts.distance)
         return np.vstack(rows), np.concatenate(bounds), kinds
 
     def _task(self, group: str, command: Command, look: _Look, dt: float) -> tuple[Array, Array, bool] | None:
