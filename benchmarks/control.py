@@ -32,6 +32,10 @@ DT, LEG, FLOOR = 1e-3, 2.0, 0.1
 OPTIONS = ServoOptions(speed=0.06, turn_rate=3.0, shift_rate=0.05, min_margin=FLOOR)
 
 
+ROBOTS = [f"configs/robots/{name}.yaml" for name in ("thesis_ctr", "crl_ctr", "example_pieces", "thesis_etr")]
+"""Concentric ones of one arc per tube, one of tubes made of pieces, and an eccentric one."""
+
+
 def joints_of(robot: Any, count: int) -> tuple[Array, Array]:
     """Rotations and translations (count, n) within the limits."""
     space = joint_space(robot)
@@ -59,7 +63,7 @@ def compare(robot: Any, count: int) -> None:
         if k % 100 == 0:
             jacobian = tubeopt.forward_kinematics(robot, rotations[k], translations[k]).jacobian()
             slopes.append(np.abs(library.slopes().position - jacobian.position).max())
-    print(f"C library: {len(tips)} configurations, {declined} declined")
+    print(f"C library of {robot.name}: {len(tips)} configurations, {declined} declined")
     print(f"  tips differ by {max(tips):.1e} m at most, derivatives of {len(slopes)} by {max(slopes):.1e} m/rad or 1")
 
 
@@ -128,14 +132,15 @@ def spheres(seed: tubeopt.Equilibrium, count: int) -> Sequence[Obstacle]:
 def main() -> None:
     """Print all of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot", default="configs/robots/thesis_ctr.yaml")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS, help="of which the first is led")
     parser.add_argument("--configurations", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=60.0, help="of teleoperation")
     asked = parser.parse_args()
-    robot = tubeopt.load_robot(asked.robot)
-    compare(robot, asked.configurations)
-    teleoperate(robot, asked.seconds)
-    among_bodies(robot)
+    robots = [tubeopt.load_robot(path) for path in asked.robots]
+    for robot in robots:
+        compare(robot, asked.configurations)
+    teleoperate(robots[0], asked.seconds)
+    among_bodies(robots[0])
 
 
 if __name__ == "__main__":

@@ -42,13 +42,13 @@ TRIED = ("latency", "rotation_play", "friction")
 def joints(time: Array, slow: float) -> Array:
     """(N, 4) readings, rad and m, at times (N,), s: a smooth way there and back in `slow` s, then the same faster."""
     phase = np.where(time < slow, time / slow, (time - slow) * FASTER / slow)
-    there = 30.0 * np.minimum(phase, 1 - phase)[:, None]
+    there = 19.0 * np.minimum(phase, 1 - phase)[:, None]
     speed, shift = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
     waves = np.sin(speed * there + shift) + 0.6 * np.sin(2.3 * speed * there + 2 * shift)
     return np.asarray(waves * [1.4, 1.6, 6 * MM, 4 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
-def measure(slow: float = 8.0) -> Measurements:
+def measure(slow: float = 5.0) -> Measurements:
     """Rows of the way as the laboratory records them."""
     time = np.arange(int(RATE * slow * (1 + 1 / FASTER))) / RATE
     read, lagging = joints(time, slow), joints(np.maximum(time - DRIVES.latency, 0.0), slow)
@@ -60,7 +60,7 @@ def measure(slow: float = 8.0) -> Measurements:
 
 def main(directory: Path) -> list[Path]:
     """Draw what each effect explains, and print what was found."""
-    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=5))
+    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=4))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")

@@ -62,7 +62,7 @@ def joints(time: Array, last: float) -> Array:
     return np.asarray(waves * [1.4, 1.6, 14 * MM, 9 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
-def measure(count: int = 400) -> Measurements:
+def measure(count: int = 300) -> Measurements:
     """Rows of the way as the laboratory records them."""
     time = np.arange(count) / RATE
     read, lagging = joints(time, time[-1]), joints(time - DRIVES.latency, time[-1])
@@ -73,7 +73,7 @@ def measure(count: int = 400) -> Measurements:
 
 def main(directory: Path) -> list[Path]:
     """Draw what each effect explains, and print what was found of the drives."""
-    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=10))
+    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=6))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")

@@ -40,7 +40,7 @@ def design(near: tubeopt.Equilibrium, certificate: float | None) -> tuple[tubeop
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
     tubes = {"curvature": curvature}
-    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes)
+    block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
     block.margin_at_least(0.1)
     if certificate is not None:
         block.certificate_at_least(certificate)

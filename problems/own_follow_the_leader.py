@@ -104,7 +104,7 @@ def fitted(curve: Curve, start: np.ndarray) -> np.ndarray:
     tubes = {"piece_curvature": x[[0, 2]], "piece_twist": x[[1, 3]]}
     off = 0.0
     for near, (alone, both) in zip(deployed(start, 4), ways(4), strict=True):
-        block = EquilibriumBlock(problem, near, rotations=turns(x, alone, both), tubes=tubes)
+        block = EquilibriumBlock(problem, near, rotations=turns(x, alone, both), tubes=tubes, refinement=0)
         for part, goal in zip(PARTS, curve(PARTS * near.arc_length[-1]), strict=True):
             off += ca.sumsqr(1e3 * (block.position(part) - goal))
     problem.minimize(off)

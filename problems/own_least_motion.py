@@ -42,7 +42,9 @@ def main(out: Path) -> list[Path]:
         joints.append(
             problem.variable(f"joints {k}", 4, guess=guess, lower=[-7, -7, -0.1, -0.1], upper=[7, 7, 0.05, 0.05])
         )
-        blocks.append(tubeopt.EquilibriumBlock(problem, near, rotations=joints[k][:2], translations=joints[k][2:]))
+        blocks.append(
+            tubeopt.EquilibriumBlock(problem, near, rotations=joints[k][:2], translations=joints[k][2:], refinement=0)
+        )
         blocks[k].margin_at_least(0.2)
         turned = ca.dot(blocks[k].tip_rotations - (blocks[k - 1].tip_rotations if k else 0.0), ca.DM([1, -1]))
         if k:

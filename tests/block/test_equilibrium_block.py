@@ -11,7 +11,7 @@ import pytest
 
 import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE, eccentric_robot
-from tubeopt import EquilibriumBlock, InputError, OrderWarning, Problem, SolveError, forward_kinematics
+from tubeopt import EquilibriumBlock, InputError, OrderWarning, Piece, Problem, SolveError, Tube, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.robots.robot import Robot
 
@@ -145,6 +145,37 @@ def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]
     slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns if "rotations" in wrt]
     slopes += [(tip(0, step) - tip(0, -step)) / 2e-6 for step in moved]
     np.testing.assert_allclose(np.reshape(found, (3, -1)), np.array(slopes).T, atol=2e-7)
+
+
+def test_jacobian_by_dimensions_is_that_of_the_library() -> None:
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.2], [-0.01, -0.03])
+    names = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
+    opti = ca.Opti()
+    jacobian = EquilibriumBlock(opti, near).jacobian(names)
+    found, wanted = np.array(solved(opti).value(jacobian)), near.jacobian(wrt=names).position
+    np.testing.assert_allclose(found, wanted, atol=1e-8 * np.abs(wanted).max(1, keepdims=True), rtol=1e-7)
+
+
+def test_jacobian_by_pieces_is_that_of_tubes_of_one_curvature() -> None:
+    """Two halves of an arc, curved together, are the arc; what lengthens the second half lengthens the tube."""
+    arcs = [
+        Tube.of_pieces(
+            tube.outer_diameter,
+            tube.inner_diameter,
+            [Piece(tube.curved_length / 2, tube.curvature)] * 2,
+            straight_length=tube.straight_length,
+            material=tube.material,
+        )
+        for tube in TWO_TUBE.tubes
+    ]
+    joints = [0.0, 1.2], [-0.01, -0.03]
+    near = forward_kinematics(tubeopt.ConcentricRobot(tuple(arcs)), *joints)
+    opti = ca.Opti()
+    jacobian = EquilibriumBlock(opti, near).jacobian(("piece_curvature", "piece_length"))
+    halves = np.array(solved(opti).value(jacobian)).reshape(3, 2, 2, 2)
+    found = np.concatenate([halves[:, 0].sum(2), halves[:, 1, :, 1]], axis=1)
+    wanted = forward_kinematics(TWO_TUBE, *joints).jacobian(wrt=("curvature", "curved_length")).position
+    np.testing.assert_allclose(found, wanted, atol=1e-7 * np.abs(wanted).max())
 
 
 def test_outputs_follow_an_arm_whose_lengths_are_free() -> None:
@@ -320,8 +351,8 @@ def test_wrong_demands_are_named() -> None:
         block.position(1.2)
     with pytest.raises(InputError, match="tube is 2"):
         block.strain(2)
-    with pytest.raises(InputError, match="wrt is 'curvature'"):
-        block.jacobian(["curvature"])
+    with pytest.raises(InputError, match="wrt is 'diameter'"):
+        block.jacobian(["diameter"])
 
 
 def test_a_length_alone_may_be_free() -> None:

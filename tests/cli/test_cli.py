@@ -231,8 +231,8 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
         (["--tolerance", "x"], "--tolerance-rad is 'x'; it must be a number"),
         (
             ["--translations-mm", "201,0,0"],
-            "translation of tube 1 is 0.201 m, which pulls it out of its actuator; it must be at most its "
-            "straight_length, 0.2 m",
+            "--translations-mm: translation of tube 1 is 201 mm, which pulls it out of its actuator; it must be at "
+            "most its straight_length, 200 mm",
         ),
     ],
 )
@@ -256,6 +256,8 @@ def test_all_problems_are_told_at_once(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", [["fk"], ["run"], ["robot", "show"]])
 def test_a_file_that_cannot_be_read(run: Run, tmp_path: Path, command: list[str]) -> None:
     assert refused(run(*command, "none.yaml")) == ["none.yaml: there is no such file"]
+    near = str(ROOT / "configs" / "robots" / "thesis_ctr.y")
+    assert refused(run(*command, near + "ml")) == [f"{near}ml: there is no such file; did you mean {near}aml?"]
     assert refused(run(*command, str(tmp_path))) == [f"{tmp_path}: this is a directory; it must be a file"]
     path = tmp_path / "x.yaml"
     path.write_text("a: !!python/object/apply:os.system ['touch owned']")

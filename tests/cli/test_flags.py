@@ -113,7 +113,7 @@ def test_every_key_of_a_study_is_a_flag_of_its_command(run: Run) -> None:
         "forward_kinematics": "fk", "inverse_kinematics": "ik", "equilibria": "equilibria", "snap": "snap",
         "follow": "follow", "certify": "certify", "stability_map": "stability-map", "validation": "validate",
         "heating": "heat plan", "mold_plan": "mold plan", "measure": "measure", "workspace": "workspace",
-        "verify": "verify", "heating_calibration": "heat calibrate", "mandrel": "mold mandrel",
+        "verify": "verify", "heating_calibration": "heat calibrate", "mandrel": "mold mandrel", "pegs": "mold pegs",
         "mold_materials": "mold materials", "mold_calibration": "mold calibrate", "fabrication": "fabricate",
     }  # fmt: skip
     placed = {"follow": ("robot", "path"), "validation": ("robot", "measurements"), "heating": ("rig",),
@@ -140,7 +140,7 @@ def test_a_command_and_its_study_are_one(run: Run, tmp_path: Path) -> None:
     ("command", "words"),
     [
         (["measure", "configs/robots/crl_ctr.yaml"], "--fit is missing"),
-        (["fabricate", "configs/robots/thesis_etr.yaml"], "--rig is missing"),
+        (["fabricate", "configs/robots/thesis_etr.yaml"], "--rig is missing: path of the rig file"),
         (["heat", "calibrate", "configs/experiments/heating_log.csv"], "--rig is missing"),
     ],
 )

@@ -69,13 +69,19 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
     [
         (("--window-degC", "500"), "--window-degC has 1 item; it must have at least 2"),
         (("--window-degC", "500,x"), "--window-degC[1] is 'x'; it must be a number"),
-        (("--limit-degC", "520"), "window_degC is 500 to 550 degC; it must end below the limit of 520 degC"),
+        (("--limit-degC", "520"), "--window-degC is 500 to 550 degC; it must end below the limit of 520 degC"),
         (("--objective", "speed"), "--objective is 'speed'; it must be time, energy or margin"),
-        (("--material", "wood"), "mold material is 'wood'; it must be one of steel, mdf, glass_mica, calcium_silicate"),
-        (("--battery-V", "14"), "voltage is 14 V; it must be 11.51 to 12.73 V"),
+        (
+            ("--material", "wood"),
+            "--material: mold material is 'wood'; it must be one of steel, mdf, glass_mica, calcium_silicate",
+        ),
+        (("--battery-V", "14"), "--battery-V: voltage of the battery is 14 V; it must be 11.51 to 12.73 V"),
         (("--robot", ROBOT, "--tube", "7"), "--tube is 7; it must be 1 to 3"),
         (("--free", "leads"), "--free[0] is 'leads'; it must be clearance, lead or vents; did you mean 'lead'?"),
-        (("--slot-s", "0.0333"), "slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds"),
+        (
+            ("--slot-s", "0.0333"),
+            "--slot-s: slot is 0.0333 s; for an Arduino it must be a whole number of milliseconds",
+        ),
         (("--loss-percent", "120"), "--loss-percent is 120; it must be less than 100"),
     ],
 )

@@ -166,14 +166,14 @@ def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ((), "target_mm and targets are missing; one of them must be given"),
+        ((), "--target-mm and --targets are missing; one of them must be given"),
         (("--target-mm", "1,2"), "--target-mm has 2 items; it must have at least 3"),
         (("--target-mm", "1,2,x"), "--target-mm[2] is 'x'; it must be a number"),
         ((*TARGET, "--min-margin", "1"), "--min-margin is 1; it must be less than 1"),
         ((*TARGET, "--objective", "best"), "--objective is 'best'; it must be nearest, margin or curvature"),
         ((*TARGET, "--objective", "nearest"), "objective is nearest; it needs a start or a reference to be near to"),
         ((*TARGET, "--follow"), "follow is for a table of targets"),
-        ((*TARGET, "--direction-weight", "1"), "direction_weight is given without a direction"),
+        ((*TARGET, "--direction-weight", "1"), "--direction-weight is given without a direction"),
         ((*TARGET, "--from", "none.yaml"), "none.yaml: there is no such file"),
         ((*TARGET, "--direction", "0,0,0"), "direction is (0, 0, 0); it must have a direction"),
     ],

@@ -424,7 +424,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         (["snap", THESIS, "--to-mm", "0,nan,0"], "--to-mm[1] is NaN; it must be a finite number"),
         (
             ["snap", THESIS, "--from-deg", "1,0,0", "--to-deg", "1,0,0"],
-            "the way ends at the joint values at which it starts; give to_deg or to_mm others",
+            "the way ends at the joint values at which it starts; give --to-deg or --to-mm others",
         ),
         (
             ["snap", THESIS, "--to-mm", "300,0,0"],
@@ -438,11 +438,11 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         ),
         (
             ["certify", THESIS, "--box", "--translations-mm", "0,0,0"],
-            "translations_mm are given as well as a box of translations; give one of them",
+            "--translations-mm are given as well as a box of translations; give one of them",
         ),
         (
             ["certify", THESIS, "--lower-mm", "5,0,0", "--upper-mm", "0,0,0"],
-            "lower translation of tube 1 is 0.005 m; it must be at most upper, 0 m",
+            "--lower-mm: lower translation of tube 1 is 5 mm; it must be at most upper, 0 mm",
         ),
         (["stability-map", TWO], "the robot has 2 tubes; a map over two relative rotations needs at least 3"),
         (["stability-map", THESIS, "--tubes", "1,4"], "--tubes is [1, 4]; it must be two different tubes from 1 to 3"),

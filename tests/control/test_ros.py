@@ -12,6 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from tests.examples import THESIS
+from tubeopt import Load, forward_kinematics
 from tubeopt.solvers.compiled.library import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -81,9 +83,14 @@ class Node:
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     pose = lambda: SimpleNamespace(position=numbers("xyz")(), orientation=numbers("wxyz")())  # noqa: E731
+    wrench = lambda: SimpleNamespace(force=numbers("xyz")(), torque=numbers("xyz")())  # noqa: E731
     twist = lambda: SimpleNamespace(linear=numbers("xyz")())  # noqa: E731
     kinds = {
-        "geometry_msgs.msg": [kind("PoseStamped", header=header, pose=pose), kind("TwistStamped", twist=twist)],
+        "geometry_msgs.msg": [
+            kind("PoseStamped", header=header, pose=pose),
+            kind("TwistStamped", twist=twist),
+            kind("WrenchStamped", header=header, wrench=wrench),
+        ],
         "sensor_msgs.msg": [kind("JointState", header=header, name=list, position=list, velocity=list)],
         "std_msgs.msg": [kind("Float64", data=float), kind("String", data=str)],
         "rclpy.node": [Node],
@@ -130,3 +137,15 @@ def test_the_node_is_led_and_tells_where_it_is(node: Any) -> None:
     robot.heard["servo_cv"](node.TwistStamped())
     robot.heard["servo_jp"](node.JointState(name=["elbow"], position=[1.0]))
     assert "servo_jp" in robot.warned[-1]
+
+
+def test_a_sensor_at_the_tip_tells_the_force_there(node: Any) -> None:
+    robot = node.RobotNode()
+    force = np.array([1e-4, -2e-4, 5e-5])
+    pushed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02], load=Load(force=tuple(force)))
+    seen = node.PoseStamped()
+    seen.pose.position = SimpleNamespace(**dict(zip("xyz", pushed.tip_position.tolist(), strict=True)))
+    robot.heard["sensor_cp"](seen)
+    told = robot.told["measured_cf"].wrench.force
+    # To first order in the force, which bends the arm by 40 um.
+    assert np.linalg.norm([told.x, told.y, told.z] - force) < 0.05 * np.linalg.norm(force)

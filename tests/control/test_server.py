@@ -16,9 +16,12 @@ import pytest
 
 from tests.examples import THESIS
 from tubeopt import InputError, forward_kinematics
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.control.c_binding import CServo, servo_of
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.server import RobotServer, ServerOptions
-from tubeopt.control.servo import Servo
+from tubeopt.control.servo import Servo, ServoOptions
+from tubeopt.solvers.compiled.library import compiler
 
 websockets = pytest.importorskip("websockets")
 
@@ -81,6 +84,31 @@ def test_a_move_arrives_or_says_why_not() -> None:
         k += 1
     assert not arm.busy
     assert "short" in arm.report(20.0)["why"]
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_the_c_library_leads_where_it_can_do_what_is_asked() -> None:
+    fast = servo_of(THESIS, SEED)
+    assert isinstance(fast, CServo)
+    assert fast.equilibrium.position[-1] == pytest.approx(SEED.tip_position, abs=1e-9)
+    assert isinstance(servo_of(THESIS, SEED, obstacles=[Sphere((1.0, 0.0, 0.0), 0.01)]), Servo)
+    assert isinstance(servo_of(THESIS, SEED, options=ServoOptions(objective="centre")), Servo)
+
+
+def test_a_loop_keeps_its_pace_though_the_clock_goes_back() -> None:
+    times = iter([0.0, 0.001, -1e6, 1e6, *np.arange(1000) * 1e-3])
+
+    async def serve() -> int:
+        server = RobotServer(robot(), ServerOptions(port=0), clock=lambda: next(times))
+        serving = asyncio.create_task(server.serve())
+        while server.pace.steps < 10:
+            await asyncio.sleep(0.01)
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+        assert server.pace.quantiles(0.5)[0] > 0
+        return server.pace.steps
+
+    assert asyncio.run(asyncio.wait_for(serve(), 20)) >= 10
 
 
 def test_what_makes_no_sense_changes_nothing() -> None:

@@ -243,6 +243,14 @@ def test_the_arm_follows_its_leader() -> None:
     assert plan.start.arc_length[-1] == pytest.approx(0.2 * goal.arc_length[-1], rel=1e-6)
 
 
+def test_a_deployment_with_many_bends_keeps_its_accelerations() -> None:
+    plan = follow_the_leader(THESIS, ([0.0, 0.5, 1.0], HOME[1]))
+    assert plan.proved
+    most = plan.rate_limits.rotation_acceleration, plan.rate_limits.translation_acceleration
+    assert 0.9 < plan.proof.largest_rotation_acceleration / float(np.max(most[0])) <= 1
+    assert 0.9 < plan.proof.largest_translation_acceleration / float(np.max(most[1])) <= 1
+
+
 @pytest.mark.parametrize("place", [[0.0, 0.0, 5.0], [0.15, 0.0, 0.1], [0.0, 0.0, -0.1]])
 def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
     place: list[float], monkeypatch: pytest.MonkeyPatch
@@ -296,14 +304,15 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     even = np.linspace(0, mark[-1], 120)
     rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
     motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
-    t = np.linspace(0, motion.duration, 4000)
-    q = motion.at(t)
-    speed = np.diff(q, axis=0) / t[1]
-    assert (np.abs(speed) <= rate * (1 + 1e-6)).all()
-    assert (np.abs(np.diff(speed, axis=0)) / t[1] <= most * (1 + 1e-3)).all()
+    t = np.linspace(0, motion.duration, 20_001)
+    q, speed = motion.at(t), motion.curve(t, nu=1)
+    # At all times, not only where the motion has its knots.
+    assert (np.abs(speed) <= rate).all()
+    assert (np.abs(motion.curve(t, nu=2)) <= most).all()
+    np.testing.assert_allclose(scipy.integrate.cumulative_trapezoid(speed, t, axis=0), (q - q[0])[1:], atol=1e-7)
     assert np.abs(speed[:, 0]).max() > 0.85 * rate[0]
     np.testing.assert_allclose(q[[0, -1]], way[[0, -1]], atol=1e-12)
-    np.testing.assert_allclose(motion.rates[[0, -1]], 0.0, atol=1e-12)
+    np.testing.assert_allclose(motion.curve([0.0, motion.duration], nu=1), 0.0, atol=1e-12)
 
 
 def test_arguments_of_another_kind_are_named() -> None:
@@ -377,6 +386,14 @@ def test_the_speed_of_the_tip_is_limited() -> None:
     assert "the tip reaches" in again.faults[0]
     with pytest.raises(InputError, match="tip of the rate limits is -1; it must be greater than 0"):
         RateLimits(tip=-1)
+
+
+def test_the_speed_of_the_tip_is_limited_on_a_way_with_corners_too() -> None:
+    """On each of its parts the arm is where the way before has led it."""
+    limits = RateLimits(tip=0.02)
+    plan = plan_trajectory(THESIS, HOME, TURNED, rate_limits=limits, options=PlanOptions(objective="none"))
+    assert plan.proved
+    assert 0.0195 < plan.proof.largest_tip_rate <= 0.02 * (1 + 1e-3)
 
 
 def test_a_trajectory_is_exported_as_a_message_of_ros(tmp_path: Path) -> None:

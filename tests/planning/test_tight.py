@@ -40,7 +40,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
-from tubeopt.planning import plan
+from tubeopt.planning import building
 from tubeopt.planning.goals import _way_around
 from tubeopt.robots.robot import Robot
 
@@ -192,7 +192,7 @@ def unproved(*arguments: object, **keywords: object) -> object:
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "verify_trajectory", unproved)
+    monkeypatch.setattr(building, "verify_trajectory", unproved)
     found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
     assert isinstance(found, Trajectory)
     assert not found.proved
@@ -204,7 +204,7 @@ def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.Mon
 def test_the_command_ends_with_4_where_the_proof_is_missing(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(plan, "verify_trajectory", unproved)
+    monkeypatch.setattr(building, "verify_trajectory", unproved)
     monkeypatch.setattr("tubeopt.show.plots.trajectory.animate_trajectory", lambda *_: None)
     study = tmp_path / "plan.yaml"
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")

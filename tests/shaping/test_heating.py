@@ -393,7 +393,7 @@ def test_bad_specifications(values: dict[str, Any], message: str) -> None:
         (lambda: Rig(tube=5), "tube of the rig is 5; it must be a Tube"),  # type: ignore[arg-type]
         (lambda: plan_heating(None, Rig()), "tube is None; it must be a Tube"),  # type: ignore[arg-type]
         (lambda: plan_heating(TUBE, Rig(), 5), "spec is 5; it must be a HeatingSpec"),  # type: ignore[arg-type]
-        (lambda: Battery().charge_at(14.0), "voltage is 14 V; it must be 11.51 to 12.73 V"),
+        (lambda: Battery().charge_at(14.0), "voltage of the battery is 14 V; it must be 11.51 to 12.73 V"),
     ],
 )
 def test_bad_rigs(make: Any, message: str) -> None:

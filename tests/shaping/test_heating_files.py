@@ -96,7 +96,7 @@ def test_a_battery_may_be_given_by_its_voltage() -> None:
             {"kind": "rig", "battery": {"voltage_V": 12, "state_of_charge_percent": 50}},
             "gives both state_of_charge_percent and voltage_V",
         ),
-        ({"kind": "rig", "battery": {"voltage_V": 15}}, "voltage is 15 V; it must be 11.51 to 12.73 V"),
+        ({"kind": "rig", "battery": {"voltage_V": 15}}, "voltage of the battery is 15 V; it must be 11.51 to 12.73 V"),
     ],
 )
 def test_bad_rig_files(data: object, message: str) -> None:

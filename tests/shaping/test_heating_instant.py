@@ -15,7 +15,7 @@ from tubeopt.physics.heat_functions import instant_functions
 from tubeopt.robots.materials import ThermalData
 from tubeopt.shaping.heating.rates import State, current, rates, stored
 from tubeopt.shaping.heating.rig import gap_conductance
-from tubeopt.shaping.heating.thermal import leak_resistance, stack, thermal_model
+from tubeopt.shaping.heating.thermal import gap_of, leak_resistance, stack, thermal_model
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.typing import Array
 
@@ -102,7 +102,7 @@ class ByHand:
         material = rig.mold.material
         k = rig.loss_factor * material.conductivity
         half = math.log(self.faces[1] / self.faces[0]) / 2 / (2 * math.pi * k * w)
-        gap = 1 / (rig.loss_factor * gap_conductance(rig.mold.gap, rig.ambient) * touching * self.girth * w)
+        gap = 1 / (rig.loss_factor * gap_conductance(gap_of(TUBE, rig), rig.ambient) * touching * self.girth * w)
         self.move((i, 0), (i, 1), (T[i, 0] - T[i, 1]) / (gap + half))
         self.heat[i, 1] += self.stray * w / self.width[FIRST:].sum()
         for j in range(1, GRID.shells + 1):

@@ -139,7 +139,7 @@ def test_every_key_of_a_mold_file() -> None:
 )
 def test_bad_flags_are_refused(run: Run, arguments: tuple[str, ...], said: str) -> None:
     (line,) = refused(run(*arguments))
-    assert line.startswith(said)
+    assert said in line
 
 
 def test_bad_files_are_refused(run: Run, tmp_path: Path) -> None:

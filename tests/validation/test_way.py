@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import InputError
+from tubeopt import InputError, load_robot
 from tubeopt.validation import FitOptions, compare_effects, fit, validate, where_to_measure
 from tubeopt.validation.folds import deal, passes
 from tubeopt.validation.timeline import Timeline, runs_of
@@ -194,3 +194,10 @@ def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
 def test_what_no_configuration_determines_is_said() -> None:
     with pytest.raises(InputError, match=r"rotation_2 cannot be told from a change of rotation_1.*measure the base"):
         where_to_measure(robot(), ["rotation_all"], 10)
+
+
+def test_tubes_of_equal_length_are_measured_where_they_move_together() -> None:
+    two = load_robot("configs/robots/two_tube.yaml")
+    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
+    assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)
+    assert np.ptp(found.translations[:, 0]) > 1 * MM

@@ -102,14 +102,15 @@ class EquilibriumBlock(ComposedBlock[N]):
         add_certificate(self, margin)
 
     def jacobian(self, wrt: Sequence[str] = ("rotations", "translations")) -> Any:
-        """(3, ...) derivative of the tip's position with respect to joint values, m per rad and m per m: expressions, n
-        columns for "rotations", one for each carriage for "translations".
+        """(3, ...) derivative of the tip's position with respect to joint values and dimensions, SI: expressions, n
+        columns for "rotations" and for each dimension of the tubes that is named (of equal tubes of a segment, and of
+        their "translations", one for the segment; one for every piece of PIECES).
 
-        By the implicit function theorem: how the arm answers to each joint is lifted into further unknowns of linear
+        By the implicit function theorem: how the arm answers to each is lifted into further unknowns of linear
         equations. Where breakpoints meet it is the derivative in their present order.
 
         Raises:
-            InputError: a name that is neither.
+            InputError: a name that is none of them.
         """
         return add_jacobian(self, wrt)
 

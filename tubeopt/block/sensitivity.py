@@ -10,56 +10,69 @@ import numpy as np
 
 from ..errors import InputError, choice
 from .composed import JOINTS, ComposedBlock
+from .given import LENGTHS
 from .guess import poses_of
+from .transcription.chain import OF_TUBE
 from .transcription.model import UNKNOWNS, model_of, numbers_of, sizes
 
 
 def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
-    """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every joint a, with dx as unknowns."""
-    names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+    """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every input a, with dx as unknowns."""
+    names, inputs = (wrt,) if isinstance(wrt, str) else tuple(wrt), (*JOINTS, *block.dimensions)
+    # What follows from the pieces of a tube is no input of its own.
+    own = [name for name in inputs if block.chain is None or name not in (*OF_TUBE.values(), "curved_length")]
     for name in names:
-        choice("wrt", name, JOINTS)
+        choice("wrt", name, own)
     if not names:
-        raise InputError(f"wrt is empty; it must name {' or '.join(JOINTS)}")
-    seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in JOINTS}
+        raise InputError(f"wrt is empty; it must name any of {', '.join(own)}")
+    seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
     equations, scale, words = _equations(block)
     count = seeds["rotations"].shape[1]
     shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
     rows = [size[0] * size[1] for size in shapes]
     typical = {"torsion": 1 / block.reach, "position": block.reach}
     unit = np.concatenate([np.full(size, typical.get(name, 1.0)) for name, size in zip(UNKNOWNS, rows, strict=True)])
-    per = np.concatenate(
-        [np.full(_width(block, name), 1 / block.reach if name == "translations" else 1.0) for name in names]
-    )
+    per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
     total = np.outer(unit, per)
     begin = answers_of(block, equations, seeds)
-    tag = block.label + "answer to the joints"
+    tag = block.label + "answer to the inputs"
     flat = block.program.variable(tag, total.size, scale=total.ravel(order="F"), guess=begin)
     block.answers.append((flat, equations, seeds))
     lifted = ca.reshape(flat, len(unit), count)
     where = [ca.vertcat(*block.columns), *_parameters(block)]
-    change = [lifted, ca.DM(seeds["rotations"]), ca.DM(seeds["translations"])]
-    change += [ca.DM.zeros(part.shape[0], count * part.shape[1]) for part in where[3:]]
+    change = [lifted, *(ca.DM(seed) for seed in seeds.values()), ca.DM.zeros(where[-1].shape[0], count)]
     out = equations(*where)
     residual, tip = equations.forward(count)(*where, *out, *change)
-    entries = [f"answer to joint {q + 1}: {word}" for q in range(count) for word in words]
+    entries = [f"answer to input {q + 1}: {word}" for q in range(count) for word in words]
     size = np.outer(scale, per).ravel(order="F")
-    block.demand("equations of the answer to the joints", ca.vec(residual), upper=0.0, scale=size, entries=entries)
+    block.demand("equations of the answer to the inputs", ca.vec(residual), upper=0.0, scale=size, entries=entries)
     return tip
 
 
-def _width(block: ComposedBlock[Any], name: str) -> int:
-    return block.robot.n_tubes if name == "rotations" else len(block.robot.moving_together)
+def _columns(block: ComposedBlock[Any], name: str) -> Any:
+    """(N, ...) how the N numbers of an input change with those that are free of each other: tubes of one segment are
+    equal and move together, but turn alone, and so does every piece of a tube."""
+    count = block.begin_numbers[name].size
+    if name == "rotations" or count != block.robot.n_tubes:
+        return np.eye(count)
+    return np.array([[float(i in tubes) for tubes in block.robot.moving_together] for i in range(count)])
 
 
 def _seed(block: ComposedBlock[Any], name: str, column: str) -> Any:
-    """(n, ...) how the joints `name` of the tubes change with each of `column`."""
-    out = np.zeros((block.robot.n_tubes, _width(block, column)))
-    if name == column:
-        alone = tuple((i,) for i in range(block.robot.n_tubes))
-        for c, tubes in enumerate(alone if name == "rotations" else block.robot.moving_together):
-            out[list(tubes), c] = 1.0
-    return out
+    """(N, ...) how the input `name` changes with each of `column`."""
+    own, size = _columns(block, column), block.begin_numbers[name].size
+    if (name, column) == ("curved_length", "piece_length") and block.chain is not None:
+        return (np.arange(size)[:, None] == block.chain.owner).astype(float)
+    return own if name == column else np.zeros((size, own.shape[1]))
+
+
+def _typical(block: ComposedBlock[Any], name: str) -> float:
+    """A typical size of an input, by which its derivatives are scaled."""
+    if name == "rotations":
+        return 1.0
+    if name in LENGTHS:
+        return block.reach
+    return float(np.abs(block.begin_numbers[name]).max()) or 1 / block.reach
 
 
 def _parameters(block: ComposedBlock[Any]) -> list[Any]:
@@ -96,9 +109,7 @@ def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[st
     numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
     where = [x, *numbers, block.layout.numbers()]
     size = len(x)
-    change = [seeds["rotations"], seeds["translations"]]
-    zero = [np.zeros((len(part), count)) for part in where[3:]]
-    out = equations(*where)
-    forced = equations.forward(count)(*where, *out, np.zeros((size, count)), *change, *zero)[0]
+    out, zero = equations(*where), np.zeros((len(where[-1]), count))
+    forced = equations.forward(count)(*where, *out, np.zeros((size, count)), *seeds.values(), zero)[0]
     slope = equations.jacobian()(*where, *out)[0]
     return -np.linalg.solve(np.array(slope), np.array(forced)).ravel(order="F")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, extra
+from ..files.files import no_such_file
 from ..typing import Array, Mask
 from .frames import Frame
 
@@ -138,7 +139,7 @@ def read_image(path: str | PathLike[str]) -> LabelImage:
     file = Path(path)
     name = file.name.lower()
     if not file.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise no_such_file(path)
     if name.endswith((".nii", ".nii.gz")):
         read: Callable[[Path], tuple[Any, Array, float]] = _nifti
     elif name.endswith((".nrrd", ".nhdr")):

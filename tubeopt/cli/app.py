@@ -50,6 +50,7 @@ COMMANDS = {
     "doctor": "doctor.doctor",
     "mold plan": "mold.plan",
     "mold mandrel": "mold.mandrel",
+    "mold pegs": "mold.pegs",
     "mold calibrate": "mold.calibrate",
     "mold materials": "mold.materials",
     "robot show": "robot.show",

@@ -29,7 +29,8 @@ def export(
     """The robot as a C library of its own: forward kinematics, derivatives, margin, compliance, servo, snap guard.
 
     It is the compiled kernel of this program with the numbers of the robot, in C99: nothing is allocated, nothing is
-    global, and every call takes bounded time. For concentric tubes of one arc each, without load.
+    global, and every call takes bounded time. For up to six tubes, concentric or not, of one arc or made of pieces;
+    without load, and with compliance for concentric tubes of one arc each.
     """
     can_be_saved(output.out)
     can_be_saved(c)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import re
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -20,6 +22,13 @@ CODES: dict[type[Exception], tuple[int, str]] = {
     NotProvedError: (NOT_PROVED, "not_proved"),
 }
 """What is raised -> exit code, and what it is called in JSON."""
+
+
+METRES = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])")
+"""A length in a message of the library."""
+
+OF_FILE = re.compile(r"\S+\.\w+: ")
+"""How a message on what stands in a file begins."""
 
 
 def failure(error: Exception) -> tuple[str, int, str] | None:
@@ -62,6 +71,67 @@ def _meant(flag: str, known: list[str]) -> str:
         return f"; did you mean {' or '.join(alike)}?"
     same = [name for name in known if units[flag] and units[name] == units[flag]]
     return f"; those in {units[flag]} are {', '.join(same)}" if same else ""
+
+
+@contextmanager
+def told_by_flag(typed: Mapping[str, str], known: Mapping[str, str]) -> Iterator[None]:
+    """Say by which flag something came in that makes no sense, and in its unit.
+
+    Args:
+        typed: keys of the study -> flags that were given.   known: those that could be.
+    """
+    try:
+        yield
+    except InputError as error:
+        told = "\n".join(_with_flag(_in_flags(line, known), typed) for line in str(error).splitlines())
+        if told == str(error):
+            raise
+        raise InputError(told) from None
+
+
+def _in_flags(line: str, flags: Mapping[str, str]) -> str:
+    """A line with flags in place of keys, unless it is about a file; a key that is a plain word only beside another."""
+    if OF_FILE.match(line):
+        return line
+    out = line
+    for key, flag in sorted(flags.items(), key=lambda item: "_" not in item[0]):
+        if "_" in key:
+            out = re.sub(rf"(?<![\w./-]){key}(?!\w)", flag, out)
+        elif out != line:
+            out = re.sub(rf"\b(and|or) {key}\b", rf"\1 {flag}", out)
+    return out
+
+
+def _with_flag(line: str, flags: Mapping[str, str]) -> str:
+    """A line such as "slot is 0.03 s; ..." after the one flag whose name is in what is said to be something."""
+    what, found, _ = line.partition(" is ")
+    if not found or ":" in what or what.startswith("-"):
+        return line
+    words = _words(what)
+    named = [key for key, flag in flags.items() if flag and _words(_parted(key)[0]) <= words]
+    return f"{flags[named[0]]}: {_in_unit(line, _parted(named[0])[1])}" if len(named) == 1 else line
+
+
+def _words(text: str) -> set[str]:
+    """Of a key or a phrase, in the singular."""
+    return {word.removesuffix("s") for word in re.split(r"[^A-Za-z0-9]+", text) if word}
+
+
+def _parted(key: str) -> tuple[str, str]:
+    """What a key is called, and its unit."""
+    from ..files.units import unit_of
+
+    unit = unit_of(key)
+    return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
+
+
+def _in_unit(line: str, unit: str) -> str:
+    """Lengths in m are told in mm to those who typed mm."""
+    if unit != "mm":
+        return line
+    return re.sub(
+        r"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) m(?![\w/])", lambda found: f"{1e3 * float(found[1]):g} mm", line
+    )
 
 
 def error_record(message: str, code: int, kind: str) -> dict[str, object]:

@@ -13,6 +13,7 @@ function takes besides stays as it is; where it takes a key too, it gets that as
 from __future__ import annotations
 
 import inspect
+import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
@@ -32,6 +33,7 @@ from ..runs.base import Study
 from ..show.progress import working
 from ..show.report import PICTURE_FORMATS
 from ..show.reports import report
+from .failures import told_by_flag
 from .interruption import keeping
 from .messages import LOGGER
 from .output import Output, can_be_saved, present
@@ -120,6 +122,7 @@ def asks(
     fields = {key: field for key, field in study.model_fields.items() if key != "kind" and _can_be_typed(field)}
     called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in fields}
     names = _names(fields, called, tuple(placed))
+    first = {key: re.split("[,/]", called[key])[0] for key in fields if key not in placed}
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
     def command_of(function: Callable[..., None]) -> Made:
@@ -132,14 +135,16 @@ def asks(
         _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
         taken = {part.name for part in parts}
         own = [part for part in parts if part.name not in ("output", *fields)]
+        usual = {part.name: part.default for part in keyed}
 
         def run(output: Output, **typed: Any) -> None:
             given = _given(fields, typed)
             for key, field in fields.items():
                 if field.is_required() and key not in given and not names[key]:
-                    raise InputError(f"{called[key].split(',')[0]} is missing")
-            question = check(study, constant | given, "", names=names)
-            function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
+                    raise InputError(f"{called[key].split(',')[0]} is missing: {_about(field)}")
+            with told_by_flag({key: names[key] for key in given if typed[key] != usual[key]}, first):
+                question = check(study, constant | given, "", names=names)
+                function(question, output=output, **{key: value for key, value in typed.items() if key in taken})
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__
         return _command(run, [*keyed, *own], example, note)
@@ -171,8 +176,9 @@ def asks_file(
                 key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(fields[key]) else value
                 for key, value in _given(fields, typed).items()
             }
-            data = {**load_yaml(path), **given}
-            function(check_kind({kind: study}, data, path, names={key: names[key] for key in given}), output)
+            data, flags = {**load_yaml(path), **given}, {key: names[key] for key in given}
+            with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
+                function(check_kind({kind: study}, data, path, names=flags), output)
 
         run.__name__, run.__doc__ = function.__name__, function.__doc__
         return _command(run, [file, *keyed], example, note)
@@ -273,8 +279,13 @@ def _override(key: str, field: FieldInfo, flag: str) -> inspect.Parameter:
 
 
 def _sentence(field: FieldInfo) -> str:
-    words = field.description or ""
+    words = _about(field)
     return words[:1].upper() + words[1:] + "." * (bool(words) and not words.endswith("."))
+
+
+def _about(field: FieldInfo) -> str:
+    """What a key is, where it is typed: files are then relative to where one is."""
+    return (field.description or "").replace(", relative to this file", "")
 
 
 def _can_be_typed(field: FieldInfo) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..runs.calibration_studies import MoldCalibrationStudy
-from ..runs.mold_study import MandrelStudy, MaterialsStudy, MoldStudy
+from ..runs.mold_study import MandrelStudy, MaterialsStudy, MoldStudy, PegStudy
 from .flags import answer, asks
 from .output import Output
 
@@ -17,6 +17,12 @@ def plan(study: MoldStudy, output: Output) -> None:
 @asks(MandrelStudy, example="tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results")
 def mandrel(study: MandrelStudy, output: Output) -> None:
     """The mandrel for a helix or another space curve: STL, table of rotation and feed, G-code for a 4th axis."""
+    answer(study, output)
+
+
+@asks(PegStudy, example="tubeopt mold pegs configs/robots/thesis_etr.yaml --out results")
+def pegs(study: PegStudy, output: Output) -> None:
+    """An adjustable mold: where pegs go on a board that is drilled once; table, DXF, SVG, G-code of the board."""
     answer(study, output)
 
 

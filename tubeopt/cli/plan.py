@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ..runs.plan_study import PlanStudy
 from ..runs.verify_study import VerifyStudy
-from ..stability import ASSUMING
 from .flags import answer, asks, asks_file
 from .output import Output
 
@@ -17,7 +16,7 @@ TRAJECTORY = (
 @asks_file(
     PlanStudy,
     example="tubeopt plan configs/studies/plan_thesis_turn.yaml --out results",
-    note=f"All is said {ASSUMING}.",
+    note="All is said assuming no friction, and no load or weight but what is given.",
 )
 def plan(study: PlanStudy, output: Output) -> None:
     """Plan a motion that stays on one stable branch, around obstacles and within rates, and prove it.
@@ -32,7 +31,7 @@ def plan(study: PlanStudy, output: Output) -> None:
     VerifyStudy,
     arguments={"trajectory": TRAJECTORY},
     example="tubeopt verify results/trajectory.csv --min-margin 0.05",
-    note=f"All is said {ASSUMING}.",
+    note="All is said assuming no friction, and no load or weight but what is given.",
 )
 def verify(study: VerifyStudy, output: Output) -> None:
     """Follow a trajectory, of whatever origin, and say whether it snaps, collides or is too fast. Ends with 3 if so."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import logging
+import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
-from ..inverse.joints import joint_space
+from ..inverse.joints import Configuration, joint_space
+from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
-from .c_library import CLibrary
-from .servo import Command, ServoOptions
+from .c_library import CLibrary, c_library
+from .servo import Command, Servo, ServoOptions
 from .why import Why
+
+LOGGER = logging.getLogger("tubeopt")
 
 REFUSED = {
     1: "no stable equilibrium was found from tubes without torsion",
@@ -28,10 +35,14 @@ REFUSED = {
 """What the functions return when they do not answer; 2 is bad input."""
 
 
+POINTS = 40
+"""Of the centreline of a pose."""
+
+
 @dataclass(frozen=True, eq=False)
 class CPose:
     """An equilibrium of the library: joints (n,) each, tip (3,) m, its frame (3, 3), tip rotations (n,), margin, energy
-    (J), estimated error of the tip (m), residual (rad)."""
+    (J), estimated error of the tip (m), residual (rad), and points of the arm (POINTS, 3), m."""
 
     rotations: Array
     translations: Array
@@ -42,18 +53,19 @@ class CPose:
     energy: float
     tip_error: float
     residual: float
+    position: Array
 
 
 @dataclass(frozen=True, eq=False)
 class CSlopes:
     """Derivatives by rotations and translations: of tip (3, 2n), turn vector (3, 2n), tip rotations (n, 2n) and margin
-    (2n,); and the compliance (6, 6) of the tip."""
+    (2n,); and the compliance (6, 6) of the tip, None where the library does not know it."""
 
     position: Array
     turn: Array
     tip_rotations: Array
     margin: Array
-    compliance: Array
+    compliance: Array | None
 
 
 class CRobot:
@@ -72,14 +84,28 @@ class CRobot:
         start = self._function("start")
         start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
         self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
-        self._pose = np.zeros(3 * self._n + 16)
-        self._slopes = np.zeros(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36)
+        # What goes in and comes out stays where it is: to ask NumPy for an address takes as long as a step's algebra.
+        self._in, self._pose, self._report = np.zeros(max(12, 2 * self._n)), np.zeros(3 * self._n + 16), np.zeros(3)
+        self._slopes = np.full(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36, np.nan)
+        self._length, self._points = np.zeros(POINTS), np.zeros((POINTS, 3))
+        self._shape = self._function("shape")
+        self._shape_at = self._memory, POINTS, *map(_at, (self._length, self._points))
+        self._calls = {
+            name: (self._function(name), self._memory, *map(_at, arguments))
+            for name, arguments in (
+                ("solve", (self._in, self._pose)),
+                ("follow", (self._in, self._pose)),
+                ("slopes_at", (self._slopes,)),
+                ("servo", (self._in, self._pose, self._report)),
+            )
+        }
 
     def _function(self, name: str) -> Any:
         return getattr(self._library, f"{self._prefix}_{name}")
 
-    def _call(self, name: str, *arguments: Any) -> None:
-        status = self._function(name)(self._memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in arguments))
+    def _call(self, name: str) -> None:
+        function, *arguments = self._calls[name]
+        status = function(*arguments)
         if status == 2:
             raise InputError(
                 f"{name} was called with a number that is not finite, or a translation that is not possible"
@@ -87,60 +113,88 @@ class CRobot:
         if status:
             raise SolveError(REFUSED[status])
 
-    def _joints(self, rotations: ArrayLike, translations: ArrayLike) -> Array:
-        parts = (vector(name, v, self._n) for name, v in (("rotations", rotations), ("translations", translations)))
-        return np.concatenate(list(parts))
+    def _go(self, name: str, rotations: ArrayLike, translations: ArrayLike) -> CPose:
+        n = self._n
+        self._in[:n], self._in[n : 2 * n] = vector("rotations", rotations, n), vector("translations", translations, n)
+        self._call(name)
+        return self._posed()
 
     def _posed(self) -> CPose:
         n, p = self._n, self._pose.copy()
-        frame = p[2 * n + 3 : 2 * n + 12].reshape(3, 3)
-        return CPose(
-            p[:n], p[n : 2 * n], p[2 * n : 2 * n + 3], frame, p[2 * n + 12 : 3 * n + 12], *p[3 * n + 12 :].tolist()
-        )
+        self._shape(*self._shape_at)
+        frame, (margin, energy, error, residual) = p[2 * n + 3 : 2 * n + 12].reshape(3, 3), p[3 * n + 12 :].tolist()
+        tip, turned, arm = p[2 * n : 2 * n + 3], p[2 * n + 12 : 3 * n + 12], self._points.copy()
+        return CPose(p[:n], p[n : 2 * n], tip, frame, turned, margin, energy, error, residual, arm)
 
     def solve(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         """The stable equilibrium from tubes without torsion; raises SolveError where there is none."""
-        self._call("solve", self._joints(rotations, translations), self._pose)
-        return self._posed()
+        return self._go("solve", rotations, translations)
 
     def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
-        self._call("follow", self._joints(rotations, translations), self._pose)
-        return self._posed()
+        return self._go("follow", rotations, translations)
 
     def slopes(self) -> CSlopes:
         """Derivatives at the last equilibrium."""
-        self._call("slopes_at", self._slopes)
+        self._call("slopes_at")
         n = self._n
-        parts = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
-        shapes = ((3, 2 * n), (3, 2 * n), (n, 2 * n), (2 * n,), (6, 6))
-        return CSlopes(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+        tip, turn, ends, margin, compliance = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
+        known = None if np.isnan(compliance[0]) else compliance.reshape(6, 6)
+        return CSlopes(tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, known)
 
     def servo(self, command: Array) -> tuple[CPose, float, float, Why]:
         """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
         translations, least margin, push; returns the pose, what is left to the target (m, rad), and why."""
-        report = np.zeros(3)
-        self._call("servo", np.ascontiguousarray(command, dtype=float), self._pose, report)
-        why, _ = report[2:].view(np.int32)
-        return self._posed(), float(report[0]), float(report[1]), Why(int(why))
+        self._in[:12] = command
+        self._call("servo")
+        why, _ = self._report[2:].view(np.int32)
+        return self._posed(), float(self._report[0]), float(self._report[1]), Why(int(why))
+
+
+def servo_of(
+    robot: Robot, seed: Configuration, *, obstacles: Sequence[Obstacle] = (), options: ServoOptions | None = None
+) -> Servo | CServo:
+    """The fastest servo that there is: that of the robot's C library, a tenth of a millisecond per step, or, where the
+    library cannot do what is asked or cannot be made here, `Servo`.
+
+    Raises:
+        InputError, SolveError: as `Servo`.
+    """
+    servo = Servo(robot, seed, obstacles=obstacles, options=options)
+    if obstacles:
+        return servo
+    here = servo.equilibrium
+    try:
+        return CServo(c_library(robot), (here.rotations, here.translations), servo.options)
+    except (InputError, SolveError, OSError, subprocess.SubprocessError) as error:
+        LOGGER.info("the servo runs in Python: %s", error)
+        return servo
 
 
 class CServo:
     """The servo of a C library with the face of `Servo`: position and direction of the tip, or a way to joint values.
 
     Raises:
-        InputError: options that only the servo in Python has: bodies' clearance, an objective other than the margin.
+        InputError: options that only the servo in Python has: bodies' clearance, priorities, an objective other than
+            the margin.
+        SolveError: the library finds no stable equilibrium at the seed from tubes without torsion.
     """
 
     def __init__(
         self, library: CLibrary, seed: tuple[ArrayLike, ArrayLike], options: ServoOptions | None = None
     ) -> None:
         self.options = options or ServoOptions()
-        if self.options.clearance or self.options.objective not in (None, "margin"):
-            raise InputError("the servo of a C library knows no bodies, and no objective but the margin")
+        o = self.options
+        if o.clearance or o.objective not in (None, "margin") or o.priorities != ServoOptions().priorities:
+            raise InputError("the servo of a C library knows no bodies, no priorities, no objective but the margin")
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
         self.equilibrium = self._robot.solve(*seed)
+
+    @property
+    def compliance(self) -> Array | None:
+        """(6, 6) of the tip: a small force and moment -> its translation and turn; None where the library has none."""
+        return self._robot.slopes().compliance
 
     def step(self, command: Command, dt: float) -> CStep:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
@@ -188,6 +242,10 @@ class CStep:
     why: Why
     distance: float
     angle: float
+
+
+def _at(array: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
 
 
 def _compiled(library: CLibrary) -> Path:

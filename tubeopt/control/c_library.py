@@ -22,8 +22,9 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
-from ..robots.robot import Robot, is_general
-from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, kernel_text
+from ..robots.robot import Robot
+from ..solvers.compiled.binding import piece_sizes, piece_tables
+from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 
@@ -44,30 +45,25 @@ class CLibrary(Displayed):
 
 
 def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt") -> CLibrary:
-    """The C library of a robot of concentric tubes, each of one arc.
+    """The C library of a robot: of concentric tubes, of one arc each or made of pieces, or of tubes off the centreline.
 
     Args:
         name: what the comments call it.
         prefix: what the names of its functions begin with; two robots in one program need two.
 
     Raises:
-        InputError: tubes that are made of pieces or lie beside the centreline, more than MOST_TUBES of them, a prefix
-            that is no name in C.
+        InputError: more than MOST_TUBES tubes, a prefix that is no name in C.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
-    if is_general(robot) or robot.assembly(robot.home_translations).eccentric:
-        raise InputError(
-            "robot has tubes made of pieces or beside the centreline; a C library is made of concentric tubes that are "
-            "straight, then one arc each"
-        )
     if robot.n_tubes > MOST_TUBES:
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
-    space = joint_space(robot)
+    space, plain = joint_space(robot), _plain(robot)
     cases = _cases(space)
+    told = {"compliance": str(int(plain)), "how": "" if plain else ", by differences of equilibria side by side"}
     texts = {
-        "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes)),
+        "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes), **told),
         "tubeopt_robot.c": _source(robot, space, name),
         "CMakeLists.txt": _filled("CMakeLists.txt", name=name),
         "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
@@ -100,17 +96,25 @@ def _filled(file: str, **values: str) -> str:
 
 def _source(robot: Robot, space: JointSpace, name: str) -> str:
     """The C text: what CasADi generates and the kernel, as they are for Python; the robot's numbers; the rest."""
+    home = robot.assembly(robot.home_translations)
+    slopes = "slopes.c" if _plain(robot) else "differences.c"
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         '#include "tubeopt_robot.h"\n\n',
         "/* CasADi writes for every function more than is used here. */\n",
         '#pragma GCC diagnostic ignored "-Wunused-function"\n#pragma GCC diagnostic ignored "-Wunused-parameter"\n',
         "#define CASADI_SYMBOL_EXPORT static\n",
-        kernel_text(robot.n_tubes),
+        kernel_text(robot.n_tubes, home.eccentric, home.general),
         _data(robot, space),
-        *((HERE / file).read_text() for file in ("quadratic.c", "robot.c", "servo.c")),
+        *(with_included(HERE / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)
+
+
+def _plain(robot: Robot) -> bool:
+    """Whether the kernel knows derivatives and compliance: on the centreline, of one arc each."""
+    home = robot.assembly(robot.home_translations)
+    return not (home.eccentric or home.general)
 
 
 def _data(robot: Robot, space: JointSpace) -> str:
@@ -118,19 +122,25 @@ def _data(robot: Robot, space: JointSpace) -> str:
     n, m = robot.n_tubes, len(space.lower)
     home = robot.assembly(robot.home_translations)
     straight = [tube.straight_length for tube in robot.tubes]
-    tubes: list[ArrayLike] = [home.bending_stiffness, home.torsional_stiffness, home.curvature, straight]
-    tubes += [[tube.length for tube in robot.tubes], home.offset, home.offset_angle]
+    none = np.zeros(n)
+    tubes: list[ArrayLike] = [home.bending_stiffness, home.torsional_stiffness, home.curvature]
+    pieces = {} if home.lengthwise is None else piece_tables(home.lengthwise)
+    if pieces:
+        tubes = [none, none, none]
+    tubes += [straight, [tube.length for tube in robot.tubes]]
+    tubes += [none, none] if pieces else [home.offset, home.offset_angle]
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
+    twice, back = between_points(home.general)
     tables: dict[str, ArrayLike] = {
         **{
             f"{name}_{part}": getattr(t, part)
             for name, t in (("COARSE", coarse), ("FINE", fine))
             for part in ("nodes", "weights", "matrix")
         },
-        "TWICE": coarse.lagrange(fine.nodes, integrals=2),
-        "TWICE_BACK": fine.lagrange(coarse.nodes, integrals=2),
+        "TWICE": twice,
+        "TWICE_BACK": back,
         "SPREAD": space.spread,
         "OFFSET": space.offset,
         "LOWER": space.lower,
@@ -138,6 +148,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "SCALE": space.scale,
         "ORDER": space.rows if space.rows.size else np.zeros(1),
         "LEAST": space.least if space.least.size else np.zeros(1),
+        **{f"PIECES_{name}": table for name, table in pieces.items()},
     }
     defines = {
         "JOINTS": m,
@@ -157,7 +168,11 @@ def _data(robot: Robot, space: JointSpace) -> str:
     lines += [f"static const double {key}[] = {{{_numbers(table)}}};" for key, table in tables.items()]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
-    lines += [f"static const Tubes ROBOT = {{{', '.join(f'{{{_numbers(row)}}}' for row in tubes)}, 0}};"]
+    if pieces:
+        entries = [*map(str, piece_sizes(pieces)), *(f"PIECES_{name}" for name in pieces)]
+        lines += [f"static const Pieces PIECES = {{{', '.join(entries)}}};"]
+    rest = f"{int(home.eccentric)}{', &PIECES' if pieces else ''}"
+    lines += [f"static const Tubes ROBOT = {{{', '.join(f'{{{_numbers(row)}}}' for row in tubes)}, {rest}}};"]
     lines += [
         f"static const Method METHOD = {{{{{COARSE_DEGREE}, COARSE_nodes, COARSE_weights, COARSE_matrix}},\n"
         f"                              {{{DEGREE}, FINE_nodes, FINE_weights, FINE_matrix}}, TWICE, TWICE_BACK}};\n\n"

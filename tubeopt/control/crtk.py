@@ -194,7 +194,7 @@ class CrtkRobot:
             "margin": arm.margin,
             "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in self._why),
             "why": self._words,
-            "shape": np.round(getattr(arm, "position", np.zeros((0, 3))), 7).tolist(),
+            "shape": np.round(arm.position, 7).tolist(),
         }
 
 

@@ -12,12 +12,15 @@ import hmac
 import json
 import logging
 import secrets
+import sys
+import threading
 import time
-from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from ..errors import InputError, SolveError
 from .crtk import CrtkRobot
@@ -31,6 +34,12 @@ PATIENCE = 5.0
 """Seconds until a client must have said hello."""
 
 MOST_CLIENTS = 256
+
+REMEMBERED = 100_000
+"""Steps of the loop whose times are kept."""
+
+TURNS = 2e-4
+"""Seconds for which one thread of Python may keep the others waiting: a small part of a period."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,38 @@ class _Client:
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
+class Pace:
+    """How well the loop keeps its period: `steps`, periods `missed`, and of the last REMEMBERED steps how much of the
+    processor's time they took and by how much they began late."""
+
+    def __init__(self) -> None:
+        self.steps = self.missed = 0
+        self._times = np.zeros((REMEMBERED, 2))
+
+    def add(self, took: float, late: float, missed: int) -> None:
+        """A step that took and was late by so much, s, after so many periods without one."""
+        self._times[self.steps % REMEMBERED] = took, late
+        self.steps += 1
+        self.missed += missed
+
+    def quantiles(self, share: float) -> tuple[float, float]:
+        """Processor time of a step and by how much it began late, s, below which a share of them lies."""
+        known = self._times[: min(self.steps, REMEMBERED)]
+        took, late = np.quantile(known, share, axis=0) if len(known) else (0.0, 0.0)
+        return float(took), float(late)
+
+
+@contextmanager
+def _turns(seconds: float) -> Iterator[None]:
+    """The threads of Python take turns as often as this."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(seconds, before))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
 class RobotServer:
     """Serves one robot until it is stopped.
 
@@ -83,11 +124,12 @@ class RobotServer:
         self.robot, self.options, self._clock = robot, options or ServerOptions(), clock
         self.token = self.options.token or secrets.token_urlsafe(16)
         self.port = self.options.port
-        self.latencies: deque[float] = deque(maxlen=10_000)
-        """Processor time (s) of the last steps."""
+        self.pace = Pace()
         self._clients: set[_Client] = set()
         self._commander: _Client | None = None
         self._state = ""
+        self._robot_in_hand = threading.Lock()
+        self._ended = threading.Event()
 
     async def serve(self, ready: Callable[[], object] | None = None) -> None:
         """Serve until cancelled; `ready` is called when clients can come.
@@ -108,34 +150,42 @@ class RobotServer:
             raise InputError(f"port {options.port} cannot be used: {error.strerror or error}") from None
         async with listening:
             self.port = next(iter(listening.sockets)).getsockname()[1]
-            tasks = [asyncio.create_task(self._loop()), asyncio.create_task(self._publish())]
-            if ready is not None:
-                ready()
-            try:
-                await asyncio.gather(*tasks)
-            finally:
-                for task in tasks:
-                    task.cancel()
+            self._ended.clear()
+            # In a thread of its own: to wait for a socket takes whole milliseconds, and many messages take longer.
+            tasks = [asyncio.create_task(asyncio.to_thread(self._loop)), asyncio.create_task(self._publish())]
+            with _turns(TURNS):
+                if ready is not None:
+                    ready()
+                try:
+                    await asyncio.gather(*tasks)
+                finally:
+                    self._ended.set()
+                    for task in tasks:
+                        task.cancel()
 
-    async def _loop(self) -> None:
+    def _loop(self) -> None:
         """A step per period. What is late is not made up for: joints never go faster than their rates."""
-        period, due = self.options.period, self._clock()
-        while True:
-            began = time.process_time()
+        period, due = self.options.period, time.perf_counter()
+        while not self._ended.is_set():
+            began, late = time.thread_time(), time.perf_counter() - due
             try:
-                self.robot.tick(self._clock(), period)
+                with self._robot_in_hand:
+                    self.robot.tick(self._clock(), period)
             except (InputError, SolveError) as error:
                 LOGGER.warning("the robot holds: %s", error)
-                self.robot.release()
-            self.latencies.append(time.process_time() - began)
-            due = max(due + period, self._clock())
-            await asyncio.sleep(max(due - self._clock(), 0))
+                with self._robot_in_hand:
+                    self.robot.release()
+            self.pace.add(time.thread_time() - began, late, int(late / period))
+            due = max(due + period, time.perf_counter())
+            time.sleep(max(due - time.perf_counter(), 0.0))
 
     async def _publish(self) -> None:
         while True:
             await asyncio.sleep(1 / self.options.publish)
             if self._clients:
-                self._state = json.dumps(self.robot.report(self._clock()))
+                with self._robot_in_hand:
+                    told = self.robot.report(self._clock())
+                self._state = json.dumps(told | {"steps": self.pace.steps, "missed_periods": self.pace.missed})
                 for client in self._clients:
                     client.news.set()
 
@@ -188,7 +238,8 @@ class RobotServer:
         self._clients.discard(client)
         if client is self._commander:
             self._commander = None
-            self.robot.release()
+            with self._robot_in_hand:
+                self.robot.release()
 
     async def _hear(self, client: _Client, message: str | bytes) -> None:
         """A message of a client; what makes no sense is answered."""
@@ -201,7 +252,9 @@ class RobotServer:
         try:
             if not client.commander:
                 raise InputError("a watcher does not command")
-            self.robot.command(_read(message), self._clock())
+            told = _read(message)
+            with self._robot_in_hand:
+                self.robot.command(told, self._clock())
         except InputError as error:
             await client.socket.send(json.dumps({"op": "error", "words": str(error)[:300]}))
 

@@ -3,42 +3,38 @@
 Each step is a sequence of small quadratic programs, one per priority, in what the ones before leave free (Kanoun,
 Lamiraux and Wieber, IEEE T-RO 27 (2011)): the tip's way in least squares with a little damping, within rates and
 ranges of the joints, the order of tubes and carriages, a floor for the margin by its gradient, and distances from
-bodies by theirs. Then its equilibrium is solved for from the last one, and the step is halved, and at last not made,
-where the guard objects.
+bodies by theirs. The guard then lets as much of it pass as is safe.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..bodies.obstacles import Obstacle
-from ..bodies.scene import scene_of
-from ..display import Displayed
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, vector
-from ..inverse.goal import NEAR, angle
-from ..inverse.joints import Configuration, JointSpace, configuration, joint_space
+from ..errors import InputError
+from ..inverse.goal import NEAR
+from ..inverse.joints import Configuration, JointSpace, configuration
 from ..inverse.least_squares import constrained_least_squares
 from ..inverse.posture import Posture
-from ..inverse.question import seed_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
+from .command import OBJECTIVES, Command, ServoOptions, ServoStep
+from .guard import Guard
 from .why import Why
+
+__all__ = ["OBJECTIVES", "Command", "Servo", "ServoOptions", "ServoStep"]
 
 DAMPING = 1e-3
 """Of a joint's way over its scale against the tip's over the robot's length."""
-
-HALVINGS = 4
-"""Times that a step is halved which the guard does not let pass."""
 
 APPROACH = 0.5
 """Share of what is left of margin and clearance that one step may take."""
@@ -52,93 +48,6 @@ TURN, SHIFT = 0.3, 0.05
 
 FREE = 1e-6
 """Singular value of a task below which it leaves a motion free."""
-
-TASKS = ("position", "velocity", "direction", "pivot", "joints")
-OBJECTIVES = ("margin", "centre", "compliance")
-
-
-@dataclass(frozen=True, eq=False)
-class Command:
-    """What the tip shall do; what is None is free.
-
-    position (3,) m, or velocity (3,) m/s of the tip; direction (3,) along which it shall point; pivot (3,) m: a point
-    that the arm shall pass through, as at an incision; joints: rotations and translations to go to, as a configuration.
-    """
-
-    position: ArrayLike | None = None
-    velocity: ArrayLike | None = None
-    direction: ArrayLike | None = None
-    pivot: ArrayLike | None = None
-    joints: Configuration | None = None
-
-    def __post_init__(self) -> None:
-        for name in TASKS[:4]:
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, vector(name, value, 3, "x, y, z"))
-        if self.position is not None and self.velocity is not None:
-            raise InputError("position and velocity are both given; a command has one of them")
-        if self.direction is not None and not np.linalg.norm(self.direction) > 0:
-            raise InputError("direction has no length")
-
-
-@dataclass(frozen=True)
-class ServoOptions:
-    """How a servo moves.
-
-    speed: most that the tip is asked to move, m/s.   turn_rate, shift_rate: most of every joint, rad/s and m/s.
-    min_margin: floor of the margin.   clearance: of bodies, m.   priorities: tasks of TASKS, the most important first;
-    those of one word, as "position+direction", count alike.   objective: one of OBJECTIVES, to which goes what the
-    tasks leave free: margin, the middle of the ranges, or the compliance of the tip, which is made small.   push:
-    share of the rates that goes there.
-    """
-
-    speed: float = 0.05
-    turn_rate: float = 3.0
-    shift_rate: float = 0.05
-    min_margin: float = 0.1
-    clearance: float = 0.0
-    priorities: tuple[str, ...] = ("pivot", "position+velocity+direction+joints")
-    objective: str | None = None
-    push: float = 0.2
-
-    def __post_init__(self) -> None:
-        for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"{name} is {value:g}; it must be at least 0")
-        if not 0 < self.min_margin < 1:
-            raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
-        named = [name for group in self.priorities for name in group.split("+")]
-        if sorted(set(named)) != sorted(named) or not set(named) <= set(TASKS):
-            raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
-        if self.objective is not None and self.objective not in OBJECTIVES:
-            raise InputError(f"objective is {self.objective!r}; it must be one of {', '.join(OBJECTIVES)}")
-
-
-@dataclass(frozen=True, eq=False)
-class ServoStep(Displayed):
-    """A step that was made.
-
-    equilibrium: where the robot is to be, with its joint values.   why: what was in the way.   distance, angle: from
-    the tip to where it shall be (m), and from its direction to the wanted one (rad), before the step; NaN where not
-    asked.
-    """
-
-    equilibrium: Equilibrium
-    why: Why
-    distance: float
-    angle: float
-
-    @property
-    def rotations(self) -> Array:
-        """(n,) to be sent, rad."""
-        return self.equilibrium.rotations
-
-    @property
-    def translations(self) -> Array:
-        """(n,) to be sent, m."""
-        return self.equilibrium.translations
 
 
 class Servo:
@@ -163,31 +72,24 @@ class Servo:
         options: ServoOptions | None = None,
     ) -> None:
         self.options = options or ServoOptions()
-        self.space: JointSpace = joint_space(robot, limits)
-        self._scene = scene_of(tuple(obstacles))
-        self._here = seed_posture(self.space, seed)
-        if not self.space.admissible(self._here.q):
-            raise InputError("seed lies outside the limits of the joints or the order of the tubes")
-        if self._here.margin < self.options.min_margin:
-            raise InputError(
-                f"seed has margin {self._here.margin:.3g}; it must be min_margin, {self.options.min_margin:g}, or more"
-            )
-        if self.options.objective == "compliance" and _compiled_slopes(self._here.equilibrium) is None:
+        self._guard = Guard(robot, seed, limits, obstacles, self.options)
+        self.space = self._guard.space
+        if self.options.objective == "compliance" and _compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
     @property
     def equilibrium(self) -> Equilibrium:
         """Where the robot is."""
-        return self._here.equilibrium
+        return self._guard.here.equilibrium
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
-        here, look = self._here, _Look(self._here)
+        here, look = self._guard.here, _Look(self._guard.here)
         rows, bounds, kinds = self._hedges(look, dt)
-        told = self._left(command)
+        told = self._guard.left(command)
         groups = (self._task(group, command, look, dt) for group in [*self.options.priorities, ""])
         tasks = [task for task in groups if task is not None]
         if not tasks:
@@ -199,40 +101,7 @@ class Servo:
         why = Why(0)
         for kind in {kinds[k] for k in found[1]}:
             why |= kind
-        return ServoStep(*self._guarded(here, found[0] * self.space.scale, why), *told)
-
-    def _guarded(self, here: Posture, change: Array, why: Why) -> tuple[Equilibrium, Why]:
-        """The equilibrium after a change of the joints, of as much of it as the guard lets pass."""
-        if not np.abs(change / self.space.scale).max() > 1e-14:
-            return here.equilibrium, why
-        floor = min(self.options.min_margin, here.margin)
-        for halving in range(HALVINGS + 1):
-            q = here.q + change / 2**halving
-            rotations, shift = self.space.split(q)
-            try:
-                there = one_step(self.space.robot, here.equilibrium, rotations, shift)
-            except (SolveError, InputError):
-                continue
-            if there is None or there.margin < floor:
-                continue
-            posture = Posture(self.space, q, there)
-            if self._scene.bodies and self._missing(posture) > max(0.0, self._missing(here)):
-                continue
-            self._here = posture
-            return there, why | (Why.SHORTENED if halving else Why(0))
-        return here.equilibrium, why | Why.HELD
-
-    def _missing(self, at: Posture) -> float:
-        """Clearance (m) that is missing."""
-        return self.options.clearance - at.outline.clearance(self._scene, self.options.clearance)
-
-    def _left(self, command: Command) -> tuple[float, float]:
-        """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
-        here = self._here
-        away = np.nan if command.position is None else float(np.linalg.norm(np.asarray(command.position) - here.tip))
-        if command.direction is None:
-            return away, np.nan
-        return away, angle(here.direction, np.asarray(command.direction) / np.linalg.norm(command.direction))
+        return ServoStep(*self._guard.go(found[0] * self.space.scale, why), *told)
 
     def _hedges(self, look: _Look, dt: float) -> tuple[Array, Array, list[Why]]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
@@ -255,9 +124,10 @@ class Servo:
             most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
             bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
             kinds.append(Why.MARGIN)
-        if self._scene.bodies:
-            contacts = here.outline.contacts(self._scene, options.clearance + NEAR * space.length)
-            rows.append(here.contact_slopes(self._scene, contacts) * space.scale)
+        scene = self._guard.scene
+        if scene.bodies:
+            contacts = here.outline.contacts(scene, options.clearance + NEAR * space.length)
+            rows.append(here.contact_slopes(scene, contacts) * space.scale)
             bounds.append(np.minimum(APPROACH * (options.clearance - contacts.distance), 0.0))
             kinds += [Why.OBSTACLE] * len(contacts.distance)
         return np.vstack(rows), np.concatenate(bounds), kinds

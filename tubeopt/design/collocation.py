@@ -28,7 +28,7 @@ from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program, objective_size, objective_value, state_at
-from .requirements import Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
+from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
 from .rows import joint_rows, order_rows
 from .solve_one import Attempt, attempt
 from .state import Via
@@ -61,14 +61,26 @@ OPTIONS: dict[str, Any] = {
 """Of IPOPT."""
 
 
+REFUSED: dict[type[Any], str] = {
+    Strain: "in poses, since it is largest between the points of a block",
+    Avoid: "since the arm comes nearest to a body between the points of a block",
+}
+"""Requirements that no block expresses, and why."""
+
+
 def check_collocation(task: DesignTask) -> None:
     """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
     if task.space.spots:
-        raise InputError("method is 'collocation'; pieces of tubes are designed by method 'reduced'")
+        raise InputError(
+            "method is 'collocation', which takes no pieces of tubes, of which a design frees shapes and slots; method "
+            "'reduced' does"
+        )
     for one in task.requirements:
         if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):
-            what = "Strain in poses" if isinstance(one, Strain) else type(one).__name__
-            raise InputError(f"method 'collocation' does not take the requirement {what}; method 'reduced' does")
+            why = f" {REFUSED[type(one)]}" if type(one) in REFUSED else ""
+            raise InputError(
+                f"method 'collocation' does not take the requirement {type(one).__name__}{why}; method 'reduced' does"
+            )
 
 
 def collocate(program: Program, x: Array) -> Attempt:
@@ -79,7 +91,10 @@ def collocate(program: Program, x: Array) -> Attempt:
     """
     check_collocation(program.task)
     if any(isinstance(pose, Via) for pose in program.layout.poses):
-        raise InputError("method 'collocation' does not take margins on joint paths; method 'reduced' does")
+        raise InputError(
+            "method 'collocation' does not take margins on joint paths, whose worst places move along them; method "
+            "'reduced' does"
+        )
     for held in HELD:
         found, words = _Collocated(program, x, held).solved()
         reached = attempt(program, np.clip(found, program.lower, program.upper), None)

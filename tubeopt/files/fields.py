@@ -108,6 +108,16 @@ def asking(what: Any) -> Callable[[type[E]], type[E]]:
     return with_keys
 
 
+def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
+    """Give an entry, besides its own keys, further ones, as `pydantic.create_model` takes them."""
+
+    def with_keys(base: type[E]) -> type[E]:
+        model: type[E] = create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
+        return model
+
+    return with_keys
+
+
 def values(what: type[Any], entry: Any) -> dict[str, Any]:
     """The fields of a dataclass in SI, from the keys of an entry; those whose key is empty by default are left out."""
     read = {}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,12 @@ import numpy as np
 from ..errors import InputError, MissingExtraError
 
 LOGGER = logging.getLogger(__name__)
+
+MANY = 1000
+"""Files of a directory that are looked at for the one that was meant."""
+
+ALIKE = 0.85
+"""Part of a name that must be another one's, for that to be meant."""
 
 
 @contextmanager
@@ -64,12 +72,23 @@ def save_arrays(path: str | PathLike[str], **arrays: Any) -> Path:
     return Path(path)
 
 
+def no_such_file(path: str | PathLike[str]) -> InputError:
+    """That a file is missing, and the one beside it that is called much the same."""
+    file = Path(path)
+    try:
+        others = [each.name for each in islice(file.parent.iterdir(), MANY)]
+    except OSError:
+        others = []
+    alike = difflib.get_close_matches(file.name, others, n=1, cutoff=ALIKE)
+    return InputError(f"{path}: there is no such file" + "".join(f"; did you mean {file.with_name(k)}?" for k in alike))
+
+
 def read_bytes(path: str | PathLike[str]) -> bytes:
     """The content of a file; raises InputError naming it where it cannot be read."""
     try:
         return Path(path).read_bytes()
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
+        raise no_such_file(path) from None
     except IsADirectoryError:
         raise InputError(f"{path}: this is a directory; it must be a file") from None
     except OSError as error:

@@ -62,6 +62,7 @@ UNITS = {
     **dict.fromkeys(["um", "us", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
     "rpm": _CONTEXT.divide(Decimal(1), _MINUTE),
+    "deg_per_mm": _CONTEXT.divide(DEG, MM),
     "mm3": Decimal("1e-9"),
     "cm2": Decimal("1e-4"),
     "percent": PERCENT,

@@ -59,7 +59,7 @@ class InverseSolution(Displayed):
 
     Attributes:
         target_position (3,) m, target_direction (3,) or None: what was asked for.
-        rotations (n,) rad, translations (n,) m, not wrapped.
+        rotations, translations: (n,) rad and (n,) m, not wrapped.
         equilibrium: stable; `forward_kinematics(robot, rotations, translations, guess=equilibrium)` agrees.
         position_error: distance of the tip from the target, m.   direction_error: angle, rad; NaN without a direction.
         margin: of the equilibrium.   scene: the obstacles.   clearance: least distance of the arm from any of them, m,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters, explicit_size
 from ..equilibrium.result import Equilibrium
+from ..robots.load import Load
 from ..typing import Array, Mask
 from .clock import Clock, LateError
 from .joints import JointSpace
@@ -72,9 +73,11 @@ def _mapped(kind: Kind, count: int, thread: int) -> Buffered:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space."""
+    """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space; `load`: what
+    the arms of its points bear, None for arms that bear none."""
 
     space: JointSpace
+    load: Load | None = None
 
     @cached_property
     def parameters(self) -> Array:

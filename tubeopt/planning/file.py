@@ -16,10 +16,12 @@ from ..files.csv_file import read_csv, to_csv
 from ..files.files import read_text, write_text
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
+from ..robots.load import Load
 from ..robots.path_file import joint_columns
 from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
+from .goals import loaded
 from .trajectory import Trajectory
 
 TIME = "time_s"
@@ -37,8 +39,9 @@ class TimedJoints:
     translations: Array
     start_tips: Array | None
 
-    def start(self) -> Equilibrium | None:
-        """The equilibrium at the first sample that has the tip rotations of the file; None where it tells none.
+    def start(self, load: Load | None = None) -> Equilibrium | None:
+        """The equilibrium at the first sample, under a load, with the tip rotations of the file; None where it tells
+        none.
 
         Raises:
             InputError: no equilibrium there has these tip rotations.
@@ -47,9 +50,15 @@ class TimedJoints:
         if tips is None:
             return None
         found = find_equilibria(self.robot, self.rotations[0], self.translations[0])
-        best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()))
-        if np.abs(best.tip_rotations - tips).max() > 1e-3:
-            raise InputError("no equilibrium at the first sample has the tip rotations that the file gives")
+        if load is not None:
+            found = loaded([e for e in found if e.stable], load)[0]
+        best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
+        if best is None or np.abs(best.tip_rotations - tips).max() > 1e-3:
+            under = "" if load is None else " under this load"
+            raise InputError(
+                f"no equilibrium at the first sample has the tip rotations that the file gives{under}; what was "
+                "planned under a load is verified under it"
+            )
         return best
 
 

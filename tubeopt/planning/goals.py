@@ -22,6 +22,7 @@ from ..inverse.joints import JointSpace, configuration
 from ..inverse.posture import posture_of
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .reach import least_miss
@@ -88,16 +89,22 @@ class End:
     turns: tuple[int, ...]
 
 
-def start_equilibrium(space: JointSpace, start: Any) -> Equilibrium:
-    """The equilibrium that a plan begins with; raises InputError and SolveError where there is none."""
+def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None) -> Equilibrium:
+    """The equilibrium that a plan begins with, under the load; raises InputError and SolveError where there is none."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
     if isinstance(known, Equilibrium):
         if known.robot != space.robot:
             raise InputError("start is an equilibrium of another robot")
-        return known
+        return known if load is None or known.load == load else bearing(known, load)
     q = configuration(space, "start", start)
     rotations, shift = space.split(q)
-    return forward_kinematics(space.robot, rotations, shift)
+    return forward_kinematics(space.robot, rotations, shift, load=load)
+
+
+def bearing(equilibrium: Equilibrium, load: Load) -> Equilibrium:
+    """The equilibrium at the same joint values into which one grows with a load; raises SolveError where it is lost."""
+    robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
+    return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
 
 
 def check_start(task: Task, start: Equilibrium) -> None:
@@ -117,7 +124,9 @@ def ends(
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
     found, whole = _equilibria(task, start, goal, clock or Clock(math.inf))
-    reasons, good = [], []
+    reasons, good = list[str](), []
+    if task.chart.load is not None:
+        found, reasons = loaded(found, task.chart.load)
     for e in found:
         try:
             _allowed(task, "goal", e)
@@ -137,6 +146,17 @@ def ends(
     return out[:MOST_GOALS]
 
 
+def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
+    """Equilibria as they are under a load, and why others are not."""
+    good, reasons = [], []
+    for e in found:
+        try:
+            good.append(e if e.load == load else bearing(e, load))
+        except SolveError as error:
+            reasons.append(f"no plan was found: at the goal {error}")
+    return good, reasons
+
+
 def other_ends(
     task: Task,
     start: Equilibrium,
@@ -148,7 +168,7 @@ def other_ends(
 ) -> list[End]:
     """Further equilibria that meet the goal, if it is one of the tip, the nearest first: its other postures."""
     wanted = _tip_goal(goal)
-    if wanted is None:
+    if wanted is None or task.chart.load is not None:
         return []
     here, found = task.chart.of(start), []
     postures: list[Equilibrium] = []
@@ -224,7 +244,7 @@ def _posed(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[
     position = vector("goal", goal.position, 3, "x, y, z of the tip in m")
     _place_for_the_tip(task, position)
     _long_enough(task, position)
-    miss = least_miss(task.chart, position, clock)
+    miss = 0.0 if task.chart.load is not None else least_miss(task.chart, position, clock)
     if miss > 0:
         raise SolveError(
             "no plan was found: the goal is out of reach as far as searches tell, in which the tip comes no closer to "
@@ -299,6 +319,7 @@ def _postures(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> li
 
 def _inverse(task: Task, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     return {
+        "load": task.chart.load,
         "direction": goal.direction,
         "seed": start,
         "min_margin": task.min_margin + 2 * FINISHED,

@@ -22,10 +22,10 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
+from .building import Built, actuators, build
 from .goals import End, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, actuators, build
 from .question import asked, in_time
 from .timing import through
 from .tip_path import distance_from
@@ -74,6 +74,13 @@ def follow_the_leader(
     Raises:
         InputError: numbers that make no sense, a goal out of range.
         SolveError: no equilibrium meets the goal, or the deployment found cannot be proved.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> deployment = tubeopt.follow_the_leader(robot, ([0.3, 1.0, -0.5], [-0.06, -0.06, -0.04]))
+        >>> deployment.proof.holds, bool(deployment.deviation.max() < 2e-3)
+        (True, True)
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")

@@ -1,8 +1,8 @@
-"""A motion: joint values as a function of time, cubic between knots; and the limits that actuators set to it."""
+"""A motion: joint values as a function of time, polynomials between knots; and the limits that actuators set to it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,8 +18,9 @@ from ..typing import Array
 MOST_SAMPLES = 4000
 """Samples of a trajectory at most."""
 
-LEAST_SAMPLES = 100
-"""Samples of a trajectory at least."""
+LEAST_SAMPLES, SAMPLES_OF_TIP = 100, 300
+"""Samples of a trajectory at least, and where the speed of the tip is limited, which changes on the way from one to the
+next."""
 
 SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
@@ -35,12 +36,11 @@ EACH = "for all tubes, or one per tube"
 
 @dataclass(frozen=True)
 class RateLimits(Displayed):
-    """How fast the actuators are.
+    """How fast the actuators are; but for the tip, one number for all tubes, or one per tube.
 
     Args:
         rotation, translation: greatest rates, rad/s and m/s.
         rotation_acceleration, translation_acceleration: rad/s^2 and m/s^2.
-        Each is one number for all tubes, or one per tube.
         tip: greatest speed of the tip, m/s; None where it does not matter.
 
     Raises:
@@ -88,16 +88,28 @@ DEFAULT_RATES = RateLimits()
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Knots: time (K,) s, joint values (K, m) and rates (K, m); cubic in between."""
+    """Knots: time (K,) s from 0, joint values (K, m); in between polynomials of the time since the knot before, with
+    coefficients (d, K - 1, m), that of the highest power first and without the constant one. `samples`: at least."""
 
     time: Array
     joints: Array
-    rates: Array
+    powers: Array
+    samples: int = LEAST_SAMPLES
 
     @property
     def duration(self) -> float:
         """Seconds."""
         return float(self.time[-1])
+
+    @property
+    def curve(self) -> scipy.interpolate.PPoly:
+        """The same as a function of time, of a motion that takes time."""
+        return scipy.interpolate.PPoly(np.concatenate([self.powers, self.joints[None, :-1]]), self.time)
+
+    def slower(self, factor: float) -> Motion:
+        """The same in so many times the time."""
+        order = np.arange(len(self.powers), 0, -1)[:, None, None]
+        return replace(self, time=self.time * factor, powers=self.powers / factor**order)
 
     def length(self, scale: Array) -> float:
         """Of the path in joint space, in units of the joints' scales."""
@@ -107,7 +119,7 @@ class Motion:
         """(T, m) joint values at times (T,)."""
         if self.duration == 0:
             return np.repeat(self.joints[:1], np.size(time), axis=0)
-        values: Array = scipy.interpolate.CubicHermiteSpline(self.time, self.joints, self.rates)(np.asarray(time))
+        values: Array = self.curve(np.asarray(time))
         return values
 
     def sampled(self, scale: Array) -> tuple[Array, Array]:
@@ -116,6 +128,11 @@ class Motion:
             return np.zeros(1), self.joints[:1]
         coarse = self.at(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
-        count = int(np.clip(np.ceil(change / SAMPLE_STEP), LEAST_SAMPLES, MOST_SAMPLES))
+        count = int(np.clip(np.ceil(change / SAMPLE_STEP), self.samples, MOST_SAMPLES))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.at(time)
+
+
+def cubic(time: Array, joints: Array, rates: Array) -> Motion:
+    """The motion with joint values and rates (K, m) at times (K,), cubic in between."""
+    return Motion(time, joints, scipy.interpolate.CubicHermiteSpline(time, joints, rates).c[:-1])

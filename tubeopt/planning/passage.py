@@ -22,8 +22,8 @@ from ..equilibrium.solving import discretisation_of, polish
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..stability.following import Event, walk
-from ..typing import Array
-from .branch import branch
+from ..typing import Array, Index
+from .branch import Branch, branch
 from .clearing import Wanted, cleared
 from .sections import SWAPPED, Arms, Constants, Intervals
 
@@ -109,7 +109,13 @@ class Follower:
     length: float
     until: float
     constants: Constants
+    halvings: int = HALVINGS
     count: int = 0
+
+    @property
+    def says(self) -> str:
+        """What can be proved nowhere, in words; empty where nothing is known to stand against it."""
+        return ""
 
     @property
     def over(self) -> bool:
@@ -120,18 +126,25 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *_pair(joints), guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *pair(joints), guess=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None
 
-    def onwards(self, here: Step, at: float, joints: Array) -> Step:
-        """The same; raises _SnapError where the branch ends before it."""
-        rotations, translations = _pair(joints)
+    def near(self, here: Step, at: float, joints: Array) -> Step | None:
+        """The same, by one solve; None also where that is not enough."""
+        rotations, translations = pair(joints)
         e = one_step(self.robot, here.equilibrium, rotations, tuple(translations.tolist()))
-        if e is not None and e.stable:
-            self.count += 1
-            return Step(at, e, joints)
+        if e is None or not e.stable:
+            return None
+        self.count += 1
+        return Step(at, e, joints)
+
+    def onwards(self, here: Step, at: float, joints: Array) -> Step:
+        """The stable equilibrium next to a step; raises _SnapError where the branch ends before it."""
+        there = self.near(here, at, joints)
+        if there is not None:
+            return there
         end = self.ends(here, at, joints)
         there = self.step(here, at, joints) if end is None else None
         if there is None:
@@ -142,6 +155,14 @@ class Follower:
     def between(self, one: Step, other: Step) -> Step | None:
         """The step half-way."""
         return self.step(one, (one.at + other.at) / 2, (one.joints + other.joints) / 2)
+
+    def intervals(self, equilibria: Sequence[Equilibrium], one: Index, other: Index) -> Intervals:
+        """Those between some of a list of equilibria."""
+        return Intervals.of(Arms.of(self.constants, equilibria), one, other)
+
+    def joined(self, intervals: Intervals) -> Branch:
+        """What is known between neighbours."""
+        return branch(intervals, _stiffness(intervals.arms))
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
@@ -154,7 +175,8 @@ class Follower:
         return None if snap is None else here.at + snap.fold.t * (at - here.at)
 
 
-def _pair(joints: Array) -> tuple[Array, Array]:
+def pair(joints: Array) -> tuple[Array, Array]:
+    """Rotations and translations of joint values (2n,)."""
     n = len(joints) // 2
     return joints[:n], joints[n:]
 
@@ -227,7 +249,7 @@ def _joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tup
     while links:
         fresh: list[Link] = []
         for link, unbroken, off in _looked_at(follower, links):
-            short = link.other.at - link.one.at < SHORTEST or link.unbounded > HALVINGS
+            short = link.other.at - link.one.at < SHORTEST or link.unbounded > follower.halvings
             if unbroken:
                 done.append(replace(link, off=off))
             elif follower.over or short:
@@ -255,7 +277,7 @@ def _looked_at(follower: Follower, links: Sequence[Link]) -> list[tuple[Link, bo
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
         intervals = _intervals(follower, some)
-        found = branch(intervals, _stiffness(intervals.arms))
+        found = follower.joined(intervals)
         counted = (
             replace(link, unbounded=0 if turned else link.unbounded + 1)
             for link, turned in zip(some, found.turned.tolist(), strict=True)
@@ -270,9 +292,8 @@ def _intervals(follower: Follower, links: Sequence[Link]) -> Intervals:
         steps.setdefault(id(link.one), link.one)
         steps.setdefault(id(link.other), link.other)
     number = {key: k for k, key in enumerate(steps)}
-    arms = Arms.of(follower.constants, [step.equilibrium for step in steps.values()])
     one, other = (np.array([number[id(getattr(link, end))] for link in links]) for end in ("one", "other"))
-    return Intervals.of(arms, one, other)
+    return follower.intervals([step.equilibrium for step in steps.values()], one, other)
 
 
 def _stiffness(arms: Arms) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,18 @@ from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way, find_way, shorten
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .goals import MOST_GOALS, End, check_start, ends, limits_of, of_the_tip, other_ends, start_equilibrium
+from .building import Built, Faults, actuators, build, no_time
+from .candidates import motions_near
+from .goals import MOST_GOALS, End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .proof import Proof, verify_trajectory
 from .question import asked, bearing, in_time
-from .smooth import joint_curves, smooth, violated
-from .timing import Limits, at_full_speed, stopping_at, through
-from .tracking import track
+from .smooth import joint_curves
+from .timing import Limits, stopping_at
 from .trajectory import PlanStatistics, Trajectory
 
 FOR_SEARCH = 0.9
@@ -50,27 +51,9 @@ SHARE_OF_GOAL = 0.6
 FOR_POSTURES, SHARE_OF_NEAREST = 15.0, 0.4
 """Seconds below which only the nearest posture for a goal of the tip is tried, and what part of more it gets."""
 
-SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
-"""Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
-
-SHARE_OF_SMOOTHING = 0.5
-"""Share of the time that is left which smoothing may take: the proof needs the rest."""
-
-SHORT, SAME = 1e-9, 2e-3
-"""Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
-count as the same."""
-
-WORTH = 0.02, 0.1
-"""Share of its length by which a way must exceed the straight line to be smoothed for length: free, among bodies."""
-
-ROUNDINGS = (0.4, 0.2, 0.1, 0.05)
-"""Distances (joints' scales) of the points of a polyline whose corners are rounded."""
-
-Faults = tuple[str, ...]
-
 
 @small
-def plan_trajectory(
+def plan_trajectory(  # noqa: PLR0913
     robot: Robot,
     start: Any,
     goal: Any,
@@ -80,6 +63,7 @@ def plan_trajectory(
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
+    load: Load | None = None,
 ) -> Trajectory:
     """A motion from one equilibrium to another that stays on one stable branch all the way, and the proof of it.
 
@@ -92,9 +76,12 @@ def plan_trajectory(
         min_margin: least margin all the way, in [0, 1).
         rate_limits: of the actuators.   limits: range of every joint; by default `robot.limits`.
         options: search, objective of smoothing, time limit, and the like.
+        load: that the robot bears all the way; a start without it is first loaded. Margin, clearance and rates are
+            those of the loaded robot, whose way is shortened and rounded, but not smoothed by a program.
 
     Raises:
-        InputError: start or goal out of range, or numbers that make no sense.
+        InputError: start or goal out of range, or numbers that make no sense; a load for which nothing is proved (see
+            `verify_trajectory`), or beside `max_force`, a roadmap, or a cost of smoothing.
         SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
             trajectory that comes closest to the goal, or None, and the message says why it ends there.
 
@@ -109,7 +96,7 @@ def plan_trajectory(
         >>> plan.proved
         True
     """
-    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)
+    task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options, load)
     with in_time(clock):
         return _planned(task, start, goal, rate_limits, options, clock)
 
@@ -118,7 +105,7 @@ def _planned(
     task: Task, start: Any, goal: Any, rate_limits: RateLimits, options: PlanOptions, clock: Clock
 ) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
-    first = start_equilibrium(task.chart.space, start)
+    first = start_equilibrium(task.chart.space, start, task.chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
     goals = ends(task, first, goal, Clock(SHARE_OF_GOAL * clock.left), modulo_turns=options.modulo_turns)
@@ -161,7 +148,7 @@ def _way(
         left = max(0.0, until - clock.seconds)
     search = Clock(SHARE_OF_NEAREST * left if postures else left)
     way = find_way(task, begin, [end.point for end in goals], search, options, seed=options.seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS):
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_GOALS or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
@@ -188,9 +175,9 @@ def _make(
     try:
         points = shorten(task, way.points, Clock(min(2.0, 0.3 * clock.left)), seed=options.seed)
         raw = task.length(way.points)
-        motions = _motions(task, first, points, rates, options, clock)
+        motions = motions_near(task, first, points, rates, options, clock)
     except LateError:
-        return (_no_time(clock),)
+        return (no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
     for motion, how, iterations, knots in motions:
@@ -204,162 +191,6 @@ def _make(
         seconds = (searched, smoothed - searched, done - smoothed, done)
         return built.trajectory(task, first, end, rates, PlanStatistics(way.how, how, *numbers, *seconds))
     return faults
-
-
-def _no_time(clock: Clock) -> str:
-    return f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
-
-
-def _motions(
-    task: Task, first: Equilibrium, points: Array, rates: RateLimits, options: PlanOptions, clock: Clock
-) -> list[tuple[Motion, str, int, int]]:
-    """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
-    with the objective of its smoothing, iterations and knots.
-
-    What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
-    slower than that, nor than what is smoothed for length.
-    """
-    limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
-    curves = joint_curves(task, points)
-    resting = stopping_at(curves, limits)
-    own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
-    for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
-            break
-        best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
-        if best is not None:
-            exact = name == "margin" or extra is not None
-            rounder = None if exact else _rounded(task, first, best.motion.sampled(task.scale)[1], limits, own)
-            motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
-            found.append((motion, name, best.iterations, len(best.points)))
-    if aim in ("length", "time") and extra is None:
-        if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, own)) is not None:
-            found.append((corners, "corners", 0, len(points)))
-        if aim == "time":
-            found = [each for each in found if each[0].duration <= resting.duration]
-            found.sort(key=lambda each: each[0].duration)
-        else:
-            longest, slowest = resting.length(task.scale) * (1 + SAME), resting.duration * (1 + SAME)
-            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
-            found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
-    return [*found, (resting, "", 0, len(points))]
-
-
-def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
-    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
-    straight line. With bodies in the way smoothing takes twice as long."""
-    length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
-    if length < SHORT or options.objective != "length" or options.extra_cost is not None:
-        return length >= SHORT
-    straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
-    return 1 - straight / length > WORTH[bool(task.obstacles)]
-
-
-def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
-    """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
-    slight rounding leads where the robot may not be, or time is over."""
-    for spacing in ROUNDINGS:
-        if clock.over:
-            return None
-        motion = through(q, task.scale, limits, spacing)
-        if not violated(task, first, motion, clock)[0].any():
-            return motion
-    return None
-
-
-def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
-    """What limits the speed of motions that begin at an equilibrium."""
-
-    def tips(q: Array) -> Array:
-        """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = track(task, first, q).tip
-        return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
-
-    return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
-
-
-@dataclass(frozen=True, eq=False)
-class Built:
-    """A sampled motion that was followed to its end, and its proof, which may not have been finished in time."""
-
-    time: Array
-    joints: Array
-    tip: Array
-    margin: Array
-    equilibria: tuple[Equilibrium, ...]
-    proof: Proof
-
-    def trajectory(
-        self,
-        task: Task,
-        first: Equilibrium,
-        end: End,
-        rates: RateLimits,
-        statistics: PlanStatistics,
-        deviation: Array | None = None,
-    ) -> Trajectory:
-        """The answer."""
-        table = np.array([task.chart.space.joint(q) for q in self.joints])
-        rotations, translations = np.split(table, 2, axis=1)
-        return Trajectory(
-            robot=first.robot,
-            time=self.time,
-            rotations=rotations,
-            translations=translations,
-            tip_position=self.tip,
-            margin=self.margin,
-            arms=self.equilibria,
-            start=first,
-            end=self.equilibria[-1],
-            turns=end.turns,
-            obstacles=task.obstacles,
-            min_margin=task.min_margin,
-            min_clearance=task.clearance - task.reserve,
-            rate_limits=rates,
-            proof=self.proof,
-            statistics=statistics,
-            deviation=deviation,
-        )
-
-
-def build(
-    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits, clock: Clock
-) -> Built | Faults:
-    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these."""
-    space = task.chart.space
-    t, q = motion.sampled(task.scale)
-    begin = space.join(first.rotations, first.translations)
-    last = q[-1] if end is None else end.joints
-    x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
-    blend = x * x * (3 - 2 * x)
-    q = q + (begin - q[0]) * (1 - blend) + (last - q[-1]) * blend
-    q[0], q[-1] = begin, last
-    q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
-    table = np.array([space.joint(row) for row in q])
-    n = space.robot.n_tubes
-    tracked = track(task, first, q, clock)
-    if tracked.lost:
-        return (_no_time(clock) if clock.over else "the branch is lost between samples",)
-    proof = verify_trajectory(
-        space.robot,
-        t,
-        table[:, :n],
-        table[:, n:],
-        start=first,
-        obstacles=task.obstacles,
-        min_margin=task.min_margin - 1e-6,
-        clearance=task.clearance - task.reserve,
-        rate_limits=rates,
-        limits=None if space.robot.limits is None else limits_of(space),
-        clock=clock,
-        max_force=task.max_force,
-    )
-    if not (proof.holds or proof.open):
-        return proof.faults
-    reached = tracked.equilibria[-1]
-    if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
-        return (*proof.faults, "the motion ends on another branch than that of the goal")
-    return Built(t, q, tracked.tip, tracked.margin, tracked.equilibria, proof)
 
 
 def _not_found(

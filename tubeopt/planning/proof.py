@@ -21,6 +21,7 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.load_problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import InputError, finite, positive
@@ -28,6 +29,7 @@ from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability.deflection import ForceBound, under_any_force
@@ -35,6 +37,7 @@ from ..stability.following import checked_waypoints
 from ..typing import Array
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
+from .loaded_passage import LoadedFollower
 from .motion import RateLimits
 from .passage import TOLERANCE, Follower, Passage, follow
 from .sections import Constants
@@ -59,7 +62,7 @@ class Proof(Displayed):
         largest_rotation_rate, largest_translation_rate: rad/s, m/s; largest accelerations, rad/s^2, m/s^2.
         largest_tip_step: between two equilibria of the proof, m.   tip_length: of the way of the tip, m.
         largest_tip_rate: speed of the tip between them, m/s.
-        reintegration: largest difference of a tip from DOP853, m.
+        reintegration: largest difference of a tip from DOP853, m; under a load the largest estimate of its error.
         equilibria: how many were solved.   end: the last of them.
         faults: in words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved.
         followed: share of the time up to `end`.
@@ -113,6 +116,7 @@ def verify_trajectory(  # noqa: PLR0913
     limits: JointLimits | None = None,
     clock: Clock | None = None,
     max_force: float = 0.0,
+    load: Load | None = None,
 ) -> Proof:
     """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
 
@@ -124,10 +128,14 @@ def verify_trajectory(  # noqa: PLR0913
         clock: when it is over, what is not shown yet is left so, which is a fault: `.open`, `.followed`.
         max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction,
             as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
+        load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
+            the loaded robot: for a force on the tip, weight and a constant load per length, all in fixed axes. Of other
+            dead loads the equilibria are found, and what lies between them is named as not proved.
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
-            start or one at other joint values, a force on a robot for which nothing is proved.
+            start or one at other joint values, a force on a robot for which nothing is proved; a load on an eccentric
+            robot, one without an energy, or beside `max_force`.
         SolveError: there is no stable equilibrium at the first sample.
 
     Examples:
@@ -148,20 +156,16 @@ def verify_trajectory(  # noqa: PLR0913
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
     positive("clearance", clearance, zero=True)
-    first = start if start is not None else forward_kinematics(robot, alpha[0], shift[0])
-    if not first.stable:
-        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    own = np.concatenate([first.rotations - alpha[0], first.translations - shift[0]])
-    if np.abs(own).max() > 1e-6:
-        raise InputError("start is at other joint values than the first sample; they must be the same")
-    if own.any():  # within round-off of a file
-        first = forward_kinematics(robot, alpha[0], shift[0], guess=first)
-    longest = max(tube.length for tube in robot.tubes)
+    first = _first(robot, start, (alpha[0], shift[0]), load)
     forced = under_any_force(robot, shift, max_force) if positive("max_force", max_force, zero=True) else None
+    if forced is not None and load is not None:
+        raise InputError("load and max_force are both given; what holds under one load is shown, or under any force")
+    longest = max(tube.length for tube in robot.tubes)
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     until = math.inf if clock is None else time_now() + clock.left
     wanted = Wanted(clearance + moved, TOLERANCE)
-    follower = Follower(robot, scene_of(bodies), wanted, longest, until, Constants.of(robot))
+    what = robot, scene_of(bodies), wanted, longest, until, Constants.of(robot)
+    follower = Follower(*what) if load is None else LoadedFollower(*what, load=load)
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     refuted, unproved = _branch_faults(follower, passage, min_margin)
     if forced is not None:
@@ -170,6 +174,23 @@ def verify_trajectory(  # noqa: PLR0913
     proof = _judge(follower, passage, refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
+
+
+def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array], load: Load | None) -> Equilibrium:
+    """The stable equilibrium at the first joint values, under the load."""
+    if load is not None:
+        check_load(robot, load, tuple(joints[1].tolist()))
+        if not load.has_energy:
+            raise InputError("load has a moment or turns with the tip; it has no energy, so nothing is told of snaps")
+    first = forward_kinematics(robot, *joints, load=load) if start is None else start
+    if not first.stable:
+        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    own = np.concatenate([first.rotations - joints[0], first.translations - joints[1]])
+    if np.abs(own).max() > 1e-6:
+        raise InputError("start is at other joint values than the first sample; they must be the same")
+    if own.any() or first.load != load:  # within round-off of a file, or yet to be loaded
+        first = forward_kinematics(robot, *joints, load=load, guess=first)
+    return first
 
 
 def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
@@ -228,6 +249,8 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         late = time_now() > follower.until
         why = "the time limit was reached" if late else f"more than {follower.count} equilibria would be needed"
         unproved.append(f"not proved: {why} {followed}")
+    elif passage.lost and follower.says:
+        unproved.append(f"not proved: {follower.says}")
     elif passage.lost:
         a, b = passage.lost[0]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the time"
@@ -239,6 +262,15 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         shown = passage.clearance * 1e3
         unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
+
+
+def _again(equilibrium: Equilibrium) -> float:
+    """Difference of a tip from its re-integration, m; under a load the estimate of its error."""
+    if equilibrium.load is not None:
+        return equilibrium.tip_error
+    check = verify_equilibrium(equilibrium).verification
+    assert check is not None
+    return check.tip_position
 
 
 def _judge(
@@ -257,8 +289,7 @@ def _judge(
     passed = np.diff([step.at for step in passage.steps]) * (t[-1] - t[0])
     tip_rate = float((moved / np.maximum(passed, 1e-12)).max(initial=0.0))
     picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, SAMPLES).astype(int))]
-    checks = [verify_equilibrium(e).verification for e in picked]
-    again = max(check.tip_position for check in checks if check is not None)
+    again = max(_again(e) for e in picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
     if again > AGREEMENT * follower.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")

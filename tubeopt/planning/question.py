@@ -13,12 +13,16 @@ from ..errors import InputError, SolveError, finite
 from ..inverse.arguments import check_robot, checked_obstacles, kind_of
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
+from ..inverse.joints import JointSpace
 from ..inverse.question import prepared
 from ..inverse.task import Task
 from ..robots.limits import JointLimits
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
+from .loaded_chart import LoadedChart
+from .loaded_sections import uncovered
 from .motion import RateLimits
 from .options import PlanOptions
 from .smooth import path_cost
@@ -40,6 +44,7 @@ def asked(
     rate_limits: RateLimits,
     limits: JointLimits | None,
     options: PlanOptions,
+    load: Load | None = None,
 ) -> tuple[Task, Clock]:
     """What must hold, and the clock of the time limit, which runs from here.
 
@@ -59,8 +64,21 @@ def asked(
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
     space = prepared(robot, limits, options.carriage_gap, options.section_length)
     rate_limits.of(space)
-    task = Task(Chart(space), bodies, floor, options.clearance, max_force=options.max_force, clock=clock)
+    chart = Chart(space) if load is None else _loaded(space, load, options)
+    task = Task(chart, bodies, floor, options.clearance, max_force=options.max_force, clock=clock)
     return task, clock
+
+
+def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
+    """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
+    kind_of("load", load, Load)
+    what = uncovered(load)
+    if what:
+        raise InputError(f"load has {what}, under which no motion can be proved")
+    for name in ("max_force", "roadmap", "extra_cost"):
+        if getattr(options, name):
+            raise InputError(f"{name} is given beside a load; a plan under a load has none")
+    return LoadedChart(space, load)
 
 
 FARTHER = 1.05

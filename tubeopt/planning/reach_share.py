@@ -97,6 +97,15 @@ def evaluate_reach(
     Raises:
         InputError: a table of wrong shape, numbers that make no sense, a start out of range.
         SolveError: the robot cannot be where it starts.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> home = tubeopt.forward_kinematics(robot, [0.0, 0.0])
+        >>> turned = home.tip_position * [-1.0, -1.0, 1.0]  # half a turn away
+        >>> tubeopt.evaluate_reach(robot, home, [turned, [0.0, 0.0, 1.0]], count=20).share
+        0.5
     """
     places = _places(targets)
     positive("tolerance", tolerance)

@@ -144,6 +144,12 @@ def build_roadmap(
     Raises:
         InputError: numbers that make no sense.
         SolveError: fewer than two points were found.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> len(tubeopt.build_roadmap(robot, count=20))
+        20
     """
     task, clock = asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options)
     random, n = np.random.default_rng(options.seed), robot.n_tubes
@@ -171,6 +177,15 @@ def load_roadmap(path: str | PathLike[str]) -> Roadmap:
 
     Raises:
         InputError: no such file, or none of a roadmap.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     tubeopt.build_roadmap(robot, count=20).save(f"{directory}/roadmap.npz")
+        ...     len(tubeopt.load_roadmap(f"{directory}/roadmap.npz"))
+        20
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -142,7 +143,7 @@ class Arms:
         jumps = (sides[0] != sides[1]) & (self.arc_length > JUMP)[:, None]
         return np.where(jumps, torque / c.at(kt, sides[1]) + c.at(twist, sides[1]), self.torsion)
 
-    def _hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
+    def hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
         key, stride = self._key
         low, high = self.first[which], np.maximum(self.first[which + 1] - 2, self.first[which])
         k = np.clip(np.searchsorted(key, s + which * stride, side="right") - 1, low, high)
@@ -154,11 +155,11 @@ class Arms:
 
     def points(self, which: Index, s: Array) -> Array:
         """(..., 3) centreline of equilibria (...) at arc lengths (...), cubic between the points of the solution."""
-        return self._hermite(which, s, self.position, (self.tangent, self.tangent))
+        return self.hermite(which, s, self.position, (self.tangent, self.tangent))
 
     def rotations(self, which: Index, s: Array) -> Array:
         """(..., n) theta of equilibria (...) at arc lengths (...)."""
-        return self._hermite(which, s, self.rotation, (self._onwards, self.torsion))
+        return self.hermite(which, s, self.rotation, (self._onwards, self.torsion))
 
     @cached_property
     def shape_error(self) -> Array:
@@ -258,8 +259,8 @@ class Intervals:
     stretch: Index
     ordered: Mask
 
-    @staticmethod
-    def of(arms: Arms, one: Index, other: Index) -> Intervals:
+    @classmethod
+    def of(cls, arms: Arms, one: Index, other: Index) -> Self:
         """Those between equilibria (B,) and (B,); `ordered` (B,) tells where no breakpoints meet in between."""
         a, b = arms.breakpoints[one], arms.breakpoints[other]
         middle = (a + b) / 2
@@ -273,7 +274,7 @@ class Intervals:
         # One that is behind the plate at one end and in front of it at the other meets the plate in between.
         ordered &= ~((a < -SWAPPED) & (b > SWAPPED) | (a > SWAPPED) & (b < -SWAPPED)).any(1)
         stretch = arms.constants.stretch((sides[2][:, :-1] + sides[2][:, 1:]) / 2, middle[:, None])
-        return Intervals(arms, one, other, sides[0], sides[1], stretch, ordered)
+        return cls(arms, one, other, sides[0], sides[1], stretch, ordered)
 
     @cached_property
     def bending(self) -> Bending:

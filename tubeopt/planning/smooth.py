@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..inverse.clock import Clock
 from ..inverse.task import Task
 from ..typing import Array, Mask
-from .motion import Motion
+from .motion import Motion, cubic
 from .path_program import PATH_QUANTITIES, PathProgram, PathQuestion, parameter_values, path_program, path_quantities
 from .tracking import track
 
@@ -231,7 +231,7 @@ def _solve(
     joints, rates = (x[k * size : (k + 1) * size].reshape(q.shape) * scale for k in (0, 1))
     tips = x[2 * size : 2 * size + n * len(q)].reshape(len(q), n)
     duration = float(np.sqrt(x[-2])) * unit
-    motion = Motion(time * duration, joints, rates / duration)
+    motion = cubic(time * duration, joints, rates / duration)
     return motion, np.column_stack([tips, joints[:, n:]]), int(stats["iter_count"])
 
 

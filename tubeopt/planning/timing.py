@@ -4,30 +4,30 @@ Along q(s), with b = (ds/dt)^2 and u = d^2 s / dt^2 = b' / 2,
 
     |q_s| sqrt(b) <= rate,    |q_s u + q_ss b| <= acceleration,
 
-which is linear in (b, u). Between the points of a grid u is constant, so that b is linear. Backwards from the end it is
-told how large b may be so that the rest can still be passed; forwards u is then as large as it may be (Pham and Pham
-2018). At rest at both ends: b is 0 there, or q_s is.
+which is linear in (b, u). Between the points of a grid u is constant, so that b is linear, and q is cubic: both sides
+are quadratic in s there, and the hull of their Bezier coefficients bounds them, so that rates and accelerations of the
+joints are kept at all times and not only on the grid. Backwards from the end it is told how large b may be so that the
+rest can still be passed; forwards u is then as large as it may be (Pham and Pham 2018). At rest at both ends: b is 0
+there, or q_s is. The motion is that curve itself, a polynomial of time in every cell.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from ..typing import Array
-from .motion import Motion
+from .motion import SAMPLES_OF_TIP, Motion
 
 CELLS = 100, 500
 """Cells of the first grid, evenly spaced, and of the second, on which they take the same time, beside the knots."""
 
-BESIDE = 1e-9
-"""Share of a cell beside its ends at which second derivatives, which may jump there, are taken."""
-
-PRUDENCE = 0.9995, 0.995
-"""Share of the rates and of the accelerations that is used, for what lies between the points of the grid."""
+PRUDENCE = 0.9995
+"""Share of what is allowed that is used: the tip's speed is taken on the grid, and ends of the path are made exact."""
 
 SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
@@ -49,22 +49,18 @@ class Limits:
 
 def at_full_speed(motion: Motion, limits: Limits) -> Motion:
     """A motion from rest to rest, along the same curve, as fast as limits allow."""
-    if motion.duration == 0:
-        return motion
-    return _along(scipy.interpolate.CubicHermiteSpline(motion.time, motion.joints, motion.rates), motion.time, limits)
+    return motion if motion.duration == 0 else _along([motion.curve], limits)[0]
 
 
 def stopping_at(ways: Sequence[Array], limits: Limits) -> Motion:
     """The fastest motion along curves of joint values, each a table (k, m) of evenly spaced points, at rest where they
     meet."""
-    parts = [_along(rounded(way), np.linspace(0, 1, len(way)), limits) for way in ways]
+    parts = _along([rounded(way) for way in ways], limits)
     began = np.cumsum([0.0, *(part.duration for part in parts)])
     time = [parts[0].time, *(part.time[1:] + start for part, start in zip(parts[1:], began[1:-1], strict=True))]
-    joints, rates = (
-        np.concatenate([getattr(parts[0], name), *(getattr(part, name)[1:] for part in parts[1:])])
-        for name in ("joints", "rates")
-    )
-    return Motion(np.concatenate(time), joints, rates)
+    joints = [parts[0].joints, *(part.joints[1:] for part in parts[1:])]
+    powers = np.concatenate([part.powers for part in parts], axis=1)
+    return Motion(np.concatenate(time), np.concatenate(joints), powers, parts[0].samples)
 
 
 def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None) -> Motion:
@@ -73,13 +69,13 @@ def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None
     step = np.linalg.norm(np.diff(q / scale, axis=0), axis=1)
     mark = np.concatenate([[0.0], np.cumsum(step)])
     if not mark[-1] > 1e-9:
-        return Motion(np.zeros(1), q[:1], np.zeros_like(q[:1]))
+        return Motion(np.zeros(1), q[:1], np.zeros((1, 0, q.shape[1])))
     count = max(100, 4 * len(q)) if spacing is None else max(8, int(np.ceil(mark[-1] / spacing)) + 1)
     even = np.linspace(0, mark[-1], count)
     return stopping_at([np.column_stack([np.interp(even, mark, column) for column in q.T])], limits)
 
 
-def rounded(table: Array) -> scipy.interpolate.BSpline:
+def rounded(table: Array) -> scipy.interpolate.PPoly:
     """A smooth curve over [0, 1] close to evenly spaced points (k, m).
 
     The cubic B-spline whose control points lie on the polyline: it begins and ends at its ends, and stays within the
@@ -90,25 +86,58 @@ def rounded(table: Array) -> scipy.interpolate.BSpline:
     places = np.array([knots[k + 1 : k + 4].mean() for k in range(count)])
     x = np.linspace(0, 1, len(table))
     control = np.column_stack([np.interp(places, x, column) for column in table.T])
-    return scipy.interpolate.BSpline(knots, control, 3)
+    curve, inner = scipy.interpolate.BSpline(knots, control, 3), knots[3:-3]
+    terms = [curve(inner[:-1], nu=order) / math.factorial(order) for order in (3, 2, 1, 0)]
+    return scipy.interpolate.PPoly(np.array(terms), inner)
 
 
-def _along(curve: scipy.interpolate.BSpline | scipy.interpolate.PPoly, knots: Array, limits: Limits) -> Motion:
-    """The fastest motion along a curve over the range of its knots."""
-    s = np.union1d(knots, np.linspace(knots[0], knots[-1], CELLS[0]))
-    b = _Program.of(curve, s, limits).largest()
-    time = _time(s, b)
-    s = np.union1d(knots, np.interp(np.linspace(0, time[-1], CELLS[1]), time, s))
-    s = s[np.append(np.diff(s) > SAME * (s[-1] - s[0]), True)]
-    b = _Program.of(curve, s, limits).largest()
-    time = _time(s, b)
-    return Motion(time, curve(s), curve.derivative()(s) * np.sqrt(b)[:, None])
+def _along(curves: Sequence[scipy.interpolate.PPoly], limits: Limits) -> list[Motion]:
+    """The fastest motions along cubic curves, each of which begins where the one before ends."""
+    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], CELLS[0])) for curve in curves]
+    for k, (curve, s, b) in enumerate(zip(curves, grids, _largest(curves, grids, limits), strict=True)):
+        time = _time(s, b)
+        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], CELLS[1]), time, s))
+    found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
+    motions = [_motion(curve, s, b) for curve, s, b in found]
+    return motions if limits.tip is None else [replace(each, samples=SAMPLES_OF_TIP) for each in motions]
+
+
+def _grid(curve: scipy.interpolate.PPoly, places: Array) -> Array:
+    """(N + 1,) places on a curve and its knots, those that are all but the same once."""
+    s = np.union1d(curve.x, places)
+    apart: Array = s[np.append(np.diff(s) > SAME * (s[-1] - s[0]), True)]
+    return apart
+
+
+def _largest(curves: Sequence[scipy.interpolate.PPoly], grids: Sequence[Array], limits: Limits) -> list[Array]:
+    """(N + 1,) the largest b on every curve's grid."""
+    tips: list[Array | None] = [None] * len(curves)
+    if limits.tip is not None:
+        # At once, since the branch is followed from the beginning of the first.
+        all_tips = limits.tip[1](np.concatenate([curve(s) for curve, s in zip(curves, grids, strict=True)]))
+        tips = list(np.split(all_tips, np.cumsum([len(s) for s in grids])[:-1]))
+    asked = zip(curves, grids, tips, strict=True)
+    return [_Program.of(curve, s, limits, tip).largest() for curve, s, tip in asked]
 
 
 def _time(s: Array, b: Array) -> Array:
     """(N + 1,) seconds at which the points of a grid are passed."""
     pace = np.sqrt(b)
     return np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / np.maximum(pace[1:] + pace[:-1], TINY))])
+
+
+def _motion(curve: scipy.interpolate.PPoly, s: Array, b: Array) -> Motion:
+    """Along a curve with b (N + 1,) on a grid: in every cell s grows by p t + w t^2."""
+    c1, c2, c3 = _terms(curve, s)
+    p, w = np.sqrt(b[:-1])[:, None], (np.diff(b) / np.diff(s) / 4)[:, None]
+    powers = [c3 * w**3, 3 * c3 * p * w**2, c2 * w**2 + 3 * c3 * p**2 * w, 2 * c2 * p * w + c3 * p**3]
+    return Motion(_time(s, b), curve(s), np.array([*powers, c1 * w + c2 * p**2, c1 * p]))
+
+
+def _terms(curve: scipy.interpolate.PPoly, s: Array) -> tuple[Array, Array, Array]:
+    """Three (N, m) of a curve in every cell of a grid that has its knots: c1 x + c2 x^2 + c3 x^3 from its begin."""
+    first, second, third = (curve(s[:-1], nu=order) / math.factorial(order) for order in (1, 2, 3))
+    return first, second, third
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,28 +152,29 @@ class _Program:
     most: Array
 
     @staticmethod
-    def of(curve: scipy.interpolate.BSpline | scipy.interpolate.PPoly, s: Array, limits: Limits) -> _Program:
-        """That of a curve on a grid s (N + 1,)."""
+    def of(curve: scipy.interpolate.PPoly, s: Array, limits: Limits, tip: Array | None) -> _Program:
+        """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
-        slope, bend = curve.derivative(), curve.derivative(2)
-        first, last = s[:-1] + BESIDE * h, s[1:] - BESIDE * h
-        force = PRUDENCE[1] * limits.acceleration
-        # At the end of a cell b has grown by 2 h u.
-        at_end = slope(last) + 2 * h[:, None] * bend(last)
-        row_u = np.concatenate([slope(first), at_end], axis=1) / np.tile(force, 2)
-        row_b = np.concatenate([bend(first), bend(last)], axis=1) / np.tile(force, 2)
-        row_u, row_b = (np.concatenate([rows, -rows], axis=1) for rows in (row_u, row_b))
-        along = np.abs(slope(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]))).max(0)
-        pace = (along / (PRUDENCE[0] * limits.rate)).max(1)
-        if limits.tip is not None:
-            speed, tips = limits.tip
-            way = np.linalg.norm(np.diff(tips(curve(s)), axis=0), axis=1) / h
-            pace = np.maximum(pace, way / (PRUDENCE[0] * speed))
+        c1, c2, c3 = _terms(curve, s)
+        long, force = h[:, None], PRUDENCE * limits.acceleration
+        # Where s has grown by x, b has by 2 x u.
+        row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
+        row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
+        rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
+        rows_u, rows_b = (np.concatenate([rows, -rows], axis=1) for rows in (rows_u, rows_b))
+        along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
+        pace = (along / (PRUDENCE * limits.rate)).max(1)
+        if limits.tip is not None and tip is not None:
+            speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
+            # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
+            beside = 1 + 2 * math.ceil(len(h) / SAMPLES_OF_TIP)
+            fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
+            pace = np.maximum(pace, fastest / (PRUDENCE * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # What does not move there is at rest however fast s is.
-        moving = np.abs(slope(s[[0, -1]]) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6
+        moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6
         most[[0, -1]] = np.where(moving, 0.0, most[[0, -1]])
-        return _Program(h, row_u, row_b, np.ones(row_u.shape[1]), most)
+        return _Program(h, rows_u, rows_b, np.ones(rows_u.shape[1]), most)
 
     def largest(self) -> Array:
         """(N + 1,) the largest b."""

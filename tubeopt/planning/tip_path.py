@@ -20,10 +20,10 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
+from .building import Built, actuators, build
 from .goals import LEAST_SECONDS, End, check_start, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .options import DEFAULT_PLAN, PlanOptions
-from .plan import Built, actuators, build
 from .question import asked
 from .reach import least_miss
 from .timing import through
@@ -78,6 +78,14 @@ def follow_tip_path(  # noqa: PLR0913
         InputError: fewer than two points, a curve longer than 1000 tubes, a start whose tip is elsewhere, numbers that
             make no sense.
         SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> motion = tubeopt.follow_tip_path(robot, [[0.0, -0.03, 0.13], [0.005, -0.03, 0.13]])
+        >>> motion.proof.holds, bool(motion.deviation.max() <= 5e-4)
+        (True, True)
     """
     positive("tolerance", tolerance)
     task, clock = asked(robot, obstacles, min_margin, rate_limits, limits, options)

@@ -59,7 +59,7 @@ def track(task: Task, start: Equilibrium, q: Array, clock: Clock | None = None) 
     for row in q:
         rotations, shift = space.split(row)
         try:
-            here = forward_kinematics(space.robot, rotations, shift, guess=here)
+            here = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, guess=here)
         except SolveError:
             break
         if not here.stable or (clock is not None and clock.over):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, TypeGuard
+from typing import Annotated, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, choice, finite, positive, vector
+from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 
 Vector = tuple[float, float, float]
@@ -20,19 +21,19 @@ FRAMES = ("world", "tip")
 
 @dataclass(frozen=True)
 class Stretch:
-    """A constant load per length, N/m in world axes, from arc length `start` to `end`, m from the plate."""
+    """A constant load per length on a stretch of the arm, in world axes."""
 
-    start: float
-    end: float
-    force: Vector
+    start: Annotated[float, key("from_mm"), NOT_NEGATIVE, "arc length from the plate"]
+    end: Annotated[float, key("to_mm"), "arc length from the plate"]
+    force: Annotated[Vector, unit("mN_per_m")]
 
 
 @dataclass(frozen=True)
 class PointForce:
-    """A force, N in world axes, at arc length `at`, m from the plate."""
+    """A force on the arm, in world axes."""
 
-    at: float
-    force: Vector
+    at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the plate"]
+    force: Annotated[Vector, unit("mN")]
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,15 @@ class Load(Displayed):
         InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
     """
 
-    force: Vector = (0.0, 0.0, 0.0)
-    moment: Vector = (0.0, 0.0, 0.0)
+    force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
+    moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = (0.0, 0.0, 0.0)
     _: KW_ONLY
-    frame: str = "world"
+    frame: Annotated[
+        str, OneOf(FRAMES), "of tip force and moment: world keeps their direction, tip turns them with the tip"
+    ] = "world"
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
-    points: tuple[PointForce, ...] = ()
-    gravity: Vector | None = None
+    points: Annotated[tuple[PointForce, ...], "forces along the arm, in world axes"] = ()
+    gravity: Annotated[Vector | None, unit("m_per_s2"), "gravity, which acts on the mass of the tubes"] = None
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

@@ -11,13 +11,12 @@ from pydantic import Discriminator, Field, PlainValidator, Tag, ValidationInfo
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive
 from ..files.csv_file import read_csv
-from ..files.units import DEG, MM, PER_M, in_unit, shown, to_si
+from ..files.units import DEG, MM, PER_M, UNITS, in_unit, shown, to_si
 from ..typing import Array
 from .pieces import Piece, check_table
 from .series import Quantity, Series, spline, turned
 
-DEG_PER_MM = DEG / MM
-N_MM2 = Decimal("1e-6")
+DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
 """Of that of the cross-section: what is given outside has a wrong unit."""

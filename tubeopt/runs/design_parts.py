@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,12 +27,13 @@ from ..design import (
     Tolerances,
     Wall,
 )
+from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.fields import Part, asking, entry_of, values
-from ..files.units import DEG, MM, PER_M, to_si
+from ..files.fields import Part, asking, described, entry_of, extended, values
+from ..files.units import DEG, MM, PER_M, UNITS, to_si, unit_of
 from ..robots.file import Range
-from ..robots.piece_file import DEG_PER_MM
+from ..robots.tubes import Tube
 from .obstacle_file import Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -43,25 +45,40 @@ def metres(values: Sequence[Decimal]) -> tuple[float, ...]:
     return tuple(to_si(value, MM) for value in values)
 
 
+@dataclass(frozen=True)
+class Ranged:
+    """A key that holds the least and greatest value of a free dimension: the field, its unit, what is said of it, and
+    whether the tubes are scaled by one factor."""
+
+    field: str
+    unit: str
+    about: str
+    scaled: bool = False
+
+
+OF_PIECES = (
+    Ranged("piece_curvature", "per_m", "largest curvature; what varies is bent in proportion"),
+    Ranged(
+        "piece_shape", "per_m", "coefficients of the Chebyshev polynomials of the curvature about x along the piece"
+    ),
+    Ranged("piece_plane", "deg", "turn of the bend plane from that of the robot"),
+    Ranged("piece_twist", "deg_per_mm", "natural twist"),
+    Ranged("piece_bending_factor", "", "what slots leave of the bending stiffness"),
+    Ranged("piece_torsion_factor", "", "what slots leave of the torsional stiffness"),
+)
+
+SCALED = ("curvature", "straight_length", "curved_length")
+"""Dimensions that one factor may scale."""
+
 RANGES = {
-    "curvature_per_m": ("curvature", PER_M, False),
-    "straight_length_mm": ("straight_length", MM, False),
-    "curved_length_mm": ("curved_length", MM, False),
-    "outer_diameter_mm": ("outer_diameter", MM, False),
-    "inner_diameter_mm": ("inner_diameter", MM, False),
-    "curvature_factor": ("curvature", PER_M, True),
-    "straight_length_factor": ("straight_length", PER_M, True),
-    "curved_length_factor": ("curved_length", PER_M, True),
-    "piece_curvature_per_m": ("piece_curvature", PER_M, False),
-    "piece_shape_per_m": ("piece_shape", PER_M, False),
-    "piece_plane_deg": ("piece_plane", DEG, False),
-    "piece_twist_deg_per_mm": ("piece_twist", DEG_PER_MM, False),
-    "piece_bending_factor": ("piece_bending_factor", PER_M, False),
-    "piece_torsion_factor": ("piece_torsion_factor", PER_M, False),
+    **{one.key: Ranged(one.name, unit_of(one.key), "") for one in described(Tube) if one.name in TUBE_FIELDS},
+    **{f"{name}_factor": Ranged(name, "", "one factor for all these tubes", scaled=True) for name in SCALED},
+    **{f"{one.field}_{one.unit}" if one.unit else one.field: one for one in OF_PIECES},
 }
-"""Keys of a free dimension: the field, its unit, and whether the tubes are scaled by one factor."""
+"""Keys of a free dimension."""
 
 
+@extended({key: (Range | None, Field(None, description=one.about or None)) for key, one in RANGES.items()})
 class FreeEntry(Part):
     """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
 
@@ -71,25 +88,7 @@ class FreeEntry(Part):
         [],
         description="of the tubes, from the straight part to the tip, for the keys of pieces; all if not given",
     )
-    curvature_per_m: Range | None = None
-    straight_length_mm: Range | None = None
-    curved_length_mm: Range | None = None
-    outer_diameter_mm: Range | None = None
-    inner_diameter_mm: Range | None = None
-    curvature_factor: Range | None = Field(None, description="one factor for the curvatures of all these tubes")
-    straight_length_factor: Range | None = None
-    curved_length_factor: Range | None = None
-    piece_curvature_per_m: Range | None = Field(
-        None, description="largest curvature; what varies is bent in proportion"
-    )
-    piece_shape_per_m: Range | None = Field(
-        None, description="coefficients of the Chebyshev polynomials of the curvature about x along the piece"
-    )
     coefficients: Annotated[Whole, Field(ge=1)] = Field(1, description="of a piece_shape")
-    piece_plane_deg: Range | None = Field(None, description="turn of the bend plane from that of the robot")
-    piece_twist_deg_per_mm: Range | None = None
-    piece_bending_factor: Range | None = Field(None, description="what slots leave of the bending stiffness")
-    piece_torsion_factor: Range | None = Field(None, description="what slots leave of the torsional stiffness")
     torsion_share: NotNegative | None = Field(
         None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
     )
@@ -100,12 +99,12 @@ class FreeEntry(Part):
         if len(given) != 1:
             raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
         (key, (low, high)) = given[0]
-        field, unit, scaled = RANGES[key]
-        if scaled and self.equal:
+        one = RANGES[key]
+        if one.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
-        tie = "scaled" if scaled else "equal" if self.equal else "each"
+        tie, unit = "scaled" if one.scaled else "equal" if self.equal else "each", UNITS.get(one.unit, PER_M)
         return Free(
-            field,
+            one.field,
             tuple(i - 1 for i in self.tubes),
             to_si(low, unit),
             to_si(high, unit),

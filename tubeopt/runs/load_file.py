@@ -2,82 +2,43 @@
 
 from __future__ import annotations
 
-from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import Field, PlainValidator, ValidationInfo
 
-from ..files.checked import Entry, Number, check
-from ..files.units import MM, UNITS, to_si
+from ..files.checked import Number, check
+from ..files.fields import Part, asking, described, entry_of, extended, values
+from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
-from ..robots.load import Load, PointForce, Stretch
+from ..robots.load import Load, Stretch
 from .base import Study
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 """x, y and z."""
 
-
-def _vector(values: list[Decimal], unit: Decimal) -> tuple[float, float, float]:
-    x, y, z = (to_si(value, unit) for value in values)
-    return x, y, z
-
-
-class PointEntry(Entry):
-    """A force along the arm."""
-
-    at_mm: Number = Field(description="arc length from the plate")
-    force_mN: Triple
+if TYPE_CHECKING:  # to which an entry is whatever can be built
+    StretchEntry = Part
+else:
+    StretchEntry = entry_of(Stretch)
 
 
-class StretchEntry(Entry):
-    """A constant load per length on a stretch of the arm."""
-
-    from_mm: Number = Field(description="arc length from the plate")
-    to_mm: Number
-    force_mN_per_m: Triple
-
-
-class LoadEntry(Entry):
+@asking(Load)
+class LoadEntry(Part):
     """What pushes on the robot."""
 
-    tip_force_mN: Triple | None = None
-    tip_moment_mN_m: Triple | None = None
-    frame: Literal["world", "tip"] = Field(
-        "world", description="of tip force and moment: world keeps their direction, tip turns them with the tip"
-    )
-    gravity_m_per_s2: Triple | None = Field(None, description="acceleration of gravity on the tubes")
-    points: list[PointEntry] = Field([], description="forces along the arm, in world axes")
     distributed_mN_per_m: Triple | list[StretchEntry] | None = Field(
         None, description="load per length in world axes, all along the arm or on stretches"
     )
 
-    @model_validator(mode="after")
-    def _makes_sense(self) -> LoadEntry:
-        self.build()
-        return self
-
     def build(self) -> Load:
         """The load in SI; raises InputError where it makes no sense."""
         along: Any = self.distributed_mN_per_m
-        if along is not None and along and isinstance(along[0], StretchEntry):
-            along = tuple(
-                Stretch(to_si(part.from_mm, MM), to_si(part.to_mm, MM), _vector(part.force_mN_per_m, UNITS["mN"]))
-                for part in along
-            )
+        if along and isinstance(along[0], StretchEntry):
+            along = tuple(part.build() for part in along)
         elif along is not None:
-            along = _vector(along, UNITS["mN"]) if along else None
-        zero = (0.0, 0.0, 0.0)
-        return Load(
-            zero if self.tip_force_mN is None else _vector(self.tip_force_mN, UNITS["mN"]),
-            zero if self.tip_moment_mN_m is None else _vector(self.tip_moment_mN_m, UNITS["mN"]),
-            frame=self.frame,
-            distributed=along,
-            points=tuple(
-                PointForce(to_si(part.at_mm, MM), _vector(part.force_mN, UNITS["mN"])) for part in self.points
-            ),
-            gravity=None if self.gravity_m_per_s2 is None else _vector(self.gravity_m_per_s2, UNITS["m_per_s2"]),
-        )
+            along = tuple(to_si(value, UNITS["mN_per_m"]) for value in along) or None
+        return Load(**values(Load, self), distributed=along)
 
 
 def load_entry(path: str | PathLike[str]) -> LoadEntry:
@@ -98,6 +59,11 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     return check(LoadEntry, value, "")
 
 
+PUSHES = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
+"""Keys of a load that a study may have beside it."""
+
+
+@extended({key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in PUSHES.items()})
 class LoadedStudy(Study):
     """A study of a robot on which something may push; the keys of its own replace what the load says."""
 
@@ -106,18 +72,10 @@ class LoadedStudy(Study):
         PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
         Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
     ] = None
-    tip_force_mN: Triple | None = Field(None, description="force on the tip in axes of the plate", examples=["X,Y,Z"])
-    tip_moment_mN_m: Triple | None = Field(
-        None, description="moment on the tip in axes of the plate", examples=["X,Y,Z"]
-    )
-    gravity_m_per_s2: Triple | None = Field(
-        None, description="gravity, which acts on the mass of the tubes", examples=["X,Y,Z"]
-    )
 
     def pushing(self) -> Load | None:
         """The load, None without one."""
-        names = ("tip_force_mN", "tip_moment_mN_m", "gravity_m_per_s2")
-        own = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        own = {key: getattr(self, key) for key in PUSHES if getattr(self, key) is not None}
         if self.load is None and not own:
             return None
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()

@@ -17,7 +17,8 @@ from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array
 from .anatomy_file import AnatomyKey
-from .base import OnePerTube, Progress, RobotPath, Study, metres, radians
+from .base import OnePerTube, Progress, RobotPath, metres, radians
+from .load_file import LoadedStudy
 from .obstacle_file import Bodies, Place, Triple, point
 
 if TYPE_CHECKING:  # to which an entry is whatever can be built
@@ -26,7 +27,7 @@ else:
     RatesEntry = entry_of(RateLimits)
 
 
-class PlanStudy(Study):
+class PlanStudy(LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
     doing = "planning"
@@ -83,6 +84,10 @@ class PlanStudy(Study):
             self.anatomy.place(self.tip_at)
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
+        if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
+            raise ValueError("a load is given with leader or tip_path_mm; under a load there are plans to a goal only")
+        if self.pushing() is not None and self.max_tip_force_mN:
+            raise ValueError("max_tip_force_mN is given beside a load; a plan holds under one load, or under any force")
         return self
 
     @property
@@ -127,4 +132,4 @@ class PlanStudy(Study):
             return follow_tip_path(self.robot, path, start=given, tolerance=tolerance, spline=self.spline, **common)
         if self.leader:
             return follow_the_leader(self.robot, goal, begin=float(self.begin_percent) / 100, **common)
-        return plan_trajectory(self.robot, start, goal, **common)
+        return plan_trajectory(self.robot, start, goal, load=self.pushing(), **common)

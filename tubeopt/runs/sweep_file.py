@@ -164,9 +164,9 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         InputError: no such file, not YAML, keys or values that make no sweep or no study, a key to vary that the study
             does not have. Values that make no robot are the failure of their own points.
     """
-    path = Path(path).absolute()
-    source = load_yaml(path)
+    source, typed = load_yaml(path), str(path)
     entry = check(SweepEntry, source, path)
+    path = Path(path).absolute()
     try:
         method = "grid" if entry.sample is None else entry.sample.method
         axes = tuple(each.build(method) for each in entry.vary)
@@ -179,8 +179,8 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         for key in points.keys:
             _known(data, key)
     except InputError as error:
-        lines = str(error).splitlines()
-        raise InputError("\n".join(line if str(path) in line else f"{path}: {line}" for line in lines)) from None
+        lines = str(error).replace(str(path), typed).splitlines()
+        raise InputError("\n".join(line if typed in line else f"{typed}: {line}" for line in lines)) from None
     columns = None if entry.columns is None else tuple(entry.columns)
     return SweepFile(data, where, points, fingerprint, columns)
 

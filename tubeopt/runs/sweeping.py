@@ -94,6 +94,17 @@ def sweep(
         InputError: no function, or no points; the directory holds another sweep, is in use or cannot be written;
             workers or scheduler as in `parallel.executor`.
         SolveError: the connection to the cluster is lost; the journal keeps what was done.
+
+    Examples:
+        >>> import tempfile
+        >>> import tubeopt
+        >>> def square(point):
+        ...     return {"y": point["x"] ** 2}
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     points = [{"x": 1.0}, {"x": 3.0}]
+        ...     found = tubeopt.sweep(square, points, directory, fingerprint="squares", workers=1)
+        ...     [row["y"] for row in found.unkept().rows]
+        [1.0, 9.0]
     """
     if not callable(function):
         raise InputError(f"function is {function!r}; it must be a function of a point")

@@ -18,7 +18,8 @@ from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from .anatomy_file import AnatomyKey
-from .base import Progress, RobotPath, Study
+from .base import Progress, RobotPath
+from .load_file import LoadedStudy
 from .obstacle_file import Bodies
 from .plan_study import PlanStudy, RatesEntry
 
@@ -40,7 +41,7 @@ def _plan_study(path: str | PathLike[str]) -> PlanStudy:
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
 
-class VerifyStudy(Study):
+class VerifyStudy(LoadedStudy):
     """Whether a trajectory of whatever origin snaps, collides or is too fast."""
 
     doing = "following the trajectory"
@@ -71,7 +72,7 @@ class VerifyStudy(Study):
     rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,
-        description="margin, obstacles, clearance, force and rates of this plan study instead",
+        description="margin, obstacles, clearance, force, load and rates of this plan study instead",
         examples=["STUDY.yaml"],
     )
 
@@ -91,11 +92,12 @@ class VerifyStudy(Study):
             joints.time,
             joints.rotations,
             joints.translations,
-            start=joints.start(),
+            start=joints.start(asked.pushing()),
             obstacles=asked.bodies,
             min_margin=float(asked.min_margin),
             clearance=to_si(asked.clearance_mm, MM),
             rate_limits=None if asked.rates is None else asked.rates.build(),
             max_force=to_si(asked.max_tip_force_mN, UNITS["mN"]),
+            load=asked.pushing(),
         )
         return Checked(file, joints, proof)

@@ -8,8 +8,10 @@ from .mold.holes import Hole
 from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
 from .mold.mandrel_files import write_mandrel
 from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
+from .mold.peg_files import write_pegs
+from .mold.pegs import Peg, PegBoard, plan_pegs
 from .mold.ranking import MaterialRating, rank_mold_materials
-from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec
+from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PegSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback
 
 __all__ = [
@@ -34,6 +36,9 @@ __all__ = [
     "Mold",
     "MoldMaterial",
     "MoldSpec",
+    "Peg",
+    "PegBoard",
+    "PegSpec",
     "PlateSpec",
     "Springback",
     "VentSpec",
@@ -44,6 +49,7 @@ __all__ = [
     "mold_material",
     "plan_mandrel",
     "plan_mold",
+    "plan_pegs",
     "predict_tube",
     "predict_tubes",
     "predict_wound_tube",
@@ -51,4 +57,5 @@ __all__ = [
     "thermal_growth",
     "write_mandrel",
     "write_mold",
+    "write_pegs",
 ]

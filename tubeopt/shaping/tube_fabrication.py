@@ -20,7 +20,7 @@ from .heating.plan import HeatingPlan
 from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.spec import HeatingSpec
-from .heating.thermal import gap_transfer, vent_profile
+from .heating.thermal import gap_of, gap_transfer, groove_gap, vent_profile
 from .mold.heat import HeatSpec
 from .mold.holes import open_area
 from .mold.mold import Groove, Mold, plan_mold
@@ -34,6 +34,9 @@ SAME = 1e-5
 
 LONGER = 1e-3
 """What leads get beyond the cold ends, m, where these reach into the curved part."""
+
+UNLIKE = 0.25
+"""Part by which the even gap of a rig's file may differ from the one computed before that is remarked."""
 
 VENT_CELLS = 5
 """Cells in half of the bend by which the lid's vents follow the rig's profile."""
@@ -88,7 +91,7 @@ def plan_tube(
 
     Args:
         tube: what is to be made.
-        rig: its material, clamps, gap between tube and groove, least leads and vents rule over those of `mold`.
+        rig: its material, clamps, side clearance of the groove, least leads and vents rule over those of `mold`.
         mold: what else is asked of the mold; None takes the defaults of `MoldSpec`.
         heating: what is asked of the heating; None heats as `mold.heat` says: set temperature, tolerance and hold.
         number: of the tube, for texts.
@@ -100,6 +103,7 @@ def plan_tube(
     asked = MoldSpec() if mold is None else mold
     heating = heating_for(asked.heat) if heating is None else heating
     heated, remarks = _with_thermal_data(tube)
+    remarks += _air(heated, rig)
     on, known, plan, drawn = rig, None, None, None
     for round_ in range(1, ROUNDS + 1):
         try:
@@ -136,7 +140,7 @@ def mold_spec_for(
     known: Known | None = None,
     asked: Rig | None = None,
 ) -> MoldSpec:
-    """The mold's specification in line with the rig on which it is heated: material, gap, clamps, lead, vents, heat.
+    """The mold's specification in line with the rig on which it is heated: material, groove, clamps, lead, vents, heat.
 
     Args:
         rig: as drawn so far. tube: that is heated. spec: what else is asked of the mold.
@@ -154,7 +158,7 @@ def mold_spec_for(
         tolerance=0.5 * (high - low),
         hold_time=heating.hold_time,
         ambient=rig.ambient,
-        contact_conductance=gap_transfer(rig),
+        contact_conductance=gap_transfer(tube, rig),
         clamp_temperature=None if known is None else known.clamps,
     )
     vents = replace(spec.vents, profile=lid_profile(replace(rig, mold=replace(rig.mold, vents=asked.mold.vents)), tube))
@@ -171,8 +175,8 @@ def mold_spec_for(
 
 
 def _groove_for(rig: Rig, tube: Tube, spec: MoldSpec) -> GrooveSpec:
-    """A groove that leaves the rig's gap on either side of the tube; wider only where no end mill is as small."""
-    play = 2 * rig.mold.gap
+    """A groove with the rig's side clearance on either side of the tube; wider only where no end mill is as small."""
+    play = 2 * rig.mold.play
     fits = spec.milling.end_mills[0].diameter <= tube.outer_diameter + play
     most = play if fits else max(play, spec.groove.most_clearance)
     return replace(spec.groove, clearance=play, most_clearance=most)
@@ -204,13 +208,21 @@ def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
     bed = replace(
         rig.mold,
         lead=0.5 * (curve.lead_in.length + curve.lead_out.length),
-        gap=0.5 * (groove.width - groove.tube.outer_diameter),
+        side_clearance=0.5 * (groove.width - groove.tube.outer_diameter),
+        gap=_gap_as_drawn(rig, groove),
         # As much material as lies around the groove, over its length.
         width=mold.size[0] * mold.size[1] / curve.length,
         thickness=plate.thickness + plate.lid_thickness,
         vents=drawn_vents(groove, mold.spec),
     )
     return replace(rig, mold=bed, clamps=replace(rig.clamps, clearance=0.5 * sum(groove.gaps), grip=groove.grip))
+
+
+def _gap_as_drawn(rig: Rig, groove: Groove) -> float:
+    """Even gap (m) of the groove as drawn; a gap that the rig's file says keeps its ratio to that of its own groove."""
+    tube, side = groove.tube, groove.tube.outer_diameter + 2 * rig.mold.play
+    drawn = groove_gap(tube, rig, groove.width, groove.depth)
+    return drawn if rig.mold.gap is None else rig.mold.gap * drawn / groove_gap(tube, rig, side, side)
 
 
 def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
@@ -232,6 +244,19 @@ def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
         return tube, ()
     words = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
     return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (words,)
+
+
+def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
+    """Whether the even gap that the rig's file says is that of its groove."""
+    said, side = gap_of(tube, rig), tube.outer_diameter + 2 * rig.mold.play
+    computed = groove_gap(tube, rig, side, side)
+    if abs(said / computed - 1) < UNLIKE:
+        return ()
+    return (
+        f"the rig's file says that the groove's air conducts like an even gap of {1e6 * said:.0f} um (gap_um); one "
+        f"with {1e6 * rig.mold.play:.0f} um on either side of this tube comes to {1e6 * computed:.0f} um: leave gap_um "
+        "out, unless a log said so (tubeopt heat calibrate)",
+    )
 
 
 def _known(groove: Groove, plan: HeatingPlan) -> Known:

@@ -19,6 +19,7 @@ from ..shaping.heating.cures import Cure
 from ..shaping.heating.files import arduino_header, schedule_csv
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.robust import Band
+from ..shaping.heating.thermal import gap_of
 from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing, grid, remarks, report, to_text, two_columns
@@ -101,7 +102,8 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("growth_mm", "growth when hot", form=".2f"),
     Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
     Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
-    Quantity("gap_um", "air between tube and groove", lambda p: p.rig.mold.gap),
+    Quantity("side_clearance_um", "air on either side of the tube in its groove", lambda p: p.rig.mold.play),
+    Quantity("gap_um", "even gap that conducts as much as the air of the groove", lambda p: gap_of(p.tube, p.rig)),
     Quantity("curved_length_mm", "curved part of the tube", lambda p: p.tube.curved_length),
     Quantity("free_length_mm", "tube between the clamps when cold"),
     Quantity("vents_percent", "open part of the surface, end of the mold to middle", lambda p: p.rig.mold.vents),

@@ -23,8 +23,11 @@ from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
 from ..typing import Array
 from .equilibrium_report import by_history
+from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, report, two_columns
+
+BEYOND = "assuming no other load and no friction"
 
 FELT = 25
 """Samples at which it is told how far friction can hold the tip."""
@@ -49,11 +52,15 @@ def _clearance(p: Proof) -> str | None:
 
 
 def _again(p: Proof) -> str:
+    if p.end.load is not None:
+        return f"through {p.equilibria} equilibria, tips right to {p.reintegration * TO_MM:.0e} mm (estimated)"
     checked = f", re-integrated to {p.reintegration * TO_MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""
     return f"through {p.equilibria} equilibria{checked}"
 
 
 def _assuming(p: Proof) -> str:
+    if p.end.load is not None:
+        return f"under {load_in_words(p.end.load)}, {BEYOND}"
     if p.forced is None:
         return ASSUMING
     return f"under any force of up to {p.forced.max_force * 1e3:g} mN on the tip, assuming no weight or friction"
@@ -99,7 +106,10 @@ PROOF: tuple[Quantity[Proof], ...] = (
     Quantity("largest_tip_step_mm", "of the tip between equilibria"),
     Quantity("tip_length_mm", "way of the tip"),
     Quantity("largest_tip_rate_mm_per_s", "speed of the tip"),
-    Quantity("reintegration_mm", "largest difference of a tip to an adaptive re-integration"),
+    Quantity(
+        "reintegration_mm",
+        "largest difference of a tip to an adaptive re-integration; under a load, the estimated error",
+    ),
     Quantity("equilibria", "equilibria through which it was followed", label="followed again", words=_again),
 )
 
@@ -171,7 +181,8 @@ class TrajectoryReport(Report[Trajectory]):
         """Whether it is proved."""
         t = self.answer
         what = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
-        return f"{super().title()}: {what}"
+        under = "" if t.start.load is None else f", {_assuming(t.proof)}"
+        return f"{super().title()}: {what}{under}"
 
     def rows(self) -> list[tuple[str, str]]:
         """The plan, its proof, and how it was found."""

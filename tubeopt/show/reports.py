@@ -28,6 +28,7 @@ MODULES = {
     "inverse_report": ("Postures", "TargetTable"),
     "load_report": ("Bearing", "ForceRecord"),
     "mandrel_report": ("Mandrel",),
+    "peg_report": ("PegBoard",),
     "map_report": ("RobotMap",),
     "measure_report": ("Placement",),
     "mold_report": ("RobotMold", "Calibration", "Ranking"),

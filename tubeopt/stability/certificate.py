@@ -19,6 +19,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
+from .pair_certificate import least_margin_of_pair, margins, pair_of
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -59,11 +60,10 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
 
     Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
     of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise. The second variation at any rotations is at least
-    that of the worst case point by point, whatever the stiffnesses and bend directions along the tubes: with tubes made
-    of pieces it is a lower bound as well, exact for two tubes whose bends keep the same difference of
-    direction all along. What the mesh may leave out of varying couplings, by the difference to a finer one, is taken
-    off.
+    conservative, since three tubes cannot oppose each other pairwise. With tubes made of pieces it is exact for two
+    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `pair_certificate`); for more it
+    is a lower bound, since the second variation at any rotations is at least that of the worst case point by point.
+    What the mesh may leave out of varying couplings, by the difference to a finer one, is taken off.
 
     For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
     them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
@@ -99,15 +99,34 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
         return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
     if assembly.eccentric:
         return proof(assembly)[0]
-    value = worst_case(_problem(robot, shift))[0]
-    return value - _unresolved(robot, shift, value) if assembly.general else value
+    return _of_pieces(robot, shift)[0] if assembly.general else worst_case(_problem(robot, shift))[0]
 
 
-def _unresolved(robot: Robot, shift: Array, value: float) -> float:
-    """By how much the certificate changes with pieces of the mesh half as long: more than what these leave out of
-    couplings that vary along tubes made of pieces."""
-    finer = reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
-    return abs(worst_case(finer)[0] - value)
+def convexity(robot: Robot, translations: Array) -> float:
+    """Least eigenvalue of the second variation of concentric tubes, relative to its torsional part, at any rotations
+    along them at all, equilibria or not: a lower bound, never more than the certificate."""
+    value = worst_case(_problem(robot, translations))[0]
+    return value - abs(worst_case(_finer(robot, translations))[0] - value) if is_general(robot) else value
+
+
+def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
+    """The certificate of tubes made of pieces; of two coupled ones that do better than pairs at their worst also the
+    (N,) cosines at the collocation points of how they oppose each other where their margin is least.
+
+    The change with pieces of the mesh half as long is more than what these leave out of couplings that vary.
+    """
+    value, pair = convexity(robot, shift), pair_of(_problem(robot, shift))
+    finer = None if pair is None else pair_of(_finer(robot, shift))
+    if pair is None or finer is None:
+        return value, None
+    least = least_margin_of_pair(pair)
+    again = min(1.0, float(margins(finer, np.array([least.tip]))[0]))
+    sharper = least.bound - abs(again - least.margin)
+    return (sharper, least.opposition) if sharper > value else (value, None)
+
+
+def _finer(robot: Robot, shift: Array) -> ReducedProblem:
+    return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=1))
 
 
 def _shift(robot: Robot, translations: ArrayLike | None) -> Array:
@@ -118,21 +137,26 @@ def _problem(robot: Robot, shift: Array) -> ReducedProblem:
     return reduced_problem(robot, tuple(shift.tolist()), DEFAULT_DISCRETISATION)
 
 
-def _at_worst(problem: ReducedProblem) -> tuple[Array, Array]:
-    """(N, n, n) V'' at the collocation points at rotations that are worst for every pair of tubes, and |c_ij|."""
+def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple[Array, Array]:
+    """(N, n, n) V'' at the collocation points at rotations that are worst for every pair of tubes, and |c_ij|; with
+    `opposition` (N,) -c_ij times that of the one pair, and the V'' that it makes."""
     count, n = problem.moment.shape
     found = mapped(worst_function(n), count)(problem.stiffness, problem.moment, np.zeros((count, n)))
-    return found[0].reshape(count, n, n).copy(), found[3].reshape(count, n, n).copy()
+    second, pull = (found[k].reshape(count, n, n).copy() for k in (0, 3))
+    if opposition is None:
+        return second, pull
+    return second * -opposition[:, None, None], pull * -opposition[:, None, None]
 
 
-def worst_case(problem: ReducedProblem) -> tuple[float, Array, float]:
-    """mu_cert, its eigenvector y (N, n) for which int kt y'^2 is 1, and the next eigenvalue."""
+def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> tuple[float, Array, float]:
+    """mu_cert, its eigenvector y (N, n) for which int kt y'^2 is 1, and the next eigenvalue; of `opposition` see
+    `_at_worst`."""
     count, n = problem.moment.shape
     y = np.zeros((count, n))
     if not problem.size:
         return 1.0, y, 1.0
     second = np.zeros(problem.size**2)
-    second[problem.places] = _at_worst(problem)[0].ravel()[problem.entries] * problem.entry_weight
+    second[problem.places] = _at_worst(problem, opposition)[0].ravel()[problem.entries] * problem.entry_weight
     values, vectors = np.linalg.eigh(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
     return min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)])
@@ -154,13 +178,14 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     n, shift = robot.n_tubes, _shift(robot, translations)
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
-    problem = _problem(robot, shift)
-    margin, y, following = worst_case(problem)
-    lost = _unresolved(robot, shift, margin) if is_general(robot) else 0.0
+    problem, opposition, proved = _problem(robot, shift), None, None
+    if is_general(robot):
+        proved, opposition = _of_pieces(robot, shift)
+    margin, y, following = worst_case(problem, opposition)
     if margin >= 1 - 1e-12:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
-    work = _at_worst(problem)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
+    work = _at_worst(problem, opposition)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
     share = work.sum(0) / (1 - margin)
     i, j = np.unravel_index(int(np.argmax(np.triu(share))), share.shape)
     mesh, assembly = problem.mesh, problem.assembly
@@ -171,7 +196,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     double = following - margin < 1e-9
     known = not double and not is_general(robot)
     gradient = _gradient(robot, problem, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
-    return Certificate(margin - lost, shift, gradient, (int(i), int(j)), span, share)
+    return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, share)
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:

@@ -26,14 +26,15 @@ from ..equilibrium.friction import Held, check_rubbing, shaken
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..robots.friction import Friction
 from ..typing import Array
-from .certificate import snap_free_certificate
+from .certificate import convexity
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionBand(Displayed):
     """Where friction can hold an arm at M points along it.
 
-    equilibrium: without friction.   friction: as given.   certificate: of freedom from snaps at these translations.
+    equilibrium: without friction.   friction: as given.
+    certificate: of convexity at these translations; without tubes made of pieces that of freedom from snaps.
     first_order: (M, 3) half widths along the axes of the plate, m, true for small friction only.
     guaranteed: (M,) m, radius around the equilibrium that no state at these joint values leaves; inf where the
         certificate is not positive.
@@ -79,7 +80,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     response = scipy.linalg.solve(state.hessian, contact.rows.T, assume_a="sym")
     slopes = _place_slopes(equilibrium, held)
     first = np.abs(slopes @ response[: contact.problem.size]) @ contact.capacity
-    certificate = snap_free_certificate(robot, equilibrium.translations)
+    certificate = convexity(robot, equilibrium.translations)
     push = contact.capacity @ np.abs(contact.rows @ contact.rows.T) @ contact.capacity
     guaranteed = np.full(len(equilibrium.arc_length), np.inf)
     if certificate > 0:

@@ -29,7 +29,8 @@ def judge(
     until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
     `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
     below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
-    limits, and nothing of them is decided but what is proved. For tubes off the centreline see `eccentric_verdict`.
+    limits; more than two of them are not decided but where the certificate is above 0. For tubes off the centreline
+    see `eccentric_verdict`.
 
     Args:
         translations: (n,) m; default home.
@@ -55,7 +56,7 @@ def judge(
         return Verdict(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, progress)
-    decided = len(search.coupled) == 2 and not is_general(robot)
+    decided = len(search.coupled) == 2 and (found is not None or not is_general(robot))
     verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
     if found is None:
         return verdict

@@ -24,6 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..block.transcription.buffered import mapped
+from ..physics.certificate import opposing_function
 from ..robots.assembly import Assembly, merge
 from ..robots.robot import Robot
 from ..typing import Array
@@ -141,8 +143,8 @@ def cells_of(bundle: Bundle, force: float, *, pairs: bool) -> Cells:
     n = len(bundle.torsional)
     coupling = np.eye(n) * (force * lever[:, None] * slope)[:, None, :]
     if pairs:
-        both = pull[:, :, None] * pull[:, None, :] / stiffness[:, None, None] * (1 - np.eye(n))
-        coupling = coupling + both + np.eye(n) * both.sum(2)[:, None, :]
+        both = mapped(opposing_function(n), len(section))(stiffness[:, None], pull)[0]
+        coupling = coupling + both.reshape(-1, n, n)
     return Cells(length, stiffness, slope, coupling, bundle.torsional, bundle.transmission, force)
 
 

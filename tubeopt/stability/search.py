@@ -22,6 +22,7 @@ from .folds import Fold
 from .following import Event, Snap, to_snap
 from .landing import land
 from .pair import PairFold, pair_fold
+from .pair_certificate import farthest_fold, pair_of
 from .sheet import TURN, folds, stable_sheet
 from .snapping import find_snap
 from .turning import clipped, inside, placed, relaxed_rotations
@@ -89,11 +90,11 @@ def search_snap(
 ) -> tuple[Found | None, Search]:
     """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
 
-    Two coupled tubes, of one curvature each, are decided: the snap is found if there is one, however far away. For
-    more, a robot is turned inside its joint limits along full turns of every tube; across the folds at which the sheet
-    of stable equilibria around its relaxed pose ends (see `stability.sheet`); and along other full turns and random
-    directions, up to 720 deg where the limits allow it. Then it is turned beyond the limits, unless no unstable
-    equilibrium is known.
+    Two coupled tubes are decided: the snap is found if there is one, however far away, of tubes made of pieces unless
+    it is too shallow to be followed. For more, a robot is turned inside its joint limits along full turns of every
+    tube; across the folds at which the sheet of stable equilibria around its relaxed pose ends (see `stability.sheet`);
+    and along other full turns and random directions, up to 720 deg where the limits allow it. Then it is turned beyond
+    the limits, unless no unstable equilibrium is known.
 
     Args:
         translations: (n,) m.  unstable: (B, n) tip angles of unstable equilibria.
@@ -116,13 +117,15 @@ def search_snap(
 
 def _of_pieces(search: Search) -> Found | None:
     """A snap of tubes made of pieces on full turns from home, inside the joint limits: they have no relaxed pose, and
-    two of them need not be symmetric about one."""
+    two of them need not be symmetric about one. Of two coupled ones, wherever it is: on a way up from any equilibrium
+    a fold is met before the tip angle has turned once, if there is one."""
     low, high = np.array(search.robot.limits.rotations).T
     start = np.clip(np.zeros(search.robot.n_tubes), low, high)
     for end in itertools.chain(_turns(search, start), _others(search, start)):
         if (found := search.follow(start, clipped(search.robot, search.coupled, start, end))) is not None:
             return found
-    return None
+    pair = pair_of(search.problem)
+    return None if pair is None else search.follow(start, _absolute(search, start, np.array([farthest_fold(pair)])))
 
 
 def _within(search: Search, start: Array, unstable: Array) -> Found | None:

@@ -121,7 +121,7 @@ def _resampled(values: Array, size: int, axis: int) -> Array:
     spectrum, old = np.moveaxis(np.fft.rfft(values, axis=axis), axis, 0), values.shape[axis]
     if old % 2 == 0:
         spectrum[old // 2] /= 2  # the highest frequency stands for both of its signs
-    return np.fft.irfft(np.moveaxis(spectrum, 0, axis), size, axis=axis) * (size / old)
+    return np.asarray(np.fft.irfft(np.moveaxis(spectrum, 0, axis), size, axis=axis) * (size / old))
 
 
 def _may_be_whole(values: Array, own: int) -> NDArray[np.bool_]:

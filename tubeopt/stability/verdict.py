@@ -38,8 +38,8 @@ class Verdict(Displayed):
     ways: how many ways were tried.  failed: on how many of them the equilibria were lost.
     followed: whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and
     is known from its fold alone.
-    decided: whether no more than two tubes, of one curvature each, are coupled, so that the certificate is exact and
-    the nearest snap is known.
+    decided: whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it
+    is below 0; of tubes of one curvature each the nearest one.
     """
 
     _brief = ("robot", "finding", "certificate")

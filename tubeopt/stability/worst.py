@@ -19,6 +19,7 @@ from ..solvers.newton import newton
 from ..typing import Array, Index
 from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_worst import least_margin
+from .pair_certificate import least_margin_of_pair, pair_of
 from .shooting import profiles, to_base
 
 SAMPLES_LOG2 = 9
@@ -53,7 +54,8 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
 
     Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
     function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
-    are improved by Nelder and Mead's method. For tubes off the centreline see `eccentric_worst.least_margin`.
+    are improved by Nelder and Mead's method. Of two coupled tubes made of pieces it is the least there is (see
+    `pair_certificate`). For tubes off the centreline see `eccentric_worst.least_margin`.
 
     Args:
         translations: (n,) m; default home.
@@ -77,7 +79,12 @@ def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMa
     free = np.unique(problem.tube)
     tips = np.zeros(robot.n_tubes)
     searches, unstable = 0, []
-    if len(free) > 1:
+    pair = pair_of(problem)
+    if pair is not None:
+        least = least_margin_of_pair(pair)
+        tips[pair.tubes[0]] = least.tip
+        unstable = [tips] if least.margin < 0 else []
+    elif len(free) > 1:
         unit = scipy.stats.qmc.Sobol(len(free) - 1, rng=0).random_base2(SAMPLES_LOG2)
         samples = np.zeros((len(unit), robot.n_tubes))
         samples[:, free[:-1]] = unit * 2 * np.pi

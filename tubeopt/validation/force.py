@@ -115,6 +115,17 @@ def estimate_forces(
 
     Raises:
         InputError: as in `estimate_force`; measurements of a robot with another number of tubes.
+
+    Examples:
+        >>> import numpy as np
+        >>> import tubeopt
+        >>> from tubeopt.validation import Measurements
+        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
+        >>> turns, pushed = [[0.0, 1.0, 2.0], [0.2, 1.0, 2.0]], tubeopt.Load((0.02, 0.0, 0.0))
+        >>> tips = [tubeopt.forward_kinematics(robot, turn, load=pushed).tip_position for turn in turns]
+        >>> recording = Measurements(np.array(turns), np.zeros((2, 3)), np.array(tips))
+        >>> np.round(tubeopt.estimate_forces(robot, recording, noise=1e-4).force[:, 0], 4)
+        array([0.02, 0.02])
     """
     if measurements.n_tubes != robot.n_tubes:
         raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")

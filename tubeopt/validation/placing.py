@@ -15,6 +15,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive
+from ..inverse.joints import joint_space
 from ..robots.readings import to_readings
 from ..robots.robot import Robot
 from ..stability import follow
@@ -159,7 +160,7 @@ def _reachable(
 
 def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Poses]:
     """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin."""
-    random, limits = np.random.default_rng(seed), robot.limits
+    random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
     tubes = robot.tubes
     straight = np.array([tube.straight_length for tube in tubes])
     curved = np.array([tube.curved_length for tube in tubes])
@@ -168,14 +169,9 @@ def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Arra
     for _ in range(CANDIDATES * DRAWS):
         if len(found) == CANDIDATES:
             break
-        shift = random.uniform(low, np.minimum(high, straight))
-        for together in robot.moving_together:
-            shift[list(together)] = shift[together[0]]
-        ordered = all(
-            shift[i] - straight[i] <= shift[j] - straight[j] and shift[i] + curved[i] >= shift[j] + curved[j]
-            for i, j in robot.nested_pairs
-        )
-        if ordered and (shift + curved).max() > 0.25 * curved.max() and _admissible(robot, shift):
+        q = space.join(space.lower[: robot.n_tubes], random.uniform(low, np.minimum(high, straight)))
+        shift = space.joint(q)[robot.n_tubes :]
+        if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max() and _admissible(robot, shift):
             found.append(shift)
     if not found:
         raise SolveError("no random translations within the limits keep carriages and ends in order")

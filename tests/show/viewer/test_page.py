@@ -69,7 +69,7 @@ def test_another_robot_stands_beside_and_obstacles_are_loaded(tab: Tab) -> None:
     tab.wait_for("message", "example_equal_ends.yaml: stands beside, at the same joint values")
     tab.upload("Put another robot beside (YAML)", CONFIGS / "two_tube.yaml")
     tab.wait_for("message", "two tubes has 2 tubes; it must have 3")
-    tab.upload("Load obstacles (YAML)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
+    tab.upload("Load bodies (YAML, mesh, image)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
     tab.wait_for("message", "two_bodies.yaml: obstacles, 2, of which the tip keeps clear when it is led")
     tab.tab("Joints")
     tab.type("rotation of tube 1", 90)
@@ -197,8 +197,10 @@ def test_a_change_is_taken_back_and_the_target_begins_at_the_tip(tab: Tab) -> No
     assert tab.wait_for("message", "nothing") == "nothing was changed"
 
 
-def test_a_number_may_have_an_exponent(tab: Tab) -> None:
+def test_a_number_may_have_an_exponent_in_a_small_window_too(tab: Tab) -> None:
+    tab.page.set_viewport_size({"width": 420, "height": 760})
     tab.page.get_by_text("Exact values").click()
     tab.type("rotation 1 (deg)", "0.6e2")
     tab.press("Move there")
     tab.wait_for_tip(tip(60, 0, 0))
+    assert tab.page.evaluate("document.documentElement.scrollWidth") == 420

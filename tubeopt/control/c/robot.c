@@ -6,8 +6,16 @@
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 #define LONGEST_TWIST(margin) fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
+#if !SLOPES
+typedef tubeopt_slopes Slopes;
+#endif
+
 struct tubeopt_memory {
     Workspace work;
+#if GENERAL
+    Workspace side; /* beside the last equilibrium */
+    double numbers[13 + N];
+#endif
     Answer answers[2], first;                           /* the last equilibrium, room for the next; where a way began */
     int here, started, fresh;                           /* fresh: the workspace has the last equilibrium */
     tubeopt_joints joints;                              /* of the last one */
@@ -68,16 +76,20 @@ static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
 }
 
 /* One step along the branch, without accepting it: 0, or 1 where it is not small or Newton's method is not at ease. */
-static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
+static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w) {
     const Answer *last = m->answers + m->here;
     Answer *next = m->answers + !m->here;
     double turn[N];
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
     Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, m->rotation, m->torsion, last->point,
                    last->point_rotation[0], turn, m->joints.translations};
-    m->fresh = 0;
-    if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, &guess, &m->work, next)) return 1;
+    if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, &guess, w, next)) return 1;
     return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
+}
+
+static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
+    m->fresh = 0;
+    return step_in(m, joints, &m->work);
 }
 
 /* Steps of ordinary length that a motion takes. */
@@ -140,24 +152,18 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     return TUBEOPT_DONE;
 }
 
-/* The derivatives of the last equilibrium into m->slopes. */
-static int look_ahead(tubeopt_memory *m) {
-    if (!m->fresh) {
-        tubeopt_joints same = m->joints;
-        if (step_to(m, &same)) return 1;
-        accept(m, &same);
-    }
-    return !slopes_of(CARRIAGES, 1, &m->work, m->answers + m->here, &m->slopes);
-}
+static int look_ahead(tubeopt_memory *m, int exact);
 
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
-    if (look_ahead(m)) return TUBEOPT_DECLINED;
+    if (look_ahead(m, 1)) return TUBEOPT_DECLINED;
     memcpy(slopes->position, m->slopes.position, sizeof slopes->position);
     memcpy(slopes->turn, m->slopes.turn, sizeof slopes->turn);
     memcpy(slopes->tip_rotations, m->slopes.tip_rotations, sizeof slopes->tip_rotations);
     memcpy(slopes->margin, m->slopes.margin, sizeof slopes->margin);
+#if TUBEOPT_COMPLIANCE
     memcpy(slopes->compliance, m->slopes.compliance, sizeof slopes->compliance);
+#endif
     return TUBEOPT_DONE;
 }
 

@@ -15,6 +15,7 @@ extern "C" {
 
 #define TUBEOPT_TUBES {n}
 #define TUBEOPT_JOINTS (2 * TUBEOPT_TUBES) /* rotations, then translations */
+#define TUBEOPT_COMPLIANCE {compliance} /* whether the compliance of the tip is known */
 
 typedef struct tubeopt_memory tubeopt_memory;
 
@@ -42,12 +43,14 @@ typedef struct {
     double residual;                     /* of the equations of torsion, rad */
 } tubeopt_pose;
 
-/* Derivatives by joints, per rad and per m. Where breakpoints coincide, those of translations that grow. Tubes of one
-   carriage share the derivative. The margin's is 0 where that is 1, and of one mode where two have the same margin. */
+/* Derivatives by joints, per rad and per m{how}. Where breakpoints coincide, those of translations that grow. Tubes of
+   one carriage share the derivative. The margin's is 0 where that is 1, and of one mode where two have the same margin. */
 typedef struct {
     double position[3][TUBEOPT_JOINTS], turn[3][TUBEOPT_JOINTS]; /* of the tip; turn vector in the plate frame */
     double tip_rotations[TUBEOPT_TUBES][TUBEOPT_JOINTS], margin[TUBEOPT_JOINTS];
+#if TUBEOPT_COMPLIANCE
     double compliance[6][6]; /* small force and moment at the tip -> its translation and turn, in the plate frame */
+#endif
 } tubeopt_slopes;
 
 /* Why a servo step is not all that was asked for: bits of tubeopt_report.why. */

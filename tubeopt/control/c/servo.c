@@ -158,7 +158,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     if (!commanded(c)) return TUBEOPT_BAD_INPUT;
     report->solves = 0;
     report->why = TUBEOPT_HELD;
-    if (look_ahead(m)) return TUBEOPT_DECLINED;
+    if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
     floor = fmin(c->min_margin, m->answers[m->here].margin); /* what is below it does not get worse */

@@ -2,8 +2,8 @@
 
     minimise  sum over channels c and rows k of ((model_c(x, t_k) - logged_c(t_k)) / sigma_c)^2
 
-over factors x on loss, groove gap, contact resistance, resistivity and battery resistance, as many as the log
-determines. Factors are fitted as logarithms, so that they stay positive; the Jacobian comes from simulating all
+over factors x on loss, even gap of the groove, contact resistance, resistivity and battery resistance, as many as the
+log determines. Factors are fitted as logarithms, so that they stay positive; the Jacobian comes from simulating all
 perturbed rigs at once. The noise of every channel is estimated from its own residuals.
 """
 
@@ -24,7 +24,7 @@ from ...typing import Array
 from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
 from .simulation import advance
-from .thermal import ThermalModel, stack, thermal_model
+from .thermal import ThermalModel, stack, thermal_model, with_gap
 
 GRID = Resolution(3, 5, 9, 11, 16)
 STEP = 0.5
@@ -56,7 +56,7 @@ FACTORS: dict[str, Callable[[Rig, float], Rig]] = {
     "resistivity": lambda rig, factor: replace(rig, resistivity_factor=rig.resistivity_factor * factor),
     "internal_resistance": _scaled("battery", "internal_resistance"),
 }
-"""What can be fitted: loss, groove gap, contact resistance of the clamps, the tube's resistivity, and the battery's."""
+"""What can be fitted: loss, the groove's even gap, resistance of the clamps' contacts, resistivity, the battery's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ class _Problem:
 
     def rig(self, names: Sequence[str], x: Array) -> Rig:
         """The rig with its factors exp(x)."""
-        rig = self.given
+        rig = with_gap(self.tube, self.given) if "gap" in names else self.given
         for name, value in zip(names, x, strict=True):
             rig = FACTORS[name](rig, float(np.exp(value)))
         return rig

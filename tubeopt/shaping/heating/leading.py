@@ -51,6 +51,14 @@ def lead_by(
 
     Raises:
         InputError: no sensor, fewer than 20 samples, or a sensor that is not on the tube.
+
+    Examples:
+        >>> import tubeopt
+        >>> rig = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
+        >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=5, objective="margin"))
+        >>> led = tubeopt.lead_by(plan, tubeopt.Thermocouple(), samples=20)
+        >>> led.probability > 0.8 > led.open_loop
+        True
     """
     instance("sensor", sensor, Sensor)
     if samples < 20:

@@ -101,6 +101,13 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     Raises:
         InputError: the tube has no curved part or its material no thermal data; the rig or the window make no sense.
         SolveError: the optimal control problem did not converge.
+
+    Examples:
+        >>> import tubeopt
+        >>> rig = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
+        >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(window_degC=(500, 550), hold_time=5))
+        >>> plan.feasible, plan.lowest >= 500, plan.highest <= 550
+        (True, True, True)
     """
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)

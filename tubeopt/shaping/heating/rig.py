@@ -34,6 +34,9 @@ sixth root of it."""
 CHARGED = 1.08
 """Voltage of a battery that has just been charged, as a multiple of that at rest when full: up to 13.7 V of 12.7."""
 
+SIDE_CLEARANCE = 50e-6
+"""Air on either side of a tube in a groove where a rig says nothing, m."""
+
 LOGGER = logging.getLogger(__name__)
 
 OPEN_CIRCUIT = (
@@ -104,7 +107,7 @@ class Battery:
         table = np.array(self.open_circuit)
         most = float(table[-1, 1])
         if not table[0, 1] <= finite("voltage", voltage) <= CHARGED * most:
-            raise InputError(f"voltage is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
+            raise InputError(f"voltage of the battery is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
         if voltage > most:
             LOGGER.warning(
                 f"the battery shows {voltage:g} V, a full one {most:g} V at rest: it is taken as full; let it rest, or "
@@ -173,9 +176,21 @@ class MoldBed:
     width: Annotated[float, unit("mm"), POSITIVE, "of both plates together; as much material as surrounds it"] = 0.1
     thickness: Annotated[float, unit("mm"), POSITIVE, "of both plates together"] = 25.4e-3
     lead: Annotated[float, unit("mm"), POSITIVE, "straight tube in the mold on each side of the curved part"] = 20e-3
+    side_clearance: Annotated[
+        float | None,
+        unit("um"),
+        POSITIVE,
+        "of air on either side of a tube in the middle of its groove: how wide that is milled; by default as much "
+        "as gap_um, or 50 um where that is not given either",
+    ] = None
     gap: Annotated[
-        float, unit("um"), POSITIVE, "of air between tube and groove: what limits the heat that enters at first"
-    ] = 50e-6
+        float | None,
+        unit("um"),
+        POSITIVE,
+        "of air that is even all around and conducts as much as that of the groove: what limits the heat that enters "
+        "at first; by default computed for a square groove with this side clearance, on whose floor and wall the tube "
+        "lies",
+    ] = None
     leak_resistance: Annotated[
         float, unit("ohm_m2"), POSITIVE, "electrical, of the tube's surface against a mold that conducts"
     ] = 1e-6
@@ -195,6 +210,11 @@ class MoldBed:
         if not vents or min(vents) < 0 or max(vents) > 0.5:
             raise InputError(f"vents of the mold are {list(vents)}; they must be fractions from 0 to 0.5")
         object.__setattr__(self, "vents", vents)
+
+    @property
+    def play(self) -> float:
+        """The side clearance as given, or by default, m."""
+        return next((x for x in (self.side_clearance, self.gap) if x is not None), SIDE_CLEARANCE)
 
     @property
     def radius(self) -> float:

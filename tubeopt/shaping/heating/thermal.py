@@ -20,7 +20,8 @@ from ...physics.heat_functions import volumes_function
 from ...robots.materials import ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
-from .rig import HOT, Rig, gap_conductance, natural_convection
+from .groove_air import Lie, even_gap
+from .rig import HOT, Rig, air_conductivity, gap_conductance, natural_convection
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """W/(m^2 K^4)."""
@@ -199,9 +200,28 @@ def bare_transfer(tube: Tube, rig: Rig) -> float:
     return natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
 
 
-def gap_transfer(rig: Rig) -> float:
+def gap_of(tube: Tube, rig: Rig) -> float:
+    """Even gap of air (m) that conducts as much as that of the groove: the rig's own, or of the groove as milled."""
+    if rig.mold.gap is not None:
+        return rig.mold.gap
+    side = tube.outer_diameter + 2 * rig.mold.play
+    return groove_gap(tube, rig, side, side)
+
+
+def groove_gap(tube: Tube, rig: Rig, width: float, depth: float) -> float:
+    """The even gap (m) that conducts as much as the air of a groove of this width and depth, m, in the rig's mold."""
+    ratio = rig.mold.material.conductivity / air_conductivity(rig.ambient + 0.5 * HOT)
+    return even_gap(tube.outer_diameter, Lie.leaning(tube.outer_diameter, width, depth), ratio)
+
+
+def with_gap(tube: Tube, rig: Rig) -> Rig:
+    """The rig with its even gap as a number, to be scaled."""
+    return replace(rig, mold=replace(rig.mold, gap=gap_of(tube, rig)))
+
+
+def gap_transfer(tube: Tube, rig: Rig) -> float:
     """Heat transfer through the air between tube and groove, W/(m^2 K), without the loss factor."""
-    return gap_conductance(rig.mold.gap, rig.ambient)
+    return gap_conductance(gap_of(tube, rig), rig.ambient)
 
 
 def leak_resistance(tube: Tube, rig: Rig) -> float:
@@ -230,7 +250,7 @@ def properties(tube: Tube, rig: Rig) -> Properties:
         "to_clamp": clamps.contact_conductance * girth,
         "to_air": bare_transfer(tube, rig) * girth * factor,
         "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
-        "gap": gap_transfer(rig) * girth * factor,
+        "gap": gap_transfer(tube, rig) * girth * factor,
         "mold_k": factor * mold.conductivity,
         "mold_heat": factor * mold.density * mold.heat_capacity,
         "leak": 0.0 if math.isinf(leak) else 1 / leak,

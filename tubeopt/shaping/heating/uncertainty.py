@@ -16,7 +16,7 @@ from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import Rig
-from .thermal import ThermalModel, stack, thermal_data, thermal_model
+from .thermal import ThermalModel, gap_of, stack, thermal_data, thermal_model
 
 PART = Range(least=0.0, most=0.99)
 """Of half-widths that are fractions."""
@@ -34,7 +34,7 @@ class Uncertainty(Displayed):
     contact_resistance: Annotated[float, unit("percent"), PART, "of the clamps on the tube"] = 0.3
     resistivity: Annotated[float, unit("percent"), PART, "of the tube"] = 0.02
     resistivity_slope: Annotated[float, unit("percent"), PART, "of its rise with temperature"] = 0.0
-    gap: Annotated[float, unit("percent"), PART, "of air between tube and groove"] = 0.0
+    gap: Annotated[float, unit("percent"), PART, "of the even gap of air between tube and groove"] = 0.0
     conductivity: Annotated[float, unit("percent"), PART, "of the mold"] = 0.0
     heat_capacity: Annotated[
         float, unit("percent"), PART, "of the tube, latent heat of a transformation counted in"
@@ -93,7 +93,7 @@ class Uncertainty(Displayed):
             ),
             mold=replace(
                 mold,
-                gap=mold.gap * (1 + by["gap"]),
+                gap=gap_of(tube, rig) * (1 + by["gap"]),
                 material=replace(mold.material, conductivity=mold.material.conductivity * (1 + by["conductivity"])),
             ),
             battery=replace(

@@ -38,11 +38,10 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     """
     choice("part", part, PARTS)
     width, height = (extent * TO_MM for extent in mold.size)
-    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
-    outline = tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
-    centre = tuple(_scaled(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
-    walls = tuple(_scaled(piece) for groove in mold.grooves for piece in groove_walls(groove, mold.size))
-    jaws = tuple(_scaled(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
+    outline = rectangle(width, height)
+    centre = tuple(in_mm(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
+    walls = tuple(in_mm(piece) for groove in mold.grooves for piece in groove_walls(groove, mold.size))
+    jaws = tuple(in_mm(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     holes = (*mold.holes, *(mold.vents if part == "lid" else ()))
     base = part == "base"
     return Drawing(
@@ -122,7 +121,13 @@ def _line(a: Array, b: Array) -> Line:
     return Line((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
 
 
-def _scaled(piece: Piece) -> Piece:
+def rectangle(width: float, height: float) -> tuple[Piece, ...]:
+    """The outline of a plate whose lower left corner is the origin."""
+    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+    return tuple(Line(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True))
+
+
+def in_mm(piece: Piece) -> Piece:
     """A piece in m, in mm."""
     if isinstance(piece, Line):
         return Line((piece.start[0] * TO_MM, piece.start[1] * TO_MM), (piece.end[0] * TO_MM, piece.end[1] * TO_MM))

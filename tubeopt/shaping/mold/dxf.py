@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
-from .drawing import LAYERS, TEXT_HEIGHT_MM, draw_plate
+from .drawing import LAYERS, TEXT_HEIGHT_MM, Drawing, draw_plate
 from .groove import Arc, Line, Piece
 from .mold import Mold
 
@@ -30,8 +31,13 @@ def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
         InputError: no such part, the file cannot be written, or ezdxf is not installed.
         SolveError: the centreline read back lies more than 1 um from the mold's.
     """
+    own = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
+    return write_drawing(draw_plate(mold, part), own, path)
+
+
+def write_drawing(drawing: Drawing, centreline: Sequence[Piece], path: str | PathLike[str]) -> Path:
+    """Write a drawing as DXF whose centreline is to be these pieces (m); errors as `write_dxf`."""
     ezdxf = extra("ezdxf", "fabrication", "DXF files")
-    drawing = draw_plate(mold, part)
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
     document.header["$MEASUREMENT"] = 1
@@ -48,9 +54,9 @@ def write_dxf(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
         space.add_text(text, dxfattribs=attributes)
     with atomic_write(path) as temporary:
         document.saveas(temporary)
-        deviation = dxf_deviation(mold, temporary)
+        deviation = dxf_deviation(centreline, temporary)
         if deviation > TOLERANCE:
-            raise SolveError(f"{path}: the centreline in the file lies {deviation * 1e6:.3g} um from the mold's")
+            raise SolveError(f"{path}: the centreline in the file lies {deviation * 1e6:.3g} um from the one wanted")
     return Path(path)
 
 
@@ -77,16 +83,15 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Piece, ...]:
     return tuple(pieces)
 
 
-def dxf_deviation(mold: Mold, path: str | PathLike[str], step: float = 1e-3) -> float:
-    """Greatest distance (m), either way, between the mold's centrelines and those in a DXF file, sampled at `step`."""
+def dxf_deviation(own: Sequence[Piece], path: str | PathLike[str], step: float = 1e-3) -> float:
+    """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled at `step`."""
     read = read_centreline(path)
     if not read:
         return math.inf
-    own = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
     return max(_farthest(own, read, step), _farthest(read, own, step))
 
 
-def _farthest(pieces: list[Piece] | tuple[Piece, ...], others: list[Piece] | tuple[Piece, ...], step: float) -> float:
+def _farthest(pieces: Sequence[Piece], others: Sequence[Piece], step: float) -> float:
     points = np.vstack([piece.point(_spaced(piece.length, step)) for piece in pieces])
     return float(np.min([other.distance(points) for other in others], axis=0).max())
 

@@ -23,7 +23,7 @@ from .gcode_reader import TOLERANCE, Relief, cutter_ways, hazards, machining_tim
 from .groove import Line, Piece, Point
 from .holes import Hole
 from .mold import Groove, Mold
-from .spec import WORK_OFFSETS
+from .spec import WORK_OFFSETS, MoldSpec
 
 PER_MINUTE = 60.0
 NEAR = 1e-3
@@ -110,8 +110,13 @@ def programs(mold: Mold, part: str) -> dict[str, str]:
     """
     stages = stages_of(mold, part)
     if mold.spec.workshop.touch_plate is not None:
-        return {f"{part}.nc": _program(mold, part, stages)}
-    return {f"{part}_{k}.nc": _program(mold, part, [stage]) for k, stage in enumerate(stages, start=1)}
+        return {
+            f"{part}.nc": program(f"{part} of a mold, {mold.spec.material.name}", clear_room(mold), mold.spec, stages)
+        }
+    return {
+        f"{part}_{k}.nc": program(f"{part} of a mold, {mold.spec.material.name}", clear_room(mold), mold.spec, [stage])
+        for k, stage in enumerate(stages, start=1)
+    }
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
@@ -124,11 +129,11 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
     holes = mold.holes if base else (*mold.vents, *mold.holes)
     for diameter in sorted({hole.diameter for hole in holes}):
         some = [hole for hole in holes if hole.diameter == diameter]
-        lines = tuple(_drilled(some, thickness, mold))
+        lines = tuple(drilled(some, thickness, mold.spec))
         stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
     if shop.cut_out:
         cutter = shop.outline_diameter
-        lines = tuple(_outline(mold.size, thickness, mold))
+        lines = tuple(outlined(mold.size, thickness, mold.spec))
         stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, mold.spec.milling.spindle, lines))
     return stages
 
@@ -162,14 +167,15 @@ def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
     yield f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})"
     for depth in pass_depths(groove.depth, milling.step_down):
         for way in cutter_ways(groove):
-            yield from _down(way.lead_in.start, depth, mold)
+            yield from _down(way.lead_in.start, depth, mold.spec)
             for k, piece in enumerate(way.pieces):
                 yield _move(piece) + (_feed(milling.feed) if k == 0 else "")
-            yield from _up(mold)
+            yield from _up(mold.spec)
 
 
-def _drilled(holes: Sequence[Hole], thickness: float, mold: Mold) -> Iterator[str]:
-    shop, milling = mold.spec.workshop, mold.spec.milling
+def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Holes of one diameter through a plate of this thickness, m."""
+    shop, milling = spec.workshop, spec.milling
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
         yield f"({purpose}s)"
         some = [hole for hole in holes if hole.purpose == purpose]
@@ -185,7 +191,7 @@ def _drilled(holes: Sequence[Hole], thickness: float, mold: Mold) -> Iterator[st
                 continue
             before = 0.0
             for goal in pass_depths(depth, shop.peck):
-                yield from _down(hole.centre, before, mold, quick=True) if before else _above(hole.centre, mold)
+                yield from _down(hole.centre, before, spec, quick=True) if before else _above(hole.centre, spec)
                 yield f"G1 Z{_mm(-goal)}{_feed(shop.drill_feed)}"
                 yield f"G1 Z{_mm(NEAR)}{_feed(milling.feed)}"
                 before = goal
@@ -193,27 +199,27 @@ def _drilled(holes: Sequence[Hole], thickness: float, mold: Mold) -> Iterator[st
             yield "G80"
 
 
-def _outline(size: Point, thickness: float, mold: Mold) -> Iterator[str]:
+def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
     """Around the plate, clockwise: the cutter's teeth run down into the material."""
-    shop = mold.spec.workshop
+    shop = spec.workshop
     radius, top = shop.outline_diameter / 2, thickness - shop.tab_height
     low, (x, y) = -radius, (size[0] + radius, size[1] + radius)
     corners = [(low, low), (low, y), (x, y), (x, low), (low, low)]
     for depth in pass_depths(thickness + THROUGH, shop.outline_step):
-        yield from _down(corners[0], depth, mold)
+        yield from _down(corners[0], depth, spec)
         for start, end in pairwise(corners):
-            for part in _tabs(start, end, mold) if depth > top else ():
+            for part in _tabs(start, end, spec) if depth > top else ():
                 yield _move(Line(start, part.start)) + _feed(shop.outline_feed)
                 yield f"G1 Z{_mm(-top)}"
                 yield _move(part)
-                yield f"G1 Z{_mm(-depth)}{_feed(mold.spec.milling.plunge_feed)}"
+                yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
             yield _move(Line(start, end)) + _feed(shop.outline_feed)
-        yield from _up(mold)
+        yield from _up(spec)
 
 
-def _tabs(start: Point, end: Point, mold: Mold) -> Iterator[Line]:
+def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Line]:
     """Where the cutter is lifted on one side of the outline."""
-    shop, side = mold.spec.workshop, math.dist(start, end)
+    shop, side = spec.workshop, math.dist(start, end)
     count = max(1, round(side / shop.tab_pitch))
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side / count)
     for k in range(count):
@@ -222,48 +228,49 @@ def _tabs(start: Point, end: Point, mold: Mold) -> Iterator[Line]:
         yield Line((float(first[0]), float(first[1])), (float(last[0]), float(last[1])))
 
 
-def _above(place: Point, mold: Mold) -> Iterator[str]:
-    yield f"G0 Z{_mm(mold.spec.milling.safe_height)}"
+def _above(place: Point, spec: MoldSpec) -> Iterator[str]:
+    yield f"G0 Z{_mm(spec.milling.safe_height)}"
     yield f"G0 X{_mm(place[0])} Y{_mm(place[1])}"
     yield f"G0 Z{_mm(NEAR)}"
 
 
-def _down(place: Point, depth: float, mold: Mold, *, quick: bool = False) -> Iterator[str]:
+def _down(place: Point, depth: float, spec: MoldSpec, *, quick: bool = False) -> Iterator[str]:
     """To a depth (m) at a place; `quick` where that was drilled before, and the drill stands above it."""
     if not quick:
-        yield from _above(place, mold)
-    milling = mold.spec.milling
+        yield from _above(place, spec)
+    milling = spec.milling
     yield f"G1 Z{_mm(-depth)}{_feed(milling.feed if quick else milling.plunge_feed)}"
 
 
-def _up(mold: Mold) -> Iterator[str]:
-    yield f"G1 Z{_mm(NEAR)}{_feed(mold.spec.milling.feed)}"
+def _up(spec: MoldSpec) -> Iterator[str]:
+    yield f"G1 Z{_mm(NEAR)}{_feed(spec.milling.feed)}"
 
 
 # --- the program around it --------------------------------------------------------------------------------------------
 
 
-def _program(mold: Mold, part: str, stages: Sequence[Stage]) -> str:
-    shop = mold.spec.workshop
+def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> str:
+    """A whole program; clamps of the stock are to stay `clear` (m) from the plate."""
+    shop = spec.workshop
     high = f"G0 Z{_mm(shop.change_height)}"
     path = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
     lines = [
-        f"({part} of a mold, {mold.spec.material.name}, for {shop.dialect})",
+        f"({title}, for {shop.dialect})",
         "(zero: lower left corner and upper face of the plate)",
-        f"(clamps: {math.ceil(clear_room(mold) * TO_MM)} mm and more from the plate)",
+        f"(clamps: {math.ceil(clear * TO_MM)} mm and more from the plate)",
         f"G21 G90 G91.1 G94 G17 G40 G49 G80 {shop.work_offset}",
         *path,
     ]
     for k, stage in enumerate(stages):
-        lines += _changed(mold, stage, k + 1, high)
+        lines += _changed(spec, stage, k + 1, high)
         lines += [high, f"M3 S{stage.spindle * PER_MINUTE:.0f}", f"G4 P{shop.spin_up:g}", *stage.lines]
         lines += [high, "M5"]
     return "\n".join([*lines, "M30", ""])
 
 
-def _changed(mold: Mold, stage: Stage, number: int, high: str) -> Iterator[str]:
+def _changed(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[str]:
     """The tool is in the spindle, and Z is set for it."""
-    shop = mold.spec.workshop
+    shop = spec.workshop
     yield f"(tool {number}: {stage.tool})"
     if shop.touch_plate is None:
         yield "(set Z to 0 on the plate's upper face with this tool)"
@@ -272,7 +279,7 @@ def _changed(mold: Mold, stage: Stage, number: int, high: str) -> Iterator[str]:
     if number == 1:
         return
     # Nothing is cut as near to a corner as that.
-    corner = _mm(0.5 * mold.spec.groove.wall)
+    corner = _mm(0.5 * spec.groove.wall)
     yield f"G0 X{corner} Y{corner}"
     yield f"M0 ({stage.tool}, touch plate under it)" if shop.dialect == "grbl" else f"T{number} M6"
     if shop.dialect != "grbl":

@@ -22,10 +22,13 @@ from ...files.marks import POSITIVE, check_fields, key, unit
 from ...robots.materials import NITINOL, ZERO_CELSIUS, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
-from ..heating.rig import MoldBed, gap_conductance
+from ..heating.rig import gap_conductance
 from ..materials import MoldMaterial
 
 AMBIENT = 20.0 + ZERO_CELSIUS
+
+USUAL_GAP = 75e-6
+"""Even gap of air, m, to which that of a groove of 2 mm in board comes around a tube of 1.92 mm (`groove_air`)."""
 
 TALBOT_POINTS = 24
 """Points of the contour: more gains nothing in double precision."""
@@ -60,9 +63,9 @@ class HeatSpec:
         float,
         unit("W_per_m2_K"),
         POSITIVE,
-        "between tube and mold, over the tube's whole surface; by default that of a rig's gap of air, assumed: "
-        "calibrate it",
-    ] = round(gap_conductance(MoldBed.gap, AMBIENT), 1)
+        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in "
+        "a groove of 2 mm in a board, 75 um of air: calibrate it",
+    ] = round(gap_conductance(USUAL_GAP, AMBIENT), 1)
 
     def __post_init__(self) -> None:
         check_fields(self)

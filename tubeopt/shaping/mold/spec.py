@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -155,6 +156,43 @@ class WorkshopSpec:
 
 
 @dataclass(frozen=True)
+class PegSpec:
+    """An adjustable mold: a board drilled once, and pegs whose pins stand off their axes.
+
+    Raises:
+        InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
+    """
+
+    pitch: Annotated[float, unit("mm"), POSITIVE, "of the holes, which lie on a square lattice on its corner"] = 8e-3
+    shank: Annotated[float, unit("mm"), POSITIVE, "diameter of the holes, and of the pegs in them"] = 3e-3
+    eccentricity: Annotated[float, unit("mm"), POSITIVE, "of a peg's pin from its axis"] = 3e-3
+    pin: Annotated[float, unit("mm"), POSITIVE, "diameter of the pin, which touches the tube"] = 2e-3
+    angle_step: Annotated[float, unit("deg"), POSITIVE, "in which pegs can be set, by a scale or by notches"] = (
+        math.pi / 180
+    )
+    height: Annotated[float, unit("mm"), POSITIVE, "of the tube above the board"] = 6e-3
+    conductivity: Annotated[
+        float, unit("W_per_m_K"), POSITIVE, "of the pins; by default that of machinable glass-mica"
+    ] = 1.46
+    most_deviation: Annotated[float, unit("mm"), POSITIVE, "of the tube from its curve, between the pegs too"] = 0.05e-3
+    board: Annotated[
+        tuple[float, float] | None, unit("mm"), POSITIVE, "width and height; by default as large as the tube needs"
+    ] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the pegs")
+        if 2 * self.eccentricity + self.pin > self.pitch + 1e-9:
+            raise InputError(
+                f"pitch of the pegs is {self.pitch * 1e3:g} mm; it must be at least twice the eccentricity and the "
+                f"pin's diameter, {(2 * self.eccentricity + self.pin) * 1e3:g} mm, or neighbours run into one another"
+            )
+
+    def reach(self, outer_diameter: float) -> float:
+        """From the axis of a tube of this diameter (m) to that of a pin which touches it, m."""
+        return 0.5 * (outer_diameter + self.pin)
+
+
+@dataclass(frozen=True)
 class ClampSpec:
     """The clamps that hold the tube and feed the current, outside the plate (m).
 
@@ -239,6 +277,7 @@ class MoldSpec(Displayed):
     )
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "of the top plate over the bend"] = field(default_factory=VentSpec)
+    pegs: Annotated[PegSpec, "of an adjustable mold, in place of grooves"] = field(default_factory=PegSpec)
     heat: Annotated[HeatSpec, "the heating that the mold is laid out for"] = field(default_factory=HeatSpec)
 
     def __post_init__(self) -> None:

@@ -22,12 +22,12 @@ def write_svg(mold: Mold, path: str | PathLike[str], *, part: str = "base") -> P
     Raises:
         InputError: no such part, or the file cannot be written.
     """
-    drawing = draw_plate(mold, part)
-    write_text(path, _svg(drawing))
+    write_text(path, svg_of(draw_plate(mold, part)))
     return Path(path)
 
 
-def _svg(drawing: Drawing) -> str:
+def svg_of(drawing: Drawing) -> str:
+    """A drawing as SVG in its true size."""
     low = min([0.0, *(place[1] for place, _ in drawing.texts)]) - MARGIN_MM / 2
     longest = max(len(text) for _, text in drawing.texts) * 0.6 * TEXT_HEIGHT_MM
     right = max(drawing.size[0] + MARGIN_MM, longest)

@@ -25,7 +25,7 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     figure = new_figure(9.4, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     whole = figure.add_subplot(grid[0, 0])
-    close = figure.add_subplot(grid[1, 0], sharex=whole)
+    close = figure.add_subplot(grid[1, 0])
     history = feedback.history
     inside = history.in_hold(feedback.law)
     for axes in (whole, close):
@@ -41,8 +41,10 @@ def plot_feedback(answer: LedHeating, *, title: str = "") -> Figure:
     close.plot([], [], color=COLD, label="coldest")
     low, high = spec.window_degC
     close.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
+    times = history.time[inside.any(axis=1)]
+    if len(times) > 1:
+        close.set_xlim(times[0], times[-1])
     close.set_xlabel("time (s)")
-    whole.tick_params(labelbottom=False)
     for axes in (whole, close):
         axes.set_ylabel("temperature (°C)")
         axes.legend(loc="lower right" if axes is whole else "lower left", fontsize=7, ncols=2)

@@ -126,7 +126,8 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
             axes.annotate(
                 "", (end[0], end[1]), (start[0], start[1]), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 0.8}
             )
-        x, y = near + 0.3 * (far - near) + 0.55 * across
+        # Beyond the clamp, where no neighbour's lies over it.
+        x, y = far + (9.5 if clamp.slides else 3.0) * along
         axes.text(x, y, str(groove.number), color=colour, ha="center", va="center", fontsize=7, fontweight="bold")
 
 

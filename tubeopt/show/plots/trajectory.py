@@ -127,7 +127,7 @@ def arms_at(trajectory: Trajectory, rows: Array) -> list[Equilibrium]:
     t, here, found = trajectory, trajectory.start, []
     wanted = {int(row) for row in rows}
     for k in range(len(t.time)):
-        here = forward_kinematics(t.robot, t.rotations[k], t.translations[k], guess=here)
+        here = forward_kinematics(t.robot, t.rotations[k], t.translations[k], load=t.start.load, guess=here)
         if k in wanted:
             found.append(here)
     return found

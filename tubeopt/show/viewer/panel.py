@@ -11,6 +11,7 @@ import numpy as np
 from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
+from .given import BODIES
 from .push_panel import PushPanel
 from .session import Session, joint_names, space_of
 from .view import View
@@ -334,7 +335,7 @@ class Panel:
         for label, layer, on in layers:
             self._layers[layer] = self._check(label, on, lambda value, layer=layer: self._tab.show(layer, value))
         self._button("Forget the trail", self._tab.forget_trail)
-        self._upload("Load obstacles (YAML)", "obstacles", YAML)
+        self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
         self._upload("Put another robot beside (YAML)", "beside", YAML)
         self._check("dark", False, self._dark)
 

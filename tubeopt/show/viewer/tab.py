@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -18,12 +17,12 @@ from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
 from ...robots.load import Load
-from ...runs.obstacle_file import load_obstacles
 from ...workspaces import workspace
 from . import export
 from .arrow import ForceArrow
 from .beside import Beside, session_beside
 from .designs import Knob, with_knob
+from .given import Given, load_bodies
 from .insights import Insights
 from .mark import Mark
 from .panel import Panel
@@ -64,6 +63,7 @@ class Tab(Wishes):
         self._trail = True
         self._obstacles = view.obstacles
         self._beside: Beside | None = None
+        self._given = Given()
         self._pulling = self._pushing = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
@@ -177,6 +177,7 @@ class Tab(Wishes):
     def close(self) -> None:
         """The tab is gone."""
         self._worker.close()
+        self._given.close()
 
     # --- in the worker -----------------------------------------------------------------------------------------------
 
@@ -316,13 +317,10 @@ class Tab(Wishes):
 
     def _load(self, what: str, name: str, content: bytes) -> None:
         takers = {"trajectory": self._take_trajectory, "obstacles": self._take_obstacles, "beside": self._take_beside}
-        with tempfile.TemporaryDirectory() as directory:
-            path = Path(directory) / f"{what}{Path(name).suffix}"
-            path.write_bytes(content)
-            try:
-                self._say(f"{name}: {takers[what](path)}")
-            except (InputError, SolveError) as error:
-                self._say(str(error).replace(str(path), name), bad=True)
+        try:
+            self._say(f"{name}: {takers[what](self._given.keep(name, content))}")
+        except (InputError, SolveError) as error:
+            self._say(self._given.words(error), bad=True)
 
     def _take_trajectory(self, path: Path) -> str:
         self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
@@ -333,10 +331,10 @@ class Tab(Wishes):
         return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
 
     def _take_obstacles(self, path: Path) -> str:
-        self._obstacles = load_obstacles(path)
+        self._obstacles, words = load_bodies(path)
         self._show("obstacles", True)
         self.panel.tick("obstacles")
-        return f"obstacles, {len(self._obstacles)}, of which the tip keeps clear when it is led"
+        return f"{words}, of which the tip keeps clear when it is led"
 
     def _take_beside(self, path: Path) -> str:
         session = session_beside(load_robot(path), self.session)

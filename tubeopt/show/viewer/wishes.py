@@ -56,7 +56,7 @@ class Wishes(Protocol):
         """Record from here, or forget what was recorded."""
 
     def load(self, what: str, name: str, content: bytes) -> None:
-        """Take a file: a trajectory in CSV, obstacles or the robot beside in YAML."""
+        """Take a file: a trajectory, bodies to keep clear of, the robot beside."""
 
     def play(self) -> None:
         """Play, or pause."""

@@ -184,6 +184,22 @@ static void carry_over(const Method *method, const Unknowns *coarse, State *roug
     to_unknowns(fine, none, y, z);
 }
 
+#if GENERAL
+/* Whether all tubes with unknowns act on one another, be it through others. */
+static int all_coupled(const Unknowns *q) {
+    int reached = 0, all = 0;
+    for (int i = 0; i < N; i++) all |= (q->count[i] > 0) << i;
+    reached = all & -all;
+    for (int round = 0; round < N; round++)
+        for (int x = 0; x < q->points; x += q->tableau->degree) {
+            int here = 0;
+            for (int i = 0; i < N; i++) here |= (q->place[x][i] >= 0) << i;
+            if (here & reached) reached |= here;
+        }
+    return reached == all;
+}
+#endif
+
 /* Least eigenvalue of the second variation at a solved state, at most 1, and where it is less its direction z; not positive
    where it is not stable. Lanczos starts from the softest direction on the coarse points. */
 static double margin_of(const Method *method, const Unknowns *fine, const Unknowns *coarse, const double *alpha,
@@ -198,7 +214,7 @@ static double margin_of(const Method *method, const Unknowns *fine, const Unknow
     if (softest(coarse, rough, h, z)) carry_over(method, coarse, rough, fine, arm, z);
 #if GENERAL
     /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
-    double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(z, z, fine->size) / fine->size);
+    double all[MOST_UNKNOWNS], part = (all_coupled(fine) ? 1e-3 : 0.3) * sqrt(dot(z, z, fine->size) / fine->size);
     anywhere(all, fine->size);
     for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
 #endif

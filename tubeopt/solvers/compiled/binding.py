@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -76,8 +77,10 @@ class _Pieces(ctypes.Structure):
     )
 
 
-def _pieces(table: Lengthwise) -> Any:
-    """The C struct Pieces; in a plane of the tube the bend is one signed quantity, whose direction is constant."""
+def piece_tables(table: Lengthwise) -> dict[str, Array]:
+    """The tables of the C struct Pieces by name, in its order: breaks (n, panels + 1), coefficients (n, panels, width,
+    LANES), and so on, the last of them cuts (n, most cuts). In a plane of the tube the bend is one signed quantity,
+    whose direction is constant."""
     channels = table.coefficients[:, :, [0, 1, 2, 3, 5]].copy()
     direction = table.direction.copy()
     flat = np.isfinite(direction)
@@ -94,10 +97,20 @@ def _pieces(table: Lengthwise) -> Any:
         row[: len(own)] = own
     arrays = [table.breaks, lanes, count, direction, table.bent.astype(float), table.detail, table.twist]
     arrays += [table.compliance[:, :-1], cuts]
-    kept = [np.ascontiguousarray(array) for array in arrays]
-    sizes = channels.shape[1], channels.shape[3], cuts.shape[1]
-    out: Any = _Pieces(*sizes, *(_at(array) for array in kept))
-    out.keep = kept  # the structure points into them
+    names = [field[0] for field in _Pieces._fields_[3:]]
+    return {name: np.ascontiguousarray(array) for name, array in zip(names, arrays, strict=True)}
+
+
+def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
+    """Panels and coefficients per tube, and cuts per tube, of `piece_tables`."""
+    return tables["coefficients"].shape[1], tables["coefficients"].shape[2], tables["cuts"].shape[1]
+
+
+def _pieces(table: Lengthwise) -> Any:
+    """The C struct Pieces."""
+    tables = piece_tables(table)
+    out: Any = _Pieces(*piece_sizes(tables), *(_at(array) for array in tables.values()))
+    out.keep = tables  # the structure points into them
     return out
 
 

@@ -22,6 +22,7 @@ typedef struct {
 #if GENERAL
     double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], wound[MOST_POINTS][N];
     double rate[MOST_PIECES][MOST_DEGREE][N];                 /* 1 / kt, at the points that all pieces would have */
+    double both[MOST_DEGREE][MOST_DEGREE][MOST_DEGREE];       /* A_ik A_jk / b_k of the tableau */
     double reach[MOST_PIECES + 1][N], ahead[MOST_POINTS][N]; /* int ds / kt up to the pieces, and to the points */
 #endif
 } Unknowns;
@@ -38,15 +39,15 @@ static int factorise(Unknowns *q, int tube) {
     const Tableau *t = q->tableau;
     const Layout *l = q->layout;
     int n = q->count[tube], lead = q->lead[tube], k = t->degree;
-    double *a = q->part[tube], local[MOST_DEGREE][MOST_DEGREE];
+    double *a = q->part[tube];
 #if !GENERAL
-    double scale = 1 / q->tubes->kt[tube];
-#endif
+    double scale = 1 / q->tubes->kt[tube], local[MOST_DEGREE][MOST_DEGREE];
     for (int i = 0; i < k; i++)
         for (int j = 0; j < k; j++) {
             local[i][j] = 0;
             for (int m = 0; m < k; m++) local[i][j] += t->matrix[i * k + m] * t->matrix[j * k + m] / t->weights[m];
         }
+#endif
     for (int i = 0; i < n; i++) {
         for (int j = i + 1; j < lead; j++) a[i * lead + j] = 0;
         for (int j = 0; j <= i; j++) {
@@ -54,9 +55,9 @@ static int factorise(Unknowns *q, int tube) {
 #if GENERAL
             double green = q->ahead[y][tube];
             if (p == q->piece[y]) {
+                const double *both = q->both[x % k][y % k];
                 green = 0;
-                for (int o = 0; o < k; o++)
-                    green += t->matrix[(x % k) * k + o] * t->matrix[(y % k) * k + o] / t->weights[o] * q->rate[p][o][tube];
+                for (int o = 0; o < k; o++) green += both[o] * q->rate[p][o][tube];
                 green = q->reach[p][tube] + l->length[p] * green;
             }
             a[i * lead + j] = green;
@@ -84,16 +85,18 @@ static int factorise(Unknowns *q, int tube) {
 static void look_along(Unknowns *q) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
-    int x = 0;
+    int x = 0, degree = t->degree;
+    for (int i = 0; i < degree; i++)
+        for (int j = 0; j < degree; j++)
+            for (int k = 0; k < degree; k++)
+                q->both[i][j][k] = t->matrix[i * degree + k] * t->matrix[j * degree + k] / t->weights[k];
     memcpy(q->reach[0], l->held, sizeof l->held);
     for (int p = 0; p < l->pieces; p++) {
         double h = l->length[p];
         for (int i = 0; i < N; i++) {
             double sum = 0;
             for (int k = 0; k < t->degree; k++) {
-                double place = l->start[p] + h * t->nodes[k] + l->transmission[i];
-                int panel = panel_at(q->tubes, l, p, i, place);
-                Section here = section_of(q->tubes->pieces, i, panel, place, l->present[p][i]);
+                Section here = section_on(q->tubes, l, p, i, t->nodes[k]);
                 q->rate[p][k][i] = 1 / here.torsional;
                 sum += t->weights[k] * q->rate[p][k][i];
                 if (!l->collocated[p]) continue;

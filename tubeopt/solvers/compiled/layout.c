@@ -8,6 +8,7 @@ typedef struct {
     int present[MOST_PIECES][N], curved[MOST_PIECES][N];
 #if GENERAL
     int panel[MOST_PIECES][N]; /* of each tube along the piece; -1 where it changes */
+    double at[MOST_PIECES][N], span[MOST_PIECES][N]; /* where the piece begins on it, from -1 to 1, and how far it goes */
 #endif
     double transmission[N], end[N], section_start[MOST_SECTIONS + 1];
 #if GENERAL
@@ -97,9 +98,11 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
     l->pieces = 0;
     l->sections = count - 1;
     for (int k = 0; k + 1 < count; k++) {
-        double length = cuts[k + 1] - cuts[k], middle = (cuts[k] + cuts[k + 1]) / 2, steepest = 0;
-        double kb[N], m[N];
+        double length = cuts[k + 1] - cuts[k], middle = (cuts[k] + cuts[k + 1]) / 2;
         int present[N], curved[N], bent = 0;
+#if !GENERAL
+        double kb[N], m[N], steepest = 0;
+#endif
         l->section_start[k] = cuts[k];
         for (int i = 0; i < N; i++) {
             present[i] = middle < l->end[i];
@@ -131,7 +134,11 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
 #if GENERAL
             for (int i = 0; i < N; i++) {
                 double held = l->start[p] + l->transmission[i];
-                l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
+                int own = l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
+                if (own < 0) continue;
+                const double *breaks = t->pieces->breaks + i * (t->pieces->most + 1) + own;
+                l->span[p][i] = 2 * l->length[p] / (breaks[1] - breaks[0]);
+                l->at[p][i] = (2 * held - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
             }
 #else
             memcpy(l->stiffness[p], kb, sizeof kb);
@@ -148,5 +155,17 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
 /* The panel of a tube at a place of a piece. */
 static int panel_at(const Tubes *t, const Layout *l, int p, int tube, double place) {
     return l->panel[p][tube] < 0 ? panel_of(t->pieces, tube, place) : l->panel[p][tube];
+}
+
+/* A tube at fraction x of a piece, looked for a little inwards where it may jump. */
+static inline Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
+    int panel = l->panel[p][tube], present = l->present[p][tube];
+    if (panel >= 0) {
+        double at = l->at[p][tube] + x * l->span[p][tube];
+        return section_at(t->pieces, tube, panel, at < -1 ? -1 : at > 1 ? 1 : at, present);
+    }
+    double held = l->start[p] + l->transmission[tube];
+    panel = panel_of(t->pieces, tube, held + (x + INWARDS * (0.5 - x)) * l->length[p]);
+    return section_of(t->pieces, tube, panel, held + x * l->length[p], present);
 }
 #endif

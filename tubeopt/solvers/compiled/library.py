@@ -168,10 +168,15 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
 def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
     """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
     constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-    text = (HERE / file).read_text()
+    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
+
+
+def with_included(file: Path) -> str:
+    """A C text with those that it includes from its folder in it."""
+    text = file.read_text()
     while part := re.search(r'#include "(\w+\.c)"\n', text):
-        text = text.replace(part[0], (HERE / part[1]).read_text())
-    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{text}"
+        text = text.replace(part[0], (file.parent / part[1]).read_text())
+    return text
 
 
 def compiler() -> list[str] | None:
@@ -325,13 +330,19 @@ class _Method(ctypes.Structure):
     )
 
 
+def between_points(general: bool) -> tuple[Array, Array]:
+    """The Lagrange basis integrated twice, for tubes made of pieces once and twice: of the coarse points at the fine
+    ones, and back."""
+    coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
+    kinds = (1, 2) if general else (2,)
+    there = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in kinds])
+    back = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in kinds])
+    return there, back
+
+
 def _method(general: bool) -> Any:
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    twice, back = coarse.lagrange(fine.nodes, integrals=2), fine.lagrange(coarse.nodes, integrals=2)
-    if general:
-        twice = np.stack([coarse.lagrange(fine.nodes, integrals=1), twice])
-        back = np.stack([fine.lagrange(coarse.nodes, integrals=1), back])
-    twice, back = np.ascontiguousarray(twice), np.ascontiguousarray(back)
+    twice, back = between_points(general)
     arrays = [np.ascontiguousarray(a) for t in (coarse, fine) for a in (t.nodes, t.weights, t.matrix)]
     method = _Method(
         _Tableau(COARSE_DEGREE, *(a.ctypes.data for a in arrays[:3])),

@@ -72,12 +72,14 @@ static double fraction(const Pieces *t, int tube, int panel, double place) {
     return x < -1 ? -1 : x > 1 ? 1 : x;
 }
 
-/* A tube at `place` from its held end, on a panel. */
-static Section section_of(const Pieces *t, int tube, int panel, double place, int present) {
-    double x = fraction(t, tube, panel, place), direction = t->direction[tube * t->most + panel];
+/* A tube at x (-1 to 1) of a panel. */
+static inline Section section_at(const Pieces *t, int tube, int panel, double x, int present) {
+    double direction = t->direction[tube * t->most + panel];
     const double *c = coefficients_of(t, tube, panel);
-    Lanes here = chebyshev_of_four(c, count_of(t, tube, panel, CHANNELS), x);
-    Section s = {present ? here[0] : 0, here[2], 0, here[1], chebyshev(c + 4, count_of(t, tube, panel, 4), x)};
+    int count = count_of(t, tube, panel, CHANNELS), winding = count_of(t, tube, panel, 4);
+    Lanes here = count == 1 ? *(const Lanes *)c : chebyshev_of_four(c, count, x);
+    double wound = winding <= 2 && t->width > 1 ? c[4] + x * c[4 + LANES] : chebyshev(c + 4, winding, x);
+    Section s = {present ? here[0] : 0, here[2], 0, here[1], wound};
     if (isinf(direction)) {
         direction = atan2(here[3], here[2]);
         s.moment = sqrt(here[2] * here[2] + here[3] * here[3]);
@@ -85,6 +87,11 @@ static Section section_of(const Pieces *t, int tube, int panel, double place, in
     s.moment *= s.stiffness;
     s.phase = s.wound + direction;
     return s;
+}
+
+/* A tube at `place` from its held end, on a panel. */
+static Section section_of(const Pieces *t, int tube, int panel, double place, int present) {
+    return section_at(t, tube, panel, fraction(t, tube, panel, place), present);
 }
 
 /* int ds / GJ of a tube from its held end. */

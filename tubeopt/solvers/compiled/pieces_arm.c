@@ -6,12 +6,8 @@
    the Lagrange basis there integrated once and twice. */
 static void look(const Unknowns *q, const Profile *arm, int p, double x, const double *basis, double *phi,
                  double *direction, double *kb, double *m, Section *all) {
-    const Layout *l = q->layout;
-    double inwards = x + INWARDS * (0.5 - x);
     for (int i = 0; i < N; i++) {
-        double held = l->start[p] + l->transmission[i];
-        int panel = panel_at(q->tubes, l, p, i, held + inwards * l->length[p]);
-        all[i] = section_of(q->tubes->pieces, i, panel, held + x * l->length[p], l->present[p][i]);
+        all[i] = section_on(q->tubes, q->layout, p, i, x);
         phi[i] = rotation_at(q, arm, p, i, x, basis, basis + MOST_DEGREE);
         direction[i] = phi[i] + all[i].phase;
         kb[i] = all[i].stiffness;

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -40,6 +40,7 @@ class RobotNode(Node):
             ("state_command", String, _word),
         ):
             self.create_subscription(kind, op, partial(self._hear, op, read), 1)
+        self.create_subscription(PoseStamped, "sensor_cp", self.feel, 1)
         self._out = {
             name: self.create_publisher(kind, name, 1)
             for kind, names in (
@@ -47,6 +48,7 @@ class RobotNode(Node):
                 (PoseStamped, ("measured_cp", "setpoint_cp")),
                 (String, ("operating_state", "why")),
                 (Float64, ("margin",)),
+                (WrenchStamped, ("measured_cf",)),
             )
             for name in names
         }
@@ -64,6 +66,19 @@ class RobotNode(Node):
             [at[f"{kind}_{i + 1}"] for i in range(self._n)] for kind in ("rotation", "translation")
         )
         return {"rotations": rotations, "translations": translations}
+
+    def feel(self, message) -> None:
+        """Tell the force at the tip that moves it from where the model has it to where a sensor sees it."""
+        compliance, place = self.robot.servo.compliance, message.pose.position
+        if compliance is None:
+            self.get_logger().warning("sensor_cp: the C library of this robot knows no compliance")
+            return
+        gap = np.array([place.x, place.y, place.z]) - self.robot.servo.equilibrium.tip_position
+        told = WrenchStamped()
+        told.header.stamp, told.header.frame_id = self.get_clock().now().to_msg(), "plate"
+        force = told.wrench.force
+        force.x, force.y, force.z = np.linalg.solve(compliance[:3, :3], gap).tolist()
+        self._out["measured_cf"].publish(told)
 
     def tick(self) -> None:
         """One step, and what is told of it."""

@@ -1,0 +1,181 @@
+"""Motions of a robot that bears a load: what is said of them holds for arms that were solved for in between."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.command_line import THESIS as FILE
+from tests.command_line import Run, answer, refused
+from tests.examples import DEG, PIECES, THESIS, TWO_TUBE
+from tubeopt import (
+    InputError,
+    Load,
+    PlanOptions,
+    SolveError,
+    find_snap,
+    follow,
+    forward_kinematics,
+    plan_trajectory,
+    verify_trajectory,
+)
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.bodies.scene import scene_of
+from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.outline import Outline
+from tubeopt.planning.loaded_branch import loaded_branch
+from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.sections import Constants
+from tubeopt.robots.robot import Robot
+from tubeopt.typing import Array
+
+HOME = THESIS.home_translations
+SIDEWAYS = Load(force=(0.02, 0, 0))
+EVERYTHING = Load(force=(0.01, -0.02, 0.005), gravity=(0, 3.0, -9.81), distributed=(0.02, 0.0, -0.03))
+
+
+def intervals_of(chain: list[Equilibrium], load: Load) -> tuple[LoadedIntervals, Array]:
+    robot = chain[0].robot
+    arms = LoadedArms.under(Pull.of(robot, load), Constants.of(robot), chain)
+    one = np.arange(len(chain) - 1)
+    return LoadedIntervals.of(arms, one, one + 1), np.array([min(e.margin, 1.0) for e in chain])
+
+
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, PIECES], ids=lambda r: r.name)
+def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robot) -> None:
+    """And there are such: the branch is shown to be one over steps that are not tiny."""
+    n = robot.n_tubes
+    load = {id(THESIS): EVERYTHING, id(TWO_TUBE): SIDEWAYS, id(PIECES): Load(force=(1e-3, 0, 0))}[id(robot)]
+    begin = np.concatenate([np.linspace(0.4, -0.8, n), robot.home_translations - 0.01])
+    end = begin + 0.1 * np.concatenate([np.linspace(0.7, -0.4, n), 0.05 * np.linspace(1.0, -0.5, n)])
+    count = 12
+    chain = [forward_kinematics(robot, begin[:n], begin[n:], load=load)]
+    for x in np.arange(1, 2 * count + 1) / (2 * count):
+        joints = begin + x * (end - begin)
+        chain.append(forward_kinematics(robot, joints[:n], joints[n:], load=load, guess=chain[-1]))
+    intervals, margins = intervals_of(chain[::2], load)
+    found = loaded_branch(intervals, margins)
+    assert found.unbroken.all()
+    inside = LoadedArms.under(intervals.arms.pull, intervals.arms.constants, chain[1::2])
+    for k in range(count):
+        for section in np.flatnonzero(intervals.length[0][k] > 0):
+            x = np.linspace(0, 1, 9)
+            at = np.full(len(x), k)
+            ends = intervals.places(at, np.full(len(x), section), x)
+            cuts = (intervals.begin[k] + intervals.end[k]) / 2
+            points = inside.points(at, cuts[section] + x * (cuts[section + 1] - cuts[section]))
+            off = np.linalg.norm(points - (ends[0] + ends[1]) / 2, axis=1).max()
+            assert off <= found.off[k, section] + 3 * inside.shape_error.max()
+
+
+def test_two_branches_at_one_place_are_not_joined() -> None:
+    snap = find_snap(THESIS, (np.zeros(3), HOME), (np.array([270, 0, 0]) * DEG, HOME), load=SIDEWAYS)
+    assert snap is not None
+    way = [np.zeros(3), snap.rotations - [2e-3, 0, 0]]
+    on = follow(THESIS, way, [HOME, HOME], load=SIDEWAYS).equilibria[-1]
+    landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=SIDEWAYS, guess=snap.after)
+    intervals, margins = intervals_of([on, landed], SIDEWAYS)
+    assert margins.min() > 0
+    assert not loaded_branch(intervals, margins).unbroken.any()
+
+
+def test_a_load_snaps_what_holds_without_it() -> None:
+    """Where, the following of the loaded robot tells by itself."""
+    load, table = Load(force=(0, 0.05, 0)), [np.zeros(3), np.array([200, 0, 0]) * DEG]
+    assert verify_trajectory(THESIS, [0, 10], table).holds
+    loaded = verify_trajectory(THESIS, [0, 10], table, load=load)
+    snap = find_snap(THESIS, (table[0], HOME), (table[1], HOME), load=load)
+    assert snap is not None
+    assert loaded.snap == pytest.approx(snap.fraction, abs=1e-9)
+    assert loaded.faults[0].startswith("the robot snaps")
+    assert loaded.least_margin == 0.0
+    earlier = verify_trajectory(THESIS, [0, 10], [table[0], table[1] * 0.9], load=load)
+    assert earlier.holds
+    assert earlier.end.load == load
+
+
+def test_no_load_says_what_is_said_without() -> None:
+    table = [np.zeros(3), np.array([180, 20, 0]) * DEG]
+    plain = verify_trajectory(THESIS, [0, 10], table)
+    loaded = verify_trajectory(THESIS, [0, 10], table, load=Load())
+    assert plain.holds
+    assert loaded.holds
+    assert loaded.least_margin == pytest.approx(plain.least_margin, abs=1e-5)
+
+
+def test_the_clearance_is_that_of_the_loaded_arm() -> None:
+    """It bounds what dense samples measure, sharply, while tubes turn and slide."""
+    joints = np.array([[0, 0, 0, *HOME], [1.0, 0, 0.3, *(HOME - [0.03, 0.02, 0.01])]])
+    load = Load(force=(0.02, 0, 0), gravity=(0, 0, -9.81))
+    middle = forward_kinematics(THESIS, *np.split(joints.mean(0), 2), load=load)
+    body = Sphere(tuple(middle.position[-4] + 15e-3 * middle.frame[-4, :, 0]), 4e-3)
+    proof = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], load=load, obstacles=[body])
+    here, least = forward_kinematics(THESIS, joints[0, :3], joints[0, 3:], load=load), np.inf
+    for x in np.linspace(0, 1, 61):
+        here = forward_kinematics(THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, guess=here)
+        least = min(least, Outline(here).clearance(scene_of([body])))
+    assert proof.holds
+    assert least - 3e-5 <= proof.least_clearance <= least
+    plain = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], obstacles=[body])
+    assert abs(plain.least_clearance - least) > 1e-3
+
+
+def test_what_is_not_proved_is_said_by_name() -> None:
+    table = [np.zeros(3), np.array([10, 0, 0]) * DEG]
+    proof = verify_trajectory(THESIS, [0, 1], table, load=Load(points=((0.1, (0.01, 0, 0)),)))
+    assert proof.faults == (
+        "not proved: what lies between equilibria under forces at points along the arm is not bounded",
+    )
+    assert proof.followed == 1.0
+    with pytest.raises(InputError, match="has a moment or turns with the tip"):
+        verify_trajectory(THESIS, [0, 1], table, load=Load(moment=(0.01, 0, 0)))
+    with pytest.raises(InputError, match="load and max_force are both given"):
+        verify_trajectory(THESIS, [0, 1], table, load=SIDEWAYS, max_force=1e-3)
+
+
+def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:
+    wanted = forward_kinematics(THESIS, [0.5, 0.3, -0.2], HOME, load=SIDEWAYS).tip_position
+    plan = plan_trajectory(THESIS, (np.zeros(3), None), wanted, load=SIDEWAYS, options=PlanOptions(time_limit=300.0))
+    assert plan.proved
+    assert plan.start.load == plan.end.load == SIDEWAYS
+    np.testing.assert_allclose(plan.tip_position[-1], wanted, atol=1e-7)
+    again = forward_kinematics(THESIS, plan.rotations[-1], plan.translations[-1], load=SIDEWAYS)
+    np.testing.assert_allclose(again.tip_position, wanted, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("load", "options", "words"),
+    [
+        (SIDEWAYS, PlanOptions(max_force=0.01), "max_force is given beside a load"),
+        (Load(points=((0.1, (0.01, 0, 0)),)), PlanOptions(), "forces at points along the arm, under which no motion"),
+        (Load(moment=(0, 0, 0.01)), PlanOptions(), "a moment, or a force that turns with the tip, under which"),
+    ],
+)
+def test_plans_that_could_not_be_proved_are_refused(load: Load, options: PlanOptions, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        plan_trajectory(THESIS, (np.zeros(3), None), (np.ones(3) * 0.1, None), load=load, options=options)
+
+
+def test_a_start_that_the_load_snaps_is_named() -> None:
+    turned = follow(THESIS, [np.zeros(3), np.array([200, 0, 0]) * DEG]).equilibria[-1]
+    with pytest.raises(SolveError, match="the branch that grows from no load is lost"):
+        plan_trajectory(THESIS, turned, (np.zeros(3), None), load=Load(force=(-0.03, 0, 0)))
+
+
+def test_a_plan_under_load_from_the_command_line(run: Run, tmp_path: Path) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(f"kind: plan\nrobot: {FILE}\ngoal_deg: [20, 0, 0]\n")
+    flags = ("--tip-force-mN", "20,0,0", "--gravity-m-per-s2=0,0,-9.81")
+    under = "under 20, 0, 0 mN at the tip; gravity 0, 0, -9.81 m/s^2, assuming no other load and no friction"
+    made = run("plan", str(study), *flags, "--time-limit-s", "300", "--out", str(tmp_path / "out"))
+    assert made.code == 0
+    assert under in " ".join(made.out.split())
+    moved = str(tmp_path / "out" / "trajectory.csv")
+    again = answer(run("verify", moved, *flags, "--json"))
+    assert again["proved"]
+    assert again["assumed"] == under
+    assert "planned under a load is verified under it" in refused(run("verify", moved, "--json"))[0]
+    both = refused(run("plan", str(study), *flags, "--max-tip-force-mN", "5", "--json"))
+    assert "max_tip_force_mN is given beside a load" in both[0]

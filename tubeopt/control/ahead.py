@@ -1,0 +1,188 @@
+"""A servo that looks ahead: for goals behind a valley of the margin, or a body, at which one step after another ends.
+
+The way to the target is kept as knots, each an equilibrium (see `horizon`). Every step solves for them once and
+improves them by one quadratic program (real-time iteration; Diehl, Bock and Schloeder, SIAM J. Control Optim. 43
+(2005)), then goes along as far as rates allow, if all of the way is allowed, and if the guard agrees. A new target
+begins with the straight line to the joint values that inverse kinematics finds for it, through whatever is between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..bodies.obstacles import Obstacle
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..inverse.answer import InverseOptions
+from ..inverse.chart import Chart
+from ..inverse.joints import Configuration
+from ..inverse.solving import inverse_kinematics
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
+from ..typing import Array
+from .command import Command, ServoOptions, ServoStep
+from .guard import Guard
+from .horizon import Aim, Knots, improvement
+from .why import Why
+
+KNOTS = 20
+"""Knots ahead."""
+
+ROOM = 0.01
+"""Margin above its floor that knots keep: between them it is less."""
+
+ALLOWED = 0.02
+"""Of a field, which is 1 without torsion, and of a clearance over the room for it, what may be missing of a way on
+which the robot goes."""
+
+CLEAR = 2e-4
+"""Clearance, m, beyond the one to keep that knots have."""
+
+TRUST, CALM = 0.3, 0.01
+"""Largest change of a knot by one program, in units of the scales: at most, and at least. It is halved where a change
+undoes the last one, as where tubes end together and derivatives differ to either side, and doubled where not."""
+
+ELSEWHERE = 0.05
+"""Distance of targets, as a share of the robot's length, from which a way is begun anew."""
+
+
+class PredictiveServo:
+    """The servo of one robot that looks ahead to where the tip shall be.
+
+    Args:
+        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective do not count.
+        knots: into how many pieces the way ahead is cut.
+
+    Raises:
+        InputError, SolveError: as `Servo` does; fewer than 2 knots; a tube that varies along one of its pieces.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        seed: Configuration,
+        *,
+        limits: JointLimits | None = None,
+        obstacles: Sequence[Obstacle] = (),
+        options: ServoOptions | None = None,
+        knots: int = KNOTS,
+    ) -> None:
+        if knots < 2:
+            raise InputError(f"knots is {knots}; it must be at least 2")
+        self.options = options or ServoOptions()
+        self._guard = Guard(robot, seed, limits, obstacles, self.options)
+        self._bodies, self._limits = tuple(obstacles), limits
+        self._chart = Chart(self._guard.space)
+        self._count = knots
+        self._way: Array | None = None
+        self._aim: Aim | None = None
+        self._trust, self._last = TRUST, np.zeros((knots, len(self._guard.here.q)))
+
+    @property
+    def equilibrium(self) -> Equilibrium:
+        """Where the robot is."""
+        return self._guard.here.equilibrium
+
+    @property
+    def way(self) -> Array | None:
+        """(K, m) tip rotations (rad) and translations of the carriages (m) of the way ahead; None without one."""
+        return None if self._way is None else self._way.copy()
+
+    @small
+    def step(self, command: Command, dt: float) -> ServoStep:
+        """One step of `dt` seconds towards a position, and a direction where one is given; it always answers.
+
+        The robot stays where it is while the way is not allowed yet; `why` then says what it lacks.
+
+        Raises:
+            InputError: a command without a position, or with more than position and direction.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise InputError(f"dt is {dt:g} s; it must be more than 0")
+        if command.position is None or command.pivot is not None or command.joints is not None:
+            raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
+        told = self._guard.left(command)
+        here = self._guard.here
+        knots = self._knots(command)
+        if knots is None:
+            return ServoStep(here.equilibrium, Why.HELD, *told)
+        assert self._aim is not None
+        contacts = knots.contacts(self._guard.scene, self.options.clearance + CLEAR)
+        self._improve(knots, improvement(knots, self._aim, contacts, self._trust))
+        lacking = Why(0)
+        if knots.fields[1:].min() < -ALLOWED:
+            lacking |= Why.MARGIN
+        if contacts[0].min(initial=np.inf) < -CLEAR * (1 + ALLOWED):
+            lacking |= Why.OBSTACLE
+        if lacking:
+            return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
+        return ServoStep(*self._guard.go(*self._along(knots, dt)), *told)
+
+    def _improve(self, knots: Knots, change: Array | None) -> None:
+        """The way after a change (N, m), over the scales, of all knots but the first; without one it is begun anew."""
+        if change is None:
+            self._way = None
+            return
+        undone = float((change * self._last).sum()) < 0
+        self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), CALM, TRUST))
+        self._last = change
+        self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
+
+    def _knots(self, command: Command) -> Knots | None:
+        """The way to a target as it is; None where no joint values are known for it."""
+        here = self._guard.here
+        direction = None if command.direction is None else np.asarray(command.direction, dtype=float)
+        aim = Aim(
+            np.asarray(command.position, dtype=float),
+            None if direction is None else direction / np.linalg.norm(direction),
+        )
+        begin, floor = self._chart.of(here.equilibrium), min(self.options.min_margin + ROOM, here.margin)
+        if self._way is None or self._aim is None or self._far(aim):
+            end = self._goal(aim)
+            if end is None:
+                return None
+            self._trust, self._last = TRUST, np.zeros_like(self._last)
+            self._way = begin + np.linspace(0, 1, self._count + 1)[:, None] * (end - begin)
+        self._aim = aim
+        return Knots.at(self._chart, np.concatenate([begin[None], self._way[1:]]), floor)
+
+    def _far(self, aim: Aim) -> bool:
+        """Whether an aim is far from the last one."""
+        assert self._aim is not None
+        moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
+        if aim.direction is not None and self._aim.direction is not None:
+            moved = max(moved, float(np.linalg.norm(aim.direction - self._aim.direction)))
+        return moved > ELSEWHERE or (aim.direction is None) != (self._aim.direction is None)
+
+    def _goal(self, aim: Aim) -> Array | None:
+        """The point of the chart of joint values that meet an aim, near the robot; None where none are known."""
+        try:
+            found = inverse_kinematics(
+                self._guard.space.robot,
+                aim.position,
+                direction=aim.direction,
+                seed=self.equilibrium,
+                min_margin=self.options.min_margin + ROOM,
+                limits=self._limits,
+                obstacles=self._bodies,
+                options=InverseOptions(clearance=self.options.clearance + CLEAR),
+            )
+        except SolveError:
+            return None
+        return self._chart.of(found.equilibrium)
+
+    def _along(self, knots: Knots, dt: float) -> tuple[Array, Why]:
+        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may."""
+        space, here, options = self._guard.space, self._guard.here, self.options
+        rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
+        turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)
+        passed = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
+        time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), passed))])
+        at = np.array([[np.interp(dt, time, column) for column in knots.z.T]])
+        wanted = self._chart.joints(at, self._chart.arms(at, 0.0))[0]
+        change = np.clip(wanted, space.lower, space.upper) - here.q
+        share = float((np.abs(change) / (rate * dt)).max())
+        return change / max(share, 1.0), Why.RATE if time[-1] > dt else Why(0)

@@ -1,0 +1,91 @@
+"""The guard: no step is given out that leaves the branch, the floor of the margin, or the clearance of bodies.
+
+The equilibrium of a step is solved for from the last one. Where Newton's method is not at ease, where the tubes twist
+farther than a small motion twists them, where margin or clearance fall short, the step is halved, and at last not made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Scene, scene_of
+from ..equilibrium.kinematics import one_step
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
+from ..inverse.goal import angle
+from ..inverse.joints import Configuration, JointSpace, joint_space
+from ..inverse.posture import Posture
+from ..inverse.question import seed_posture
+from ..robots.limits import JointLimits
+from ..robots.robot import Robot
+from ..typing import Array
+from .command import Command, ServoOptions
+from .why import Why
+
+HALVINGS = 4
+"""Times that a step is halved which the guard does not let pass."""
+
+
+class Guard:
+    """Where a robot is, and whether it may go on from there.
+
+    Raises:
+        InputError: the seed is outside the limits, or closer to a snap than the floor of the margin.
+        SolveError: no stable equilibrium is found at the seed.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        seed: Configuration,
+        limits: JointLimits | None,
+        obstacles: Sequence[Obstacle],
+        options: ServoOptions,
+    ) -> None:
+        self.options = options
+        self.space: JointSpace = joint_space(robot, limits)
+        self.scene: Scene = scene_of(tuple(obstacles))
+        self.here = seed_posture(self.space, seed)
+        if not self.space.admissible(self.here.q):
+            raise InputError("seed lies outside the limits of the joints or the order of the tubes")
+        if self.here.margin < options.min_margin:
+            raise InputError(
+                f"seed has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"
+            )
+
+    def go(self, change: Array, why: Why) -> tuple[Equilibrium, Why]:
+        """The equilibrium after a change of the joints (m,), of as much of it as passes, and what is in the way."""
+        here = self.here
+        if not np.abs(change / self.space.scale).max() > 1e-14:
+            return here.equilibrium, why
+        floor = min(self.options.min_margin, here.margin)
+        for halving in range(HALVINGS + 1):
+            q = here.q + change / 2**halving
+            rotations, shift = self.space.split(q)
+            try:
+                there = one_step(self.space.robot, here.equilibrium, rotations, shift)
+            except (SolveError, InputError):
+                continue
+            if there is None or there.margin < floor:
+                continue
+            posture = Posture(self.space, q, there)
+            if self.scene.bodies and self._missing(posture) > max(0.0, self._missing(here)):
+                continue
+            self.here = posture
+            return there, why | (Why.SHORTENED if halving else Why(0))
+        return here.equilibrium, why | Why.HELD
+
+    def _missing(self, at: Posture) -> float:
+        """Clearance (m) that is missing."""
+        return self.options.clearance - at.outline.clearance(self.scene, self.options.clearance)
+
+    def left(self, command: Command) -> tuple[float, float]:
+        """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
+        here = self.here
+        away = np.nan if command.position is None else float(np.linalg.norm(np.asarray(command.position) - here.tip))
+        if command.direction is None:
+            return away, np.nan
+        return away, angle(here.direction, np.asarray(command.direction) / np.linalg.norm(command.direction))

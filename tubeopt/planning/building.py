@@ -1,0 +1,127 @@
+"""From a motion to an answer: it is sampled, followed to its end, and proved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..equilibrium.result import Equilibrium
+from ..inverse.clock import Clock
+from ..inverse.task import Task
+from ..typing import Array
+from .goals import End, limits_of
+from .motion import Motion, RateLimits
+from .proof import Proof, verify_trajectory
+from .timing import Limits
+from .tracking import track
+from .trajectory import PlanStatistics, Trajectory
+
+MOST_HURRY = 1.05
+"""Share of its limit by which the tip may be too fast between samples of a motion that is then slowed down for it."""
+
+Faults = tuple[str, ...]
+
+
+def actuators(task: Task, first: Equilibrium, rates: RateLimits) -> Limits:
+    """What limits the speed of motions that begin at an equilibrium."""
+
+    def tips(q: Array) -> Array:
+        """Those of the branch of the equilibrium; where it ends, the last one of it."""
+        found = track(task, first, q).tip
+        return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
+
+    return Limits(*rates.of(task.chart.space), None if rates.tip is None else (rates.tip, tips))
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A sampled motion that was followed to its end, and its proof, which may not have been finished in time."""
+
+    time: Array
+    joints: Array
+    tip: Array
+    margin: Array
+    equilibria: tuple[Equilibrium, ...]
+    proof: Proof
+
+    def trajectory(
+        self,
+        task: Task,
+        first: Equilibrium,
+        end: End,
+        rates: RateLimits,
+        statistics: PlanStatistics,
+        deviation: Array | None = None,
+    ) -> Trajectory:
+        """The answer."""
+        table = np.array([task.chart.space.joint(q) for q in self.joints])
+        rotations, translations = np.split(table, 2, axis=1)
+        return Trajectory(
+            robot=first.robot,
+            time=self.time,
+            rotations=rotations,
+            translations=translations,
+            tip_position=self.tip,
+            margin=self.margin,
+            arms=self.equilibria,
+            start=first,
+            end=self.equilibria[-1],
+            turns=end.turns,
+            obstacles=task.obstacles,
+            min_margin=task.min_margin,
+            min_clearance=task.clearance - task.reserve,
+            rate_limits=rates,
+            proof=self.proof,
+            statistics=statistics,
+            deviation=deviation,
+        )
+
+
+def build(
+    task: Task, first: Equilibrium, end: End | None, motion: Motion, rates: RateLimits, clock: Clock
+) -> Built | Faults:
+    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these."""
+    space = task.chart.space
+    t, q = motion.sampled(task.scale)
+    begin = space.join(first.rotations, first.translations)
+    last = q[-1] if end is None else end.joints
+    x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
+    blend = x * x * (3 - 2 * x)
+    q = q + (begin - q[0]) * (1 - blend) + (last - q[-1]) * blend
+    q[0], q[-1] = begin, last
+    q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
+    table = np.array([space.joint(row) for row in q])
+    n = space.robot.n_tubes
+    tracked = track(task, first, q, clock)
+    if tracked.lost:
+        return (no_time(clock) if clock.over else "the branch is lost between samples",)
+    proof = verify_trajectory(
+        space.robot,
+        t,
+        table[:, :n],
+        table[:, n:],
+        start=first,
+        obstacles=task.obstacles,
+        min_margin=task.min_margin - 1e-6,
+        clearance=task.clearance - task.reserve,
+        rate_limits=rates,
+        limits=None if space.robot.limits is None else limits_of(space),
+        clock=clock,
+        max_force=task.max_force,
+        load=task.chart.load,
+    )
+    if not (proof.holds or proof.open):
+        hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
+        if 1 < hurry < MOST_HURRY and len(proof.faults) == 1:
+            return build(task, first, end, motion.slower(hurry), rates, clock)
+        return proof.faults
+    reached = tracked.equilibria[-1]
+    if end is not None and float(np.abs(task.chart.of(reached) - end.point).max()) > 1e-3:
+        return (*proof.faults, "the motion ends on another branch than that of the goal")
+    return Built(t, q, tracked.tip, tracked.margin, tracked.equilibria, proof)
+
+
+def no_time(clock: Clock) -> str:
+    """What is wrong where the clock is over."""
+    return f"the time limit of {clock.limit:g} s left no time to follow the way that was found"

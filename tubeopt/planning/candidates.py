@@ -1,0 +1,96 @@
+"""Motions near a way that was found, as it is and smoothed, each as fast as its limits allow: what may be proved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..equilibrium.result import Equilibrium
+from ..inverse.clock import Clock
+from ..inverse.task import Task
+from ..typing import Array
+from .building import actuators
+from .motion import Motion, RateLimits
+from .options import PlanOptions
+from .smooth import joint_curves, smooth, violated
+from .timing import Limits, at_full_speed, stopping_at, through
+
+SMOOTHING, LEAST_SMOOTHING = 20.0, 1.0
+"""Most seconds of smoothing, and those below which it is not begun: its steps cannot be cut short."""
+
+SHARE_OF_SMOOTHING = 0.5
+"""Share of the time that is left which smoothing may take: the proof needs the rest."""
+
+ROUNDING, SHARE_OF_ROUNDING = 5.0, 0.3
+"""Most seconds, and share of the time that smoothing leaves, of rounding the corners of the way as it is."""
+
+SHORT, SAME = 1e-9, 2e-3
+"""Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
+count as the same."""
+
+WORTH = 0.02, 0.1
+"""Share of its length by which a way must exceed the straight line to be smoothed for length: free, among bodies."""
+
+ROUNDINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
+"""Distances (joints' scales) of the points of a polyline whose corners are rounded."""
+
+
+def motions_near(
+    task: Task, first: Equilibrium, points: Array, rates: RateLimits, options: PlanOptions, clock: Clock
+) -> list[tuple[Motion, str, int, int]]:
+    """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
+    with the objective of its smoothing, iterations and knots.
+
+    What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
+    slower than that, nor than what is smoothed for length.
+    """
+    limits, aim, extra = actuators(task, first, rates), options.objective, options.extra_cost
+    curves = joint_curves(task, points)
+    resting = stopping_at(curves, limits)
+    own, found = Clock(min(SMOOTHING, SHARE_OF_SMOOTHING * clock.left), clock), []
+    for name in ("length", "time") if aim == "time" else (aim,):
+        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves, options):
+            break
+        best = smooth(task, first, points, rates.of(task.chart.space), objective=name, extra=extra, clock=own)
+        if best is not None:
+            exact = name == "margin" or extra is not None
+            rounder = None if exact else _rounded(task, first, best.motion.sampled(task.scale)[1], limits, own)
+            motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
+            found.append((motion, name, best.iterations, len(best.points)))
+    if aim in ("length", "time") and extra is None:
+        rest = Clock(min(ROUNDING, SHARE_OF_ROUNDING * clock.left), clock)
+        if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, rest)) is not None:
+            found.append((corners, "corners", 0, len(points)))
+        if aim == "time":
+            found = [each for each in found if each[0].duration <= resting.duration]
+            found.sort(key=lambda each: each[0].duration)
+        else:
+            longest, slowest = resting.length(task.scale) * (1 + SAME), resting.duration * (1 + SAME)
+            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
+            found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
+    return [*found, (resting, "", 0, len(points))]
+
+
+def _worth_smoothing(task: Task, curves: Sequence[Array], options: PlanOptions) -> bool:
+    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
+    straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    if task.chart.load is not None:
+        return False
+    length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
+    if length < SHORT or options.objective != "length" or options.extra_cost is not None:
+        return length >= SHORT
+    straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
+    return 1 - straight / length > WORTH[bool(task.obstacles)]
+
+
+def _rounded(task: Task, first: Equilibrium, q: Array, limits: Limits, clock: Clock) -> Motion | None:
+    """The fastest motion close to a path of joint values (k, m), its bends as round as they may be; None where even
+    slight rounding leads where the robot may not be, or time is over."""
+    for spacing in ROUNDINGS:
+        if clock.over:
+            return None
+        motion = through(q, task.scale, limits, spacing)
+        if not violated(task, first, motion, clock)[0].any():
+            return motion
+    return None

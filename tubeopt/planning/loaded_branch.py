@@ -1,0 +1,229 @@
+"""Between two equilibria under a load: that one unbroken branch of stable ones joins them, and where the arm is.
+
+As in `branch`, joint values are linear in time t, 0 to 1, and so are the lengths h of the sections. In torques t_i and
+moment m, as the coordinates kt^-1/2 t_i and K^-1/2 m whose square is the elastic form T of docs/loads.md, the potential
+energy of a dead load has the gradient
+
+    g = (t_i - T_i, m - M),    T_i = - int_s^(own end) V_i' - M.a_i' / K,    M = (R' m_w)_xy,    m_w = int_s^L t x n.
+
+Along what goes linearly from the torques and moments of the one equilibrium to those of the other, at fixed fractions
+of the sections, it vanishes at both ends, so that |g| <= max |g_tt| / 8 in between. With mu the lesser margin of both,
+and q0 + q1 r a bound of how far the second variation, relative to T, is from that at the end nearer in time, in a ball
+of radius r around the chord,
+
+    (mu - q0)^2 > 2 q1 |g|
+
+makes the energy strictly convex in a ball around the chord at all times, with exactly one equilibrium in it, a stable
+one (Newton and Kantorovich). All bounds are in closed form, of what is known of both equilibria.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import Array, Mask
+from .branch import Branch, Turn
+from .jets import Jet, linear
+from .loaded_sections import LoadedIntervals
+from .sections import PARTS
+
+FACTORS = 1.0, 1.0, 1.0, 2.0
+"""What changes between samples as it follows from what is known already; at last doubled, which must suffice."""
+
+
+def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
+    """What is known between equilibria of margins (E,)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        bounds = _Bounds(intervals)
+        least = np.minimum(margins[intervals.one], margins[intervals.other])
+        radius, kept = bounds.radius(least)
+        off = bounds.off(radius)
+    sure = bounds.changes.sure
+    unbroken = sure & kept & intervals.ordered & np.isfinite(off).all(1)
+    return Branch(np.asarray(unbroken), np.where(unbroken[:, None], off, np.inf), sure)
+
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """By how much theta (a `Turn`), torques (B, K, n) and moments (B, K) differ at most between both ends, and sizes of
+    torques (B, K, n); whether that is sure (B,) between samples along the arm too."""
+
+    turn: Turn
+    torque: Array
+    moment: Array
+    sure: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """How far a configuration is from another at most: theta, the frames (B, K), rad, m_w (B, K), N m."""
+
+    turn: Turn
+    frame: Array
+    moment: Array
+
+
+class _Bounds:
+    """Bounds over intervals (B,) with sections (K,) of n tubes; those of a section hold all over it."""
+
+    def __init__(self, intervals: LoadedIntervals) -> None:
+        self.intervals, self.force, b = intervals, intervals.force, intervals.bending
+        self.kt, self.stiffness = intervals.torsional, b.stiffness
+        self.pairs, self.slope = b.pairs, b.moment / b.stiffness[..., None]
+        """|a_i||a_j| / K (B, K, n, n), and A_i = |a_i| / K (B, K, n), 1/m."""
+        self.long, self.spring = linear(*intervals.length), linear(*intervals.transmission)
+        self.lever, self.u = intervals.lever, b.most
+        give = self.long.v[..., None] / self.kt
+        own = np.sqrt(np.cumsum(give, axis=1) + (self.spring.v / self.kt[:, 0])[:, None])
+        self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
+        """|y_i| <= weight_i, and so on, where T = 1."""
+        self.swing = self._swing(give)
+        """(B, K) int |psi'| up to the end of every section is at most this where T = 1."""
+        size, torque, moment = intervals.loads
+        bound = self.pairs.sum(3) + self.slope * self.lever[..., None]
+        self.torque = size + self.long.v[..., None] * bound / (2 * PARTS)
+        self.changes = self._changes(torque, moment)
+        self._chord()
+
+    def _swing(self, give: Array) -> Array:
+        """The most of int sum A_i |y_i| + |r| up to the end of every section where T = 1; `give` (B, K, n) is h / kt.
+
+        Its square is int m_i^2 / kt_i + int 1 / K, with m_i int A_i from there on, linear in every section.
+        """
+        here = np.cumsum(self.long.v[..., None] * self.slope, axis=1)
+        before = np.concatenate([np.zeros_like(here[:, :1]), here[:, :-1]], axis=1)
+        high, low = (np.maximum(here[:, :, None] - each[:, None], 0.0) for each in (before, here))
+        inside = give[:, None] * (high**2 + high * low + low**2) / 3
+        held = (self.spring.v / self.kt[:, 0])[:, None] * here**2
+        return np.asarray(np.sqrt((inside.sum(2) + held).sum(2) + np.cumsum(self.long.v / self.stiffness, axis=1)))
+
+    def _changes(self, torque: Array, moment: Array) -> _Changes:
+        """What differs between both ends, sampled, with what lies between samples: no more than half of their distance
+        times a bound of the slope, which is linear in what it bounds, so that it holds if it holds for more."""
+        own, pair = self.intervals.changes
+        sampled = _Changes((own, pair), torque, moment, np.ones(len(own), dtype=bool))
+        more, found = self._between(sampled), sampled
+        for factor in FACTORS:
+            theta, twisting, bending = (factor * each for each in more)
+            both = theta[..., :, None] + theta[..., None, :]
+            found = _Changes((own + theta, pair + both), torque + twisting, moment + bending, sampled.sure)
+            before, more = more, self._between(found)
+        held = [(b <= factor * a + 1e-15).reshape(len(own), -1).all(1) for a, b in zip(before, more, strict=True)]
+        return _Changes(found.turn, found.torque, found.moment, np.logical_and.reduce(held))
+
+    def _between(self, c: _Changes) -> tuple[Array, Array, Array]:
+        """Of theta, torques and moments: half the distance of samples times a bound of the slope of what differs."""
+        h, dh, lever, du = self.long.v[..., None], self.long.d[..., None], self.lever, self._bent(c)
+        theta = dh * (self.torque / self.kt + self.intervals.twist) + h * c.torque / self.kt
+        twisting = self.pairs.sum(3) + self.slope * lever[..., None]
+        turned = (self.pairs * c.turn[1]).sum(3)
+        turned += self.slope * (c.moment[..., None] + lever[..., None] * c.turn[0])
+        torsion, changed = self.torque.sum(2), c.torque.sum(2)
+        frame = np.cumsum(self.long.d * self.u + self.long.v * du, axis=1)
+        moment = self.long.d * (self.u * torsion + self.force.v)
+        moment += self.long.v * (du * torsion + self.u * changed + self.force.d + self.force.v * frame)
+        share = 1 / (2 * PARTS)
+        return share * theta, share * (dh * twisting + h * turned), share * moment
+
+    def _bent(self, c: _Changes) -> Array:
+        """(B, K) by how much the curvature differs."""
+        return np.asarray(c.moment / self.stiffness + (self.slope * c.turn[0]).sum(2))
+
+    def _chord(self) -> None:
+        """Along what goes linearly in torques and moments."""
+        c = self.changes
+        begin = self.spring.d * c.torque[:, 0] / self.kt[:, 0]
+        bow = 2 * (begin[:, None] + np.cumsum(self.long.d[..., None] * c.torque / self.kt, axis=1))
+        self.theta = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow)
+        both = bow[..., :, None] + bow[..., None, :]
+        self.pair = Jet(np.ones_like(both), c.turn[1] + both / 2, both)
+        du = c.moment / self.stiffness + (self.slope * self.theta.d).sum(2)
+        ddu = (self.slope * _turned(self.theta).dd).sum(2)
+        self.bent = self.long * Jet(self.u, du, ddu)
+        turn = np.cumsum(self.bent.d, axis=1)
+        turning = np.cumsum(turn * self.bent.d + self.bent.dd, axis=1)
+        self.tangent = Jet(np.ones_like(turn), turn, turning + turn**2)
+        each = self.long * self.tangent * self.force
+        self.moment = each.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
+
+    def gradient(self) -> Array:
+        """(B,) bound of |g| along the chord."""
+        moment = self.tangent * self.moment
+        by_load = _turned(self.theta) * moment.map(lambda bound: bound[..., None])
+        sines = _turned(self.pair)
+        by_tubes = Jet(*((self.pairs * bound).sum(3) for bound in (sines.v, sines.d, sines.dd)))
+        shared = by_load.map(lambda bound: self.slope * bound) + by_tubes
+        each = self.long.map(lambda bound: bound[..., None]) * shared
+        torque = np.cumsum(each.dd[:, ::-1], axis=1)[:, ::-1] / 8
+        inside = (torque**2 / self.kt).sum(2) + (moment.dd / 8) ** 2 / self.stiffness
+        held = (self.spring.v * torque[:, 0] ** 2 / self.kt[:, 0]).sum(1)
+        return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
+
+    def _by_time(self) -> _Moved:
+        """How far the chord is from its nearer end."""
+        turn = self.theta.d / 2, self.pair.d / 2
+        return _Moved(turn, self.tangent.d / 2, self.moment.d / 2)
+
+    def _by_ball(self) -> _Moved:
+        """How far what is in a ball is from its centre, per its radius."""
+        each = self.long.v * self.force.v * self.swing
+        return _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
+
+    def variation(self, moved: _Moved, *, stretched: bool) -> Array:
+        """(B,) by how much the second variation relative to T differs; `stretched`: with sections as they are at the
+        nearer end, and with the load there."""
+        b, h, w, lever = self, self.long.v, self.weight, self.lever
+        dh, own, bend, dn = b._stretched() if stretched else b._still()
+        pair = np.hypot(own[..., :, None], own[..., None, :])
+        m = moved.moment + lever * moved.frame
+        each = h[..., None, None] * moved.turn[1] + dh[..., None, None]
+        by_tubes = (b.pairs * (each * w[1] ** 2 + 2 * h[..., None, None] * w[1] * pair)).sum((1, 2, 3)) / 2
+        size = h[..., None] * (m[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
+        by_load = (b.slope * (size * w[0] ** 2 + 2 * (h * lever)[..., None] * w[0] * own)).sum((1, 2))
+        # By how much psi differs, and all of its way: frames, the directions of a_i, and lengths.
+        way = h[..., None] * (w[0] * moved.turn[0] + own) + dh[..., None] * w[0]
+        differs = moved.frame * b.swing + np.cumsum((b.slope * way).sum(2), axis=1) + bend
+        whole, far = b.swing[:, -1], differs[:, -1]
+        by_turns = moved.moment.max(1) * whole**2 / 2 + 2 * lever[:, 0] * whole * far
+        n = b.force.v
+        form = (h * (dn + n * moved.frame) + dh * n) * b.swing**2 + 2 * h * n * b.swing * differs
+        return np.asarray(by_tubes + by_load + by_turns + form.sum(1))
+
+    def _stretched(self) -> tuple[Array, Array, Array, Array]:
+        """Between the chord and its nearer end: h (B, K), y_i (B, K, n) and int h r (B, K) at equal coordinates, n."""
+        (one, other), springs = self.intervals.length, self.intervals.transmission
+        root = _roots(one, other)
+        held = _roots(*springs) ** 2 / self.kt[:, 0]
+        own = np.sqrt(np.cumsum(root[..., None] ** 2 / self.kt, axis=1) + held[:, None])
+        return self.long.d / 2, own, np.sqrt(np.cumsum(root**2 / self.stiffness, axis=1)), self.force.d / 2
+
+    def _still(self) -> tuple[Array, Array, Array, Array]:
+        zero = np.zeros_like(self.long.v)
+        return zero, np.zeros_like(self.weight[0]), zero, zero
+
+    def radius(self, margin: Array) -> tuple[Array, Mask]:
+        """(B,) of the ball in which the equilibria are, and whether it is one in which the energy is convex."""
+        q, bow = self.variation(self._by_time(), stretched=True), self.variation(self._by_ball(), stretched=False)
+        first, left = self.gradient(), margin - q
+        root = left**2 - 2 * bow * first
+        kept = (left > 0) & (root > 0)
+        return np.asarray(2 * first / (left + np.sqrt(np.maximum(root, 0.0)))), np.asarray(kept)
+
+    def off(self, radius: Array) -> Array:
+        """(B, K) bound of the distance of a point from the straight line between its places at both ends, m."""
+        second = 2 * self.long.d * self.tangent.d + self.long.v * self.tangent.dd
+        lever = self.long.v * self.swing * radius[:, None]
+        return np.asarray(np.cumsum(second / 8 + lever, axis=1))
+
+
+def _turned(angle: Jet) -> Jet:
+    """Of a unit vector that turns by an angle, or its sine."""
+    return Jet(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd)
+
+
+def _roots(one: Array, other: Array) -> Array:
+    """By how much the square root of what is linear in time differs at most from that at the nearer end."""
+    middle = np.sqrt((one + other) / 2)
+    return np.asarray(np.maximum(np.abs(middle - np.sqrt(one)), np.abs(middle - np.sqrt(other))))

@@ -1,0 +1,80 @@
+"""The chart of a robot that bears a load: points are equilibria without it, arms are what the load makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..equilibrium.anew import equilibrium_at
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from ..errors import SolveError
+from ..inverse.chart import Arms, Chart
+from ..inverse.clock import Clock, LateError
+from ..robots.load import Load
+from ..stability.shooting import profiles
+from ..typing import Array
+
+SAME = 1e-6
+"""Tips (rad) of equilibria that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedChart(Chart):
+    """As `Chart`; every arm is that into which the stable equilibrium of its point grows with the load."""
+
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """The point of an equilibrium: that of what is left of it without its load.
+
+        Raises:
+            SolveError: it snaps as the load is taken off.
+        """
+        known = equilibrium
+        if known.load is not None:
+            known = forward_kinematics(known.robot, known.rotations, known.translations, load=Load(), guess=known)
+        return super().of(known)
+
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+        """The loaded equilibria of points z (N, m), and whether their margin is above `margin`, one number or (N,).
+
+        Raises:
+            LateError: the clock is over before all of them are known.
+        """
+        plain, shift = super().arms(z, 0.0, clock), self.translations(z)
+        floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
+        for k in np.flatnonzero(plain.stable).tolist():
+            if clock is not None and clock.over:
+                raise LateError
+            e = self._loaded(z[k, : shift.shape[1]], plain.rotations[k], shift[k])
+            if e is not None:
+                found[k] = e
+        stable = np.array([k in found and found[k].margin > floor[k] for k in range(len(z))], dtype=bool)
+        width = max((len(e.arc_length) for e in found.values()), default=plain.points.shape[1])
+        s = _widened(plain.arc_length, width)
+        points, tangents = _widened(plain.points, width), _widened(plain.tangents, width)
+        for k, e in found.items():
+            s[k] = _widened(e.arc_length[None], width)[0]
+            points[k], tangents[k] = (_widened(table[None], width)[0] for table in (e.position, e.frame[:, :, 2]))
+        return Arms(plain.rotations, stable, points, tangents, s, plain.tube_end)
+
+    def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:
+        """The equilibrium under the load at joint values, grown from the one without it that has these tips."""
+        robot = self.space.robot
+        try:
+            bare = forward_kinematics(robot, rotations, translations)
+            if np.abs(bare.tip_rotations - tips).max() > SAME:
+                problem = reduced_problem(robot, tuple(translations.tolist()), DEFAULT_DISCRETISATION)
+                theta = profiles(problem, tips[None])[0]
+                bare = equilibrium_at(robot, rotations, translations, lambda s: theta.T)
+            return forward_kinematics(robot, rotations, translations, load=self.load, guess=bare)
+        except SolveError:
+            return None
+
+
+def _widened(table: Array, width: int) -> Array:
+    """(N, width, ...) of a table (N, p, ...): its last points repeated, or left out."""
+    more = [(0, 0)] * table.ndim
+    more[1] = (0, max(0, width - table.shape[1]))
+    return np.pad(table, more, mode="edge")[:, :width].copy()

@@ -1,0 +1,206 @@
+"""Equilibria under a dead load along the arm: the torque and the moment that it bears, and the force on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..equilibrium.load_problem import masses
+from ..equilibrium.result import Equilibrium
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..typing import Array, Index
+from .jets import Jet
+from .sections import JUMP, PARTS, SHAPE_ERROR, Arms, Bending, Constants, Intervals
+
+
+def uncovered(load: Load) -> str:
+    """What of a load `Pull` has no words for; empty where it has."""
+    if not load.has_energy:
+        return "a moment, or a force that turns with the tip"
+    if load.points:
+        return "forces at points along the arm"
+    return "" if load.distributed is None or _even(load) else "a load per length that changes along the arm"
+
+
+def _even(load: Load) -> bool:
+    along = load.distributed
+    return isinstance(along, tuple) and all(isinstance(x, float) for x in along)
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """A dead load on n tubes: force (3,) on the tip, N, on the whole arm (3,), and on each tube (n, 3), N/m."""
+
+    tip: Array
+    along: Array
+    weight: Array
+
+    @staticmethod
+    def of(robot: Robot, load: Load) -> Pull:
+        """Of a load all of which is covered."""
+        along = np.array(load.distributed if _even(load) else np.zeros(3), dtype=float)
+        gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
+        return Pull(np.array(load.force), along, masses(robot, load)[:, None] * gravity)
+
+    def on(self, s: Array, ends: Array) -> Array:
+        """(..., 3) force on the cross-section at arc lengths (...) of arms whose tubes end at (..., n)."""
+        left = np.maximum(ends - s[..., None], 0.0)
+        return np.asarray(self.tip + left.max(-1)[..., None] * self.along + left @ self.weight)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedArms(Arms):
+    """Equilibria under a load, one after the other."""
+
+    pull: Pull
+
+    @staticmethod
+    def under(pull: Pull, constants: Constants, equilibria: Sequence[Equilibrium]) -> LoadedArms:
+        """Those of a list of equilibria."""
+        plain = Arms.of(constants, equilibria)
+        return LoadedArms(**{field.name: getattr(plain, field.name) for field in fields(Arms)}, pull=pull)
+
+    @cached_property
+    def ends(self) -> Array:
+        """(E, n) arc lengths of the ends of the tubes, m."""
+        return np.array([e.tube_end for e in self.equilibria])
+
+    @cached_property
+    def _sides(self) -> tuple[Index, Index]:
+        """Stretches (P, n) in which points lie, as seen from the tip and from the plate."""
+        s, cuts = self.arc_length, self.breakpoints[self._owner]
+        before = np.where(s > JUMP, s - JUMP, s + JUMP)
+        return self.constants.stretch(s + JUMP, cuts), self.constants.stretch(before, cuts)
+
+    @cached_property
+    def _owner(self) -> Index:
+        return np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
+
+    def _pulls(self, stretch: Index) -> tuple[Array, Array]:
+        """a_i (P, n, 2), N m, and K (P,), N m^2."""
+        c = self.constants
+        angle = self.rotation + c.at(np.pad(c.steps.phase, ((0, 0), (0, 1))), stretch)
+        size = c.at(c.moment, stretch)
+        return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1), c.at(c.bending, stretch).sum(-1)
+
+    @cached_property
+    def torque(self) -> Array:
+        """(P, n) what each tube bears, N m."""
+        c, before = self.constants, self._sides[1]
+        natural = c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), before)
+        return np.asarray((self.torsion - natural) * c.at(c.torsional, before) * (before < c.ended))
+
+    @cached_property
+    def moment(self) -> Array:
+        """(P, 2) bending moment of the load, in the Bishop frame, N m."""
+        pulls, stiffness = self._pulls(self._sides[1])
+        bent = np.concatenate([e.curvature for e in self.equilibria])
+        return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
+
+    @cached_property
+    def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """d torque / ds (P, n) and d moment / ds (P, 2), towards the tip and from the plate."""
+        frame = np.concatenate([e.frame for e in self.equilibria])
+        force = np.einsum("pij,pi->pj", frame, self.pull.on(self.arc_length, self.ends[self._owner]))
+        sides = []
+        for stretch in self._sides:
+            pulls, stiffness = self._pulls(stretch)
+            straight = np.where(stiffness > 0, stiffness, 1.0)[:, None]
+            x, y = ((self.moment + pulls.sum(1)) / straight).T
+            torsion = self.torque.sum(1)
+            twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
+            bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1)
+            sides.append((twisting, bending))
+        (one, other), (three, four) = sides
+        return (one, three), (other, four)
+
+    def sampled(self, which: Index, s: Array) -> tuple[Array, Array]:
+        """(..., n) torques and (..., 2) moments of equilibria (...) at arc lengths (...)."""
+        torque, moment = (
+            self.hermite(which, s, values, slopes)
+            for values, slopes in zip((self.torque, self.moment), self.slopes, strict=True)
+        )
+        return torque, moment
+
+    @cached_property
+    def shape_error(self) -> Array:
+        """(E,) bound of the distance of `points` from the centreline, m: |p'''| <= |u|^2 + |u'|."""
+        out = np.array([e.tip_error for e in self.equilibria])
+        inner = np.flatnonzero(self._owner[1:] == self._owner[:-1])
+        h, middle = np.diff(self.arc_length)[inner], (self.arc_length[inner] + self.arc_length[inner + 1]) / 2
+        c, owner = self.constants, self._owner[inner]
+        stretch = c.stretch(middle, self.breakpoints[owner])
+        bend, ends = Bending.of(c, stretch), self.ends[owner]
+        force = np.linalg.norm(self.pull.on(self.arc_length[inner], ends), axis=1)
+        force = np.maximum(force, np.linalg.norm(self.pull.on(self.arc_length[inner + 1], ends), axis=1))
+        # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
+        moment = self._lever[owner]
+        u = bend.most + moment / bend.stiffness
+        gain = h[:, None] * u[:, None] * bend.moment
+        torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + gain
+        natural = np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), stretch))
+        turning = torque / c.at(c.torsional, stretch) + natural
+        third = u**2 + (u * torque.sum(1) + force) / bend.stiffness + bend.change(turning)
+        np.maximum.at(out, owner, SHAPE_ERROR[0] * h**3 * third + out[owner])
+        return out
+
+    @cached_property
+    def _lever(self) -> Array:
+        """(E,) bound of the bending moment of the load, N m."""
+        length, p = self.ends.max(1), self.pull
+        along = np.linalg.norm(p.along) + np.linalg.norm(p.weight, axis=1).sum()
+        return np.asarray(length * np.linalg.norm(p.tip) + length**2 / 2 * along)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedIntervals(Intervals):
+    """Neighbouring equilibria under a load."""
+
+    arms: LoadedArms
+
+    @cached_property
+    def force(self) -> Jet:
+        """(B, K) of the force on the cross-sections, N, in every section: it is linear in it, and in time."""
+        ends = self.arms.ends
+        tables = [
+            self.arms.pull.on(np.stack([cuts[:, :-1], cuts[:, 1:]]), ends[e][:, None])
+            for e, cuts in ((self.one, self.begin), (self.other, self.end))
+        ]
+        size = np.linalg.norm(tables, axis=-1).max((0, 1))
+        change = np.linalg.norm(tables[1] - tables[0], axis=-1).max(0)
+        return Jet(size, change, np.zeros_like(size))
+
+    @cached_property
+    def lever(self) -> Array:
+        """(B, K) bound of |m_w|, N m, and so of the moment: of the forces ahead on an arm however it is bent."""
+        each = np.maximum(*self.length) * self.force.v
+        return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
+
+    @cached_property
+    def bending(self) -> Bending:
+        """Bounds of curvature, (B, K), with what the load bends."""
+        plain = Bending.of(self.arms.constants, self.stretch)
+        return replace(plain, most=plain.most + self.lever / plain.stiffness)
+
+    @cached_property
+    def twist(self) -> Array:
+        """(B, K, n) natural twist, 1/m, by size."""
+        c = self.arms.constants
+        return np.asarray(np.abs(c.at(np.pad(c.steps.twist, ((0, 0), (0, 1))), self.stretch)))
+
+    @cached_property
+    def loads(self) -> tuple[Array, Array, Array]:
+        """(B, K, n) sizes of torques, and by how much torques (B, K, n) and moments (B, K) differ at most between both
+        ends, at the ends of PARTS stretches of every section."""
+        x = np.linspace(0.0, 1.0, PARTS + 1)
+        tables = []
+        for e, cuts in ((self.one, self.begin), (self.other, self.end)):
+            s = cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None]
+            tables.append(self.arms.sampled(np.broadcast_to(e[:, None, None], s.shape), s))
+        (torque, moment), (later, after) = tables
+        size = np.maximum(np.abs(torque), np.abs(later)).max(2)
+        return size, np.abs(later - torque).max(2), np.linalg.norm(after - moment, axis=-1).max(2)

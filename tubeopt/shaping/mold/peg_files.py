@@ -1,0 +1,140 @@
+"""Files of pegs and their board: a table, the drawing (DXF, SVG), the board's program; all read back."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import SolveError
+from ...files.csv_file import to_csv
+from ...files.files import left_out_where_missing, write_text
+from ...files.units import TO_MM
+from ...typing import Array
+from .checks import beyond_edge
+from .drawing import TEXT_HEIGHT_MM, Drawing, in_mm, rectangle
+from .dxf import write_drawing
+from .gcode import Stage, drilled, outlined, program
+from .gcode_reader import TOLERANCE, hazards, read_gcode
+from .holes import Hole
+from .pegs import PegBoard
+from .svg import svg_of
+
+COLUMNS = ("hole", "angle_deg", "side", "pin_x_mm", "pin_y_mm", "arc_length_mm", "force_N", "colder_by_K")
+
+
+def write_pegs(board: PegBoard, directory: Path) -> list[Path]:
+    """Write pegs.csv, board.dxf, board.svg and the programs board_1.nc, ... of the board; return the paths.
+
+    The DXF file is left out with a warning where ezdxf is not installed.
+
+    Raises:
+        InputError: a file cannot be written.
+        SolveError: read back, a pin stands, or a hole is drilled, more than 10 um from where it is meant to be.
+    """
+    table, texts = pegs_csv(board), board_programs(board)
+    off = max(_pins_off(board, table), *(_holes_off(board, text) for text in list(texts.values())[:1]))
+    if off > TOLERANCE:
+        raise SolveError(f"{directory}: a pin or a hole lies {off * 1e6:.3g} um from where it is meant to be")
+    drawing, paths = draw_board(board), []
+    with left_out_where_missing():
+        paths.append(write_drawing(drawing, board.centreline.pieces, directory / "board.dxf"))
+    for name, text in {"pegs.csv": table, "board.svg": svg_of(drawing), **texts}.items():
+        write_text(directory / name, text)
+        paths.append(directory / name)
+    return paths
+
+
+def pegs_csv(board: PegBoard) -> str:
+    """A row for every peg along the tube: hole, angle of its pin from x, side of the tube, where the pin stands."""
+    rows = [
+        (
+            peg.hole,
+            f"{math.degrees(peg.angle):.6g}",
+            "left" if peg.left else "right",
+            *(f"{x * TO_MM:.4f}" for x in (*peg.pin, peg.arc_length)),
+            f"{peg.force:.2f}",
+            f"{dip:.1f}",
+        )
+        for peg, dip in zip(board.pegs, board.heat.dip, strict=True)
+    ]
+    spec = board.spec.pegs
+    comment = (
+        f"tube {board.number}: holes by row (letter, from below) and place in it; lattice of {spec.pitch * TO_MM:g} mm "
+        f"on its corner, pins {spec.eccentricity * TO_MM:g} mm off"
+    )
+    return to_csv(COLUMNS, rows, comment)
+
+
+def board_programs(board: PegBoard) -> dict[str, str]:
+    """The programs of the board by the names of their files: its holes, and its outline where it is cut out."""
+    spec, shank = board.spec, board.spec.pegs.shank
+    thickness, shop = spec.plate.thickness, spec.workshop
+    holes = [Hole("hole", place, shank) for place in board.holes.values()]
+    lines = tuple(drilled(holes, thickness, spec))
+    stages = [Stage(f"drill {shank * TO_MM:g} mm", shank, shop.drill_spindle, lines)]
+    if shop.cut_out:
+        cutter = shop.outline_diameter
+        around = tuple(outlined(board.size, thickness, spec))
+        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, around))
+    title, clear = "board of pegs", beyond_edge([], spec) if shop.cut_out else 0.0
+    if shop.touch_plate is not None:
+        texts = {"board.nc": program(title, clear, spec, stages)}
+    else:
+        texts = {f"board_{k}.nc": program(title, clear, spec, [one]) for k, one in enumerate(stages, start=1)}
+    for name, text in texts.items():
+        for wrong in hazards(text):
+            raise SolveError(f"{name}: {wrong}")
+    return texts
+
+
+def draw_board(board: PegBoard) -> Drawing:
+    """The board with its holes and the tube's centreline; pegs are written beside it."""
+    width, height = (side * TO_MM for side in board.size)
+    spec = board.spec.pegs
+    words = [
+        f"board of pegs, {width:g} x {height:g} mm: {len(board.holes)} holes of {spec.shank * TO_MM:g} mm",
+        f"tube {board.number}: " + ", ".join(f"{peg.hole} at {math.degrees(peg.angle):g} deg" for peg in board.pegs),
+    ]
+    step = 1.6 * TEXT_HEIGHT_MM
+    return Drawing(
+        size=(width, height),
+        pieces={
+            "OUTLINE": rectangle(width, height),
+            "GROOVE": (),
+            "CENTERLINE": tuple(in_mm(piece) for piece in board.centreline.pieces),
+            "HOLES": (),
+            "TEXT": (),
+        },
+        circles=tuple(((x * TO_MM, y * TO_MM), spec.shank * TO_MM) for x, y in board.holes.values()),
+        texts=tuple(((0.0, -(k + 2) * step), line) for k, line in enumerate(words)),
+    )
+
+
+def _pins_off(board: PegBoard, table: str) -> float:
+    """Greatest distance (m) of the pins that holes and angles of the table make from those planned."""
+    read = csv.DictReader(line for line in table.splitlines() if not line.startswith("#"))
+    worst = 0.0
+    for row, peg in zip(read, board.pegs, strict=True):
+        x, y = board.holes[row["hole"]]
+        angle, away = math.radians(float(row["angle_deg"])), board.spec.pegs.eccentricity
+        pin = x + away * math.cos(angle), y + away * math.sin(angle)
+        said = float(row["pin_x_mm"]) / TO_MM, float(row["pin_y_mm"]) / TO_MM
+        worst = max(worst, math.dist(pin, peg.pin), math.dist(said, peg.pin))
+    return worst
+
+
+def _holes_off(board: PegBoard, text: str) -> float:
+    """Greatest distance (m) between holes wanted and those that a program drills through, either way."""
+    deep = -board.spec.plate.thickness
+    done = np.array([motion.piece.end for motion in read_gcode(text) if motion.end < deep and motion.feed is not None])
+    wanted = np.array(list(board.holes.values()))
+    if not len(done):
+        return math.inf
+    return max(_farthest(wanted, done), _farthest(done, wanted))
+
+
+def _farthest(places: Array, others: Array) -> float:
+    return max(float(np.linalg.norm(others - place, axis=1).min()) for place in places)

@@ -1,0 +1,385 @@
+"""An adjustable mold: pegs on a board that is drilled once hold tubes of any planar shape (SI).
+
+Holes lie on a square lattice that stands on its corner. A peg is a disk on a shank, with a slender pin off its axis:
+turned in its hole, the pin goes around a circle, and so comes to touch the tube wherever a hole is near enough. Pegs
+stand on both sides of the tube; between them it takes the shape of a beam (`held`).
+
+Frame: the origin is the lower left corner of the board, x to the right, y up. Angles of pegs count from x to y.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...display import Displayed
+from ...errors import InputError, instance
+from ...robots.tubes import Tube
+from ...typing import Array
+from .arcs import bend_of
+from .checks import pressing_strain
+from .groove import Arc, Centreline, Line, Piece, Point, bounds, crosses_itself, with_leads
+from .heat import ColdEnd
+from .held import Held, held_between
+from .peg_heat import PegHeat, peg_heat, pin_conductance, tube_in_air
+from .setting import bend_direction, tube_in_mold
+from .spec import MoldSpec, PegSpec
+
+SPACINGS = (6.0, 5.0, 4.0, 3.25, 2.75, 2.25, 1.75, 1.4, 1.0, 0.3)
+"""Distances of pegs on one side that are tried, in pitches."""
+
+PLACES_TRIED = 10
+"""Places of the curve on the lattice at which pegs are set, those first that offer holes most evenly."""
+
+OVERRUN = 2.0
+"""By how many pitches a bend goes on where the tube is cut off at its end: a tube between pegs cannot stop bending at
+once."""
+
+SHIFTS = 6
+"""Places of the curve on the lattice that are tried, in x and in y."""
+
+REACH = 0.97
+"""Part of a pin's circle within which it is set: near its ends an angle decides little."""
+
+ROOM = 50e-6
+"""Room between a peg and the tube, m, that is as bad as a whole spacing along it."""
+
+SAMPLE = 0.1e-3
+"""Distance of the places on the curve at which it is looked at, m."""
+
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+@dataclass(frozen=True)
+class Peg:
+    """One peg.
+
+    Args:
+        hole: its name: letters for the row from below, number in the row from the left.
+        place: of the hole, m. pin: where its pin stands, m. angle: at which it is set, rad, from x.
+        left: whether it stands to the left of the tube, seen from its proximal end.
+        arc_length: of the tube beside it, m, from the proximal clamp. room: between it and the tube on its curve, m.
+        force: with which it pushes against the tube while that is cold and straight by itself, N.
+    """
+
+    hole: str
+    place: Point
+    pin: Point
+    angle: float
+    left: bool
+    arc_length: float
+    room: float
+    force: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PegBoard(Displayed):
+    """Pegs that hold one tube.
+
+    Attributes:
+        number: of the tube, for texts. tube: what it is to become. spec: what was asked for.
+        size: of the board, m. holes: all that are drilled, m, by their names.
+        centreline: wanted, from clamp to clamp. held: how the tube lies. pegs: those that touch, along the tube.
+        kept: arc lengths from the proximal clamp between which the tube is not cut off, m.
+        cold: the cold end of the tube in air. heat: what the pegs draw, in their order.
+        remarks: what to keep in mind.
+    """
+
+    number: int
+    tube: Tube
+    spec: MoldSpec
+    size: Point
+    holes: dict[str, Point]
+    centreline: Centreline
+    held: Held
+    pegs: tuple[Peg, ...]
+    kept: tuple[float, float]
+    cold: ColdEnd
+    heat: PegHeat
+    remarks: tuple[str, ...]
+
+    @property
+    def deviation(self) -> float:
+        """Greatest distance of the tube from its curve, m, as far as it is kept."""
+        return _worst(self.held.offset, self.held.arc_length, self.kept)
+
+    @property
+    def heading_deviation(self) -> float:
+        """Greatest angle between the tube and its curve, rad, as far as it is kept."""
+        return _worst(np.gradient(self.held.offset, self.held.arc_length), self.held.arc_length, self.kept)
+
+    @cached_property
+    def free_length(self) -> float:
+        """Length of tube between the clamps, m."""
+        return self.centreline.length
+
+
+def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> PegBoard:
+    """Pegs that hold a tube on the curve from which it springs back to its shape.
+
+    As few as keep the tube within `most_deviation` of that curve; where none do, those that keep it nearest.
+
+    Args:
+        tube: a planar one. mold: `pegs`, spring-back, heat and clamps are looked at. number: of the tube, for texts.
+
+    Raises:
+        InputError: a tube without a curved part, a space curve, one strained too far, one that crosses itself, or a
+            board that is too small.
+    """
+    spec = MoldSpec() if mold is None else mold
+    instance("mold", spec, MoldSpec)
+    held = _to_be_held(tube, spec, number)
+    cold = tube_in_air(tube, spec.heat)
+    bend, over = _going_on(bend_of(held), tube, OVERRUN * spec.pegs.pitch)
+    leads = [
+        max(spec.clamps.least_lead, (cold.length if spec.cold_length is None else spec.cold_length) - x) for x in over
+    ]
+    curve = with_leads(bend, *leads)
+    # The straight part of the tube lies in the lead, or hangs out of the clamp.
+    kept = max(0.0, leads[0] + over[0] - tube.straight_length), curve.length - leads[1] - over[1]
+    if crosses_itself(curve, tube.outer_diameter + 2 * spec.pegs.pin):
+        raise InputError(f"tube {number} comes back to itself: pegs find no room between")
+    size, curve = _on_board(curve, spec, number)
+    lattice = _Lattice.of(size, spec.pegs)
+    worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec.pegs, kept)
+    conductance = pin_conductance(tube, spec.heat, spec.pegs.pin, spec.pegs.height, spec.pegs.conductivity)
+    heat = peg_heat(tube, spec.heat, np.array([peg.arc_length for peg in pegs]), conductance)
+    return PegBoard(
+        number, tube, spec, size, lattice.named, placed, lying, pegs, kept, cold, heat, _remarks(spec, worst, heat)
+    )
+
+
+def _pegged(
+    curve: Centreline, lattice: _Lattice, tube: Tube, spec: PegSpec, kept: tuple[float, float]
+) -> tuple[float, Centreline, tuple[Peg, ...], Held]:
+    """Greatest deviation (m), the curve where it lies, the pegs that touch the tube, and how it lies."""
+    places = sorted(_shifts(curve, spec), key=lambda c: _unevenness(c, lattice, tube, spec))[:PLACES_TRIED]
+    found: list[tuple[float, Centreline, tuple[Peg, ...], Held]] = []
+    for placed in places:
+        every = lattice.all_pegs(_Sampled.of(placed), tube, spec)
+        for spacing in SPACINGS:
+            pegs = _chosen(every, placed.length, spec.pitch, spacing * spec.pitch)
+            lying = _held(placed, pegs)
+            found.append((_worst(lying.offset, lying.arc_length, kept), placed, pegs, lying))
+            if found[-1][0] <= spec.most_deviation:
+                break
+    good = [one for one in found if one[0] <= spec.most_deviation]
+    touching = [(one, int((one[3].force > 0).sum())) for one in good]
+    worst, placed, pegs, lying = (
+        min(touching, key=lambda pair: pair[1])[0] if good else min(found, key=lambda one: one[0])
+    )
+    force = lying.force * _stiffness(tube)
+    some = tuple(replace(peg, force=float(f)) for peg, f in zip(pegs, force, strict=True) if f > 0)
+    return worst, placed, some, lying
+
+
+def _worst(values: Array, s: Array, kept: tuple[float, float]) -> float:
+    return float(np.abs(values[(s >= kept[0] - 1e-9) & (s <= kept[1] + 1e-9)]).max())
+
+
+def _going_on(bend: Sequence[Piece], tube: Tube, length: float) -> tuple[list[Piece], tuple[float, float]]:
+    """The bend, longer where the tube is cut off at its end, and by how much at either end, m."""
+    pieces, over = list(bend), [0.0, 0.0]
+    for end in (0, -1):
+        last = pieces[end]
+        if isinstance(last, Line) or (end == 0 and tube.straight_length > 0):
+            continue
+        turn = math.copysign(length / last.radius, last.sweep)
+        start = last.start_angle - turn if end == 0 else last.start_angle
+        pieces[end] = Arc(last.centre, last.radius, start, last.sweep + turn)
+        over[end] = length
+    return pieces, (over[0], over[1])
+
+
+def _to_be_held(tube: Tube, spec: MoldSpec, number: int) -> Tube:
+    instance("tube", tube, Tube)
+    if tube.curved_length == 0:
+        raise InputError(f"tube {number} has no curved part; it needs no mold")
+    if bend_direction(tube) is None:
+        raise InputError(f"tube {number} is a space curve; pegs hold planar bends only: it takes a mandrel")
+    held = tube_in_mold(tube, spec.springback)
+    strain, most = pressing_strain(tube, held.curvature), spec.most_strain or tube.material.superelastic_strain
+    if strain > most:
+        raise InputError(
+            f"tube {number} is strained {strain * 100:.3g} % between its pegs, beyond the {most * 100:.3g} % that "
+            f"{tube.material.name} springs back from; set it in steps, on wider curves first"
+        )
+    return held
+
+
+def _stiffness(tube: Tube) -> float:
+    """Bending stiffness (N m^2): the tube's own where it is one number, else that of its cross-section."""
+    if not tube.general and tube.bending_stiffness:
+        return float(tube.bending_stiffness)
+    return tube.material.youngs_modulus * math.pi / 64 * (tube.outer_diameter**4 - tube.inner_diameter**4)
+
+
+def _on_board(curve: Centreline, spec: MoldSpec, number: int) -> tuple[Point, Centreline]:
+    """Size of the board and the curve in its middle."""
+    low, high = bounds(curve)
+    need = [b - a + 4 * spec.pegs.pitch for a, b in zip(low, high, strict=True)]
+    if spec.pegs.board is None:
+        step = spec.pegs.pitch
+        size = math.ceil(need[0] / step) * step, math.ceil(need[1] / step) * step
+    else:
+        size = spec.pegs.board
+        if any(side < n for side, n in zip(size, need, strict=True)):
+            raise InputError(
+                f"board of the pegs is {size[0] * 1e3:g} x {size[1] * 1e3:g} mm; tube {number} with its cold ends and "
+                f"its pegs needs {need[0] * 1e3:.0f} x {need[1] * 1e3:.0f} mm"
+            )
+    return size, _moved(curve, [0.5 * (side - a - b) for side, a, b in zip(size, low, high, strict=True)])
+
+
+def _moved(curve: Centreline, shift: Sequence[float]) -> Centreline:
+    by = float(shift[0]), float(shift[1])
+    return Centreline(curve.lead_in.moved(by), tuple(p.moved(by) for p in curve.bend), curve.lead_out.moved(by))
+
+
+def _shifts(curve: Centreline, spec: PegSpec) -> list[Centreline]:
+    """The curve at places of one cell of the lattice around the middle of the board."""
+    steps = (np.arange(SHIFTS) - SHIFTS // 2) / SHIFTS
+    return [_moved(curve, (x * math.sqrt(2) * spec.pitch, y * spec.pitch / math.sqrt(2))) for x in steps for y in steps]
+
+
+def _unevenness(curve: Centreline, lattice: _Lattice, tube: Tube, spec: PegSpec) -> float:
+    """The longest stretch (m) without a hole that serves, on either side."""
+    sampled = _Sampled.of(curve, 5 * SAMPLE)
+    gaps = []
+    for side in (1, -1):
+        s = np.sort(lattice.serving(sampled, tube, spec, side)[1])
+        gaps.append(np.diff(np.concatenate([[0.0], s, [curve.length]])).max())
+    return float(max(gaps))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """The curve at many places: arc length (N,), points and unit normals to the left (N, 2)."""
+
+    s: Array
+    points: Array
+    normals: Array
+    tree: scipy.spatial.cKDTree
+
+    @classmethod
+    def of(cls, curve: Centreline, step: float = SAMPLE) -> _Sampled:
+        lengths, points, normals, begin = [], [], [], 0.0
+        for piece in curve.pieces:
+            s = np.linspace(0.0, piece.length, max(2, math.ceil(piece.length / step) + 1))
+            t = piece.tangent(s)
+            lengths.append(begin + s)
+            points.append(piece.point(s))
+            normals.append(np.column_stack([-t[:, 1], t[:, 0]]))
+            begin += piece.length
+        at = np.vstack(points)
+        return cls(np.concatenate(lengths), at, np.vstack(normals), scipy.spatial.cKDTree(at))
+
+    def seen(self, places: Array) -> tuple[Array, Array]:
+        """Arc lengths of the feet of places (..., 2), and how far to the left of the curve they lie."""
+        near = self.tree.query(places)[1]
+        away, normal = places - self.points[near], self.normals[near]
+        along = away[..., 0] * normal[..., 1] - away[..., 1] * normal[..., 0]
+        return self.s[near] + along, (away * normal).sum(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """The holes of a board.   places: (N, 2), m. names: in this order."""
+
+    places: Array
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, size: Point, spec: PegSpec) -> _Lattice:
+        """Rows half a diagonal of the lattice apart, every other one shifted by as much; as far as the margin."""
+        half, margin = spec.pitch / math.sqrt(2), 0.5 * spec.pitch + 0.5 * spec.shank
+        rows = int((size[1] - 2 * margin) / half + 1e-9) + 1
+        found, names = [], []
+        for row in range(rows):
+            first = margin + (row % 2) * half
+            count = int((size[0] - margin - first) / (2 * half) + 1e-9) + 1
+            letter = LETTERS[row % 26] if row < 26 else LETTERS[row // 26 - 1] + LETTERS[row % 26]
+            for column in range(count):
+                found.append((first + 2 * half * column, margin + half * row))
+                names.append(f"{letter}{column + 1}")
+        return cls(np.array(found), tuple(names))
+
+    @property
+    def named(self) -> dict[str, Point]:
+        """Places by names."""
+        return {name: (float(x), float(y)) for name, (x, y) in zip(self.names, self.places, strict=True)}
+
+    def serving(self, curve: _Sampled, tube: Tube, spec: PegSpec, side: int) -> tuple[NDArray[np.intp], Array]:
+        """Holes from which a pin reaches the tube from one side, and the arc lengths (m) where it does."""
+        s, left = curve.seen(self.places)
+        near = np.abs(side * left - spec.reach(tube.outer_diameter)) <= REACH * spec.eccentricity
+        inside = (s > spec.pitch) & (s < curve.s[-1] - spec.pitch)
+        chosen = np.flatnonzero(near & inside)
+        return chosen, s[chosen]
+
+    def all_pegs(self, curve: _Sampled, tube: Tube, spec: PegSpec) -> list[Peg]:
+        """One in every hole that serves, for either side."""
+        sides = {side: self.serving(curve, tube, spec, side)[0] for side in (1, -1)}
+        return [self._set(int(hole), curve, tube, spec, side) for side, holes in sides.items() for hole in holes]
+
+    def _set(self, hole: int, curve: _Sampled, tube: Tube, spec: PegSpec, side: int) -> Peg:
+        """The peg of a hole, turned in its steps to where its pin is nearest to touching the tube from outside."""
+        angles = np.arange(0.0, 2 * math.pi - 1e-9, spec.angle_step)
+        pins = self.places[hole] + spec.eccentricity * np.column_stack([np.cos(angles), np.sin(angles)])
+        s, left = curve.seen(pins)
+        room = side * left - 0.5 * (tube.outer_diameter + spec.pin)
+        best = int(np.argmin(np.where(room >= 0, room, np.inf)))
+        place, pin = (tuple(float(x) for x in p) for p in (self.places[hole], pins[best]))
+        return Peg(
+            hole=self.names[hole], place=(place[0], place[1]), pin=(pin[0], pin[1]), angle=float(angles[best]),
+            left=side > 0, arc_length=float(s[best]), room=float(room[best]),
+        )  # fmt: skip
+
+
+def _chosen(pegs: Sequence[Peg], length: float, margin: float, spacing: float) -> tuple[Peg, ...]:
+    """Of all pegs those on either side in turn, on one side about a spacing (m) apart, that leave the least room."""
+    found: dict[str, Peg] = {}
+    count = max(2, round((length - 2 * margin) / spacing) + 1)
+    for left in (True, False):
+        for k in range(count):
+            target = margin + (k + 0.5 * (not left)) * (length - 2 * margin) / count
+            some = [p for p in pegs if p.left == left and p.hole not in found and abs(p.arc_length - target) <= spacing]
+            if some:
+                best = min(some, key=lambda p: abs(p.arc_length - target) / spacing + p.room / ROOM)
+                found[best.hole] = best
+    return tuple(sorted(found.values(), key=lambda peg: peg.arc_length))
+
+
+def _held(curve: Centreline, pegs: Sequence[Peg]) -> Held:
+    kappa = [math.copysign(1 / piece.radius, piece.sweep) if isinstance(piece, Arc) else 0.0 for piece in curve.pieces]
+    return held_between(
+        np.array([piece.length for piece in curve.pieces]),
+        np.array(kappa),
+        np.array([peg.arc_length for peg in pegs]),
+        np.array([1.0 if peg.left else -1.0 for peg in pegs]),
+        np.array([peg.room for peg in pegs]),
+    )
+
+
+def _remarks(spec: MoldSpec, worst: float, heat: PegHeat) -> tuple[str, ...]:
+    found = []
+    if worst > spec.pegs.most_deviation:
+        found.append(
+            f"between its pegs the tube leaves its curve by {1e3 * worst:.3f} mm, more than the "
+            f"{1e3 * spec.pegs.most_deviation:g} mm asked for: a smaller pitch, or steps of the angle, would help"
+        )
+    dip = float(heat.dip.max(initial=0.0))
+    if dip > spec.heat.tolerance:
+        found.append(
+            f"heated by its own current, the tube is up to {dip:.0f} K colder at its pegs, more than the tolerance of "
+            f"{spec.heat.tolerance:g} K: set it in a furnace, pegs and board with it, or take pins that conduct less"
+        )
+    if not spec.springback.calibrated:
+        found.append("no spring-back is given: the tube will come out straighter than it is to be")
+    return tuple(found)

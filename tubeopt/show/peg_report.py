@@ -1,0 +1,79 @@
+"""What is said and saved about the pegs that hold a tube."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from rich.console import Group
+
+from ..shaping.mold.peg_files import write_pegs
+from ..shaping.mold.pegs import Peg, PegBoard
+from .quantities import Quantity
+from .report import Drawing, Report, drawing, grid, remarks, report, two_columns
+
+PEG: tuple[Quantity[Peg], ...] = (
+    Quantity("hole", "row from below by letter, place in the row from the left"),
+    Quantity("angle_deg", "at which its pin is set, from x", form=".4g"),
+    Quantity("left", "whether it stands to the left of the tube"),
+    Quantity("pin_mm", "where its pin stands", form=".3f"),
+    Quantity("arc_length_mm", "of the tube beside it, from the proximal clamp", form=".2f"),
+    Quantity("room_um", "between it and a tube that lay on its curve", form=".1f"),
+    Quantity("force_N", "with which it pushes while the tube is cold", form=".2f"),
+)
+
+PEGS: tuple[Quantity[PegBoard], ...] = (
+    Quantity("tube", "which tube of the robot, from 1", lambda b: b.number),
+    Quantity("board_mm", "board", lambda b: b.size, form=".4g"),
+    Quantity("holes", "holes, drilled once", lambda b: len(b.holes)),
+    Quantity("free_length_mm", "tube between the clamps", form=".4g"),
+    Quantity("cold_length_mm", "cold end from the clamp", lambda b: b.cold.length, form=".4g"),
+    Quantity("deviation_mm", "tube off its curve, at most", form=".3f"),
+    Quantity("heading_deviation_deg", "its heading off, at most", form=".2f"),
+    Quantity("dip_K", "colder at a peg, at most", lambda b: b.heat.dip.max(initial=0.0), form=".0f"),
+    Quantity("drawn_W", "heat into all pegs", lambda b: b.heat.drawn.sum(), words="{drawn_W:.2f} W"),
+    Quantity("lost_W", "heat of the tube into air", lambda b: b.heat.loss * b.free_length, words="{lost_W:.1f} W"),
+    Quantity("pegs", "along the tube", lambda b: list(b.pegs), of=PEG),
+    Quantity("remarks", "what to beware of", lambda b: list(b.remarks)),
+)
+
+
+@report.register(PegBoard)
+class PegReport(Report[PegBoard]):
+    """What is said and saved about the pegs for one tube of a robot."""
+
+    command = "mold pegs"
+    quantities = PEGS
+    file = "pegs.json"
+
+    def title(self) -> str:
+        """Which tube."""
+        return f"{len(self.answer.pegs)} pegs for tube {self.answer.number}"
+
+    def table(self) -> Group:
+        """The numbers, where every peg goes, then the remarks."""
+        heads = ("hole", "angle", "side", "along mm", "push N", "colder K")
+        rows = [
+            (
+                peg.hole,
+                f"{math.degrees(peg.angle):g} deg",
+                "left" if peg.left else "right",
+                f"{peg.arc_length * 1e3:.1f}",
+                f"{peg.force:.2f}",
+                f"{dip:.0f}",
+            )
+            for peg, dip in zip(self.answer.pegs, self.answer.heat.dip, strict=True)
+        ]
+        return Group(
+            two_columns(self.title(), self.rows()), grid(heads, rows), *remarks(self.answer.remarks, what="remark")
+        )
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write pegs.json, pegs.csv, board.dxf, board.svg and the board's programs."""
+        return [self.save_record(directory), *write_pegs(self.answer, directory)]
+
+    def pictures(self) -> dict[str, Drawing]:
+        """The board from above, and how far the tube is off its curve."""
+        from .plots.pegs import plot_pegs
+
+        return {"pegs": drawing(plot_pegs, self.answer)}

@@ -1,0 +1,109 @@
+"""Pegs on their board from above; beside them, along the tube: how far it is off its curve, and how much colder."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...files.units import TO_MM
+from ...shaping.mold.pegs import PegBoard
+from ...typing import Array
+from .style import INK, new_figure, picture, tube_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DISK = "#D9D4C5"
+
+
+@picture
+def plot_pegs(board: PegBoard, *, title: str = "") -> Figure:
+    """The board with its pegs, the tube's deviation and temperature.
+
+    Args:
+        board: what to draw.
+    """
+    width, height = board.size
+    figure = new_figure(8.6, 2.9 + 8.0 * min(height / width, 0.7))
+    rows = figure.add_gridspec(2, 2, height_ratios=[8.0 * min(height / width, 0.7), 1.7])
+    _draw_board(figure.add_subplot(rows[0, :]), board)
+    off, cold = figure.add_subplot(rows[1, 0]), figure.add_subplot(rows[1, 1])
+    colour, s = tube_colour(board.number - 1), board.held.arc_length * TO_MM
+    off.plot(s, board.held.offset * 1e6, color=colour, lw=1.2)
+    off.set_ylabel("off its curve (µm)")
+    cold.plot(s, _colder(board), color=colour, lw=1.2)
+    cold.axhline(board.spec.heat.tolerance, color=INK, lw=0.8, ls=(0, (4, 2)), label="tolerance")
+    cold.legend(loc="best")
+    cold.set_ylabel("colder by (K)")
+    for axes in (off, cold):
+        axes.set_xlabel("along the tube, from the proximal clamp (mm)")
+        axes.axvspan(*(x * TO_MM for x in board.kept), color=DISK, alpha=0.35, lw=0)
+        for peg in board.pegs:
+            axes.axvline(peg.arc_length * TO_MM, color=INK, lw=0.5, alpha=0.4)
+    figure.suptitle(
+        f"{title or f'{len(board.pegs)} pegs for tube {board.number}'}: within {board.deviation * 1e6:.0f} µm and "
+        f"{math.degrees(board.heading_deviation):.2f}° of its curve as far as it is kept (shaded below)",
+        x=0.02, ha="left", fontsize=9,
+    )  # fmt: skip
+    return figure
+
+
+def _colder(board: PegBoard) -> Array:
+    """(N,) K by which the tube is colder along itself: a fin with sinks at the pegs."""
+    s = board.held.arc_length
+    places = np.array([peg.arc_length for peg in board.pegs])
+    spots = np.exp(-np.abs(s[:, None] - places) / board.heat.decay_length)
+    fin = board.heat.loss / board.spec.heat.rise
+    return np.asarray(spots @ board.heat.drawn / (2 * fin * board.heat.decay_length))
+
+
+def _draw_board(axes: Axes, board: PegBoard) -> None:
+    from matplotlib.patches import Circle
+
+    spec = board.spec.pegs
+    width, height = (side * TO_MM for side in board.size)
+    axes.plot([0, width, width, 0, 0], [0, 0, height, height, 0], color=INK, lw=0.8)
+    places = np.array(list(board.holes.values())) * TO_MM
+    for x, y in places:
+        axes.add_patch(Circle((x, y), 0.5 * spec.shank * TO_MM, fc="white", ec=INK, lw=0.3, alpha=0.6))
+    points = board.centreline.sample(0.5e-3) * TO_MM
+    axes.plot(*points.T, color=tube_colour(board.number - 1), lw=1.6, zorder=3)
+    for peg in board.pegs:
+        x, y = (c * TO_MM for c in peg.place)
+        px, py = (c * TO_MM for c in peg.pin)
+        disk = (spec.eccentricity + 0.5 * spec.pin) * TO_MM
+        axes.add_patch(Circle((x, y), disk, fc=DISK, ec=INK, lw=0.6, zorder=2))
+        axes.add_patch(Circle((px, py), 0.5 * spec.pin * TO_MM, fc=INK, lw=0, zorder=4))
+        # The name stands on the side away from the tube.
+        at = np.array([x, y]) + (disk + 3.2) * _outwards(board, peg.arc_length, left=peg.left)
+        words = f"{peg.hole}, {math.degrees(peg.angle):g}°"
+        axes.text(float(at[0]), float(at[1]), words, ha="center", va="center", fontsize=6.5, zorder=5)
+    for name, end in (("proximal", 0), ("distal", -1)):
+        axes.text(
+            float(points[end, 0]),
+            float(points[end, 1]),
+            name,
+            fontsize=6.5,
+            color=INK,
+            ha="left" if end == 0 else "right",
+            va="bottom",
+        )
+    axes.set_aspect("equal")
+    axes.set_xlim(-2, width + 2)
+    axes.set_ylim(-2, height + 2)
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+
+
+def _outwards(board: PegBoard, s: float, *, left: bool) -> Array:
+    """Unit vector from the tube to one side, at an arc length (m)."""
+    begin = 0.0
+    for piece in board.centreline.pieces:
+        if s <= begin + piece.length:
+            break
+        begin += piece.length
+    t = piece.tangent(np.array([s - begin]))[0]
+    return np.array([-t[1], t[0]]) * (1 if left else -1)
