@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,12 @@ def test_keys_sticks_and_caps_mean_a_velocity() -> None:
     np.testing.assert_allclose(json.loads(done.stdout), [case[2] for case in cases], atol=1e-12)
 
 
+def attend(hands: Hands, messages: AsyncIterator[str | bytes]) -> None:
+    """In a thread of its own: in this one the browser's tests keep a loop running."""
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, hands.attend(messages)).result()
+
+
 def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out() -> None:
     hands, told = Hands(), list[Array]()
     word = hands.admit(told.append)
@@ -74,14 +81,14 @@ def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out()
         for each in (*bad, json.dumps({"tab": "guessed", "velocity": [1, 0, 0]}), good):
             yield each
 
-    asyncio.run(hands.attend(messages()))
+    attend(hands, messages())
     assert len(told) == 1
     np.testing.assert_allclose(told[0], [0, 0.6, 0.8])  # no faster than the greatest speed
     for each in bad:
         with pytest.raises(InputError):
             read(each)
     hands.dismiss(word)
-    asyncio.run(hands.attend(messages()))
+    attend(hands, messages())
     assert len(told) == 1
 
 
