@@ -147,9 +147,12 @@ def forward_kinematics(  # noqa: PLR0913
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
-        quick = _compiled(robot, alpha, shift, guess, began)
-        if quick is not None and _error(quick) <= tolerance:
-            return verify_equilibrium(quick) if verify else quick
+        for refinement in (0, 1):
+            quick = _compiled(robot, alpha, shift, guess, (began, refinement))
+            if quick is None:
+                break
+            if _error(quick) <= tolerance:
+                return verify_equilibrium(quick) if verify else quick
     if guess is None:
         solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, by)
     else:
@@ -224,9 +227,10 @@ def measure(robot: Robot, length: ArrayLike) -> Array:
 
 
 def _compiled(
-    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, began: float
+    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, how: tuple[float, int]
 ) -> Equilibrium | None:
-    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines."""
+    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
+    `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
     if any(len(tubes) > 1 for tubes in robot.moving_together):
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
@@ -236,13 +240,13 @@ def _compiled(
             return None
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
-    answer = solve_compiled(robot, rotations, translations, start)
+    answer = solve_compiled(robot, rotations, translations, start, how[1])
     if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
         return None
     if answer["largest_change"] > (LARGEST_TWIST if guess is None else largest_twist(guess.margin)):
         return None
-    how = "tubes without torsion" if start is None else "guess"
-    return from_compiled(robot, rotations, shift, answer, (how, began))
+    begin = "tubes without torsion" if start is None else "guess"
+    return from_compiled(robot, rotations, shift, answer, (begin, *how))
 
 
 @lru_cache(maxsize=256)
@@ -351,7 +355,7 @@ def one_step(
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     began = time.perf_counter()
-    quick = _compiled(robot, rotations, translations, guess, began)
+    quick = _compiled(robot, rotations, translations, guess, (began, 0))
     if quick is None:
         solution = _near(robot, guess, rotations, translations, DEFAULT_DISCRETISATION)
         if solution is None:

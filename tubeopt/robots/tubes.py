@@ -208,7 +208,7 @@ def must_follow_section(tubes: Iterable[Tube], what: str) -> None:
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
     """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
     own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-    chain = tube.pieces or (Piece(tube.curved_length, tube.curvature),) * (tube.curved_length > 0)
+    chain = tube.pieces or ((Piece(tube.curved_length, tube.curvature),) if tube.curved_length > 0 else ())
     out: list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]] = []
     if tube.straight_length > 0:
         out.append((tube.straight_length, (0.0, 0.0, 0.0), *own))
