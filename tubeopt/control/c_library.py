@@ -113,6 +113,8 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         '#include "tubeopt_robot.h"\n\n',
         "/* CasADi writes for every function more than is used here. */\n",
         '#pragma GCC diagnostic ignored "-Wunused-function"\n#pragma GCC diagnostic ignored "-Wunused-parameter"\n',
+        # Vectors are handed on between functions of this file alone.
+        '#if !defined(__clang__)\n#pragma GCC diagnostic ignored "-Wpsabi"\n#endif\n',
         "#define CASADI_SYMBOL_EXPORT static\n",
         kernel_text(robot.n_tubes, home.eccentric, home.general),
         _data(robot, space),
@@ -172,7 +174,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
     if pieces:
-        entries = [*map(str, piece_sizes(pieces)), *(f"PIECES_{name}" for name in pieces)]
+        entries = [*map(str, piece_sizes(pieces)), *(f"PIECES_{name}" for name in pieces), "0"]  # no refinement
         lines += [f"static const Pieces PIECES = {{{', '.join(entries)}}};"]
     lines += [f"static const Tubes ROBOT = {tubes_text(robot)};"]
     lines += [

@@ -72,7 +72,7 @@ class Guard:
             if there is None or there.margin < floor:
                 continue
             posture = Posture(self.space, q, there)
-            if self.scene.bodies and self._missing(posture) > max(0.0, self._missing(here)):
+            if self.scene.bodies and (missing := self._missing(posture)) > 0 and missing > self._missing(here):
                 continue
             self.here = posture
             return there, why | (Why.SHORTENED if halving else Why(0))
