@@ -88,10 +88,7 @@ def test_what_makes_no_sense(run: Run) -> None:
     assert refused(run("fk", THESIS, "--tip-force-mN", "1,2")) == [
         "--tip-force-mN has 2 items; it must have at least 3"
     ]
-    assert (
-        "under load it must be 'newton'"
-        in refused(run("fk", THESIS, "--tip-force-mN", "1,2,3", "--method", "ipopt"))[0]
-    )
+    assert "it must be 'newton'" in refused(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--method", "ipopt"))[0]
     lost = run("fk", THESIS, "--tip-force-mN", "0,1500,-1500")
     assert lost.code == 3
     assert "bifurcates at 7.135 % of the load" in lost.err
@@ -123,6 +120,13 @@ def test_how_much_the_robot_bears(run: Run, tmp_path: Path) -> None:
     assert (tmp_path / "load_limit.png").exists()
     assert answer(run(*asked, "--tip-force-mN", "1,0,0", "--up-to", "2"))["limit"] is None
     assert "no load is given" in refused(run(*asked[:-1]))[0]
+
+
+def test_how_hard_the_robot_can_push(run: Run) -> None:
+    told = answer(run("load-limit", THESIS, "--axial", "--json"))
+    assert told["limit"]["factor"] == pytest.approx(124.6476536, abs=1e-6)
+    assert told["load"].endswith("mN at the tip")
+    assert "axial is given beside a load" in refused(run("load-limit", THESIS, "--axial", "--tip-force-mN", "1,0,0"))[0]
 
 
 def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:

@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.examples import DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
-from tubeopt import EccentricRobot, find_snap, forward_kinematics, verify_trajectory
+from tests.examples import CONFIGS, DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
+from tubeopt import EccentricRobot, find_snap, forward_kinematics, load_robot, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.outline import Outline
 from tubeopt.planning.branch import branch
 from tubeopt.planning.sections import Arms, Constants, Intervals
@@ -238,3 +239,11 @@ def test_what_cannot_be_bounded_is_given_up_soon() -> None:
     assert proof.snap is None
     assert "nothing shows that one stable branch" in proof.faults[0]
     assert proof.equilibria < 50
+
+
+def test_a_tube_without_a_curved_part_is_followed() -> None:
+    robot = load_robot(CONFIGS / "straight_sheath_ctr.yaml")
+    space = joint_space(robot)
+    rotations, translations = space.split(space.inside())
+    proof = verify_trajectory(robot, [0.0, 1.0], [rotations, rotations + 0.2], [translations, translations])
+    assert proof.holds

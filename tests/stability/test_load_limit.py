@@ -19,6 +19,7 @@ from tubeopt import (
     find_equilibria,
     find_load_limit,
     find_snap,
+    find_stroke_force,
     follow,
     forward_kinematics,
     forward_kinematics_batch,
@@ -293,3 +294,24 @@ def test_no_force_moves_the_arm_farther_than_bounded() -> None:
     assert deflection_bound(robot, shift, max_force=0.0)[0] == 0
     with pytest.raises(InputError, match="points must lie on the arm"):
         deflection_bound(robot, shift, max_force=0.01, arc_length=[1.0])
+
+
+def test_the_stroke_force_of_a_column_is_eulers() -> None:
+    limit = find_stroke_force(rod(0.2, 1e-3), [0.7])
+    assert limit is not None
+    assert limit.kind == "bifurcation"
+    assert limit.factor == pytest.approx(UNIT * np.pi**2 / 4, rel=1e-8)
+    assert find_stroke_force(rod(0.2, 1e-3), [0.7], up_to=0.9 * UNIT * np.pi**2 / 4) is None
+
+
+def test_the_stroke_force_of_a_curved_arm_is_a_load_limit() -> None:
+    limit, home = find_stroke_force(THESIS, (0, 0, 0)), forward_kinematics(THESIS, (0, 0, 0))
+    push = Load(tuple(-0.1 * home.tip_rotation[:, 2]))  # type: ignore[arg-type]
+    same = find_load_limit(THESIS, (0, 0, 0), None, push)
+    assert limit is not None
+    assert same is not None
+    assert limit.factor == pytest.approx(0.1 * same.factor, rel=1e-7)
+    assert limit.before.load is not None
+    assert np.linalg.norm(limit.before.load.force) == pytest.approx(limit.factor, rel=1e-9)
+    with pytest.raises(InputError, match="it must be unloaded and stable"):
+        find_stroke_force(THESIS, (0, 0, 0), equilibrium=limit.before)

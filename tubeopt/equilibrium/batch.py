@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
 from ..typing import Array, Mask
 from .kinematics import check_turn, forward_kinematics, measure
@@ -191,17 +191,13 @@ def _solve_rows(
     robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float
 ) -> list[tuple[int, str]]:
     """Solve some rows into `table`; returns those without a stable equilibrium, with the reason."""
-    solved = solve_many_compiled(robot, alpha[rows], shift[rows])
-    left: NDArray[np.intp]
-    if solved is None:
-        left = np.arange(rows.start, rows.stop)
-    else:
-        found, declined = solved
-        length = measure(robot, _lengths(robot, shift[rows]))
-        n = robot.n_tubes
-        coarse = np.maximum(found[:, n + 14], found[:, n + 15] / length) > tolerance
-        table[rows] = found
-        left = rows.start + np.flatnonzero(declined | coarse)
+    left: NDArray[np.intp] = np.arange(rows.start, rows.stop)
+    for refinement in range(1 + is_general(robot)):
+        solved = solve_many_compiled(robot, alpha[left], shift[left], None, refinement) if len(left) else None
+        if solved is None:
+            break
+        table[left] = solved[0]
+        left = left[solved[1] | ~_fine(robot, shift[left], solved[0], tolerance)]
     failures = []
     for row in left.tolist():
         try:
@@ -210,6 +206,12 @@ def _solve_rows(
             table[row] = np.nan
             failures.append((row, str(error)))
     return failures
+
+
+def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
+    """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
+    length, n = measure(robot, _lengths(robot, shift)), robot.n_tubes
+    return np.asarray(np.maximum(found[:, n + 14], found[:, n + 15] / length) <= tolerance)
 
 
 def _solve_loaded(

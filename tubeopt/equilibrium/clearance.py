@@ -111,6 +111,7 @@ def clearance_correction(
         InputError: an eccentric robot, or clearances that are negative, not finite, or for another number of tubes.
 
     Examples:
+        >>> import numpy as np
         >>> import tubeopt
         >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
         >>> pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])

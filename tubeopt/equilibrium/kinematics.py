@@ -32,7 +32,7 @@ from .continuation import (
     largest_twist,
 )
 from .load_problem import check_load
-from .loaded import loaded_kinematics
+from .loaded import loaded_kinematics, solved_by_ipopt
 from .result import Equilibrium, Status
 from .solving import (
     DEFAULT_DISCRETISATION,
@@ -107,7 +107,8 @@ def forward_kinematics(  # noqa: PLR0913
             grows with the load; with one, the branch of the guess is followed to these joint values and this load.
         method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
             nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
-            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`.
+            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are one: least
+            potential energy, with the orientation of the arm as constraints, from what "newton" finds.
         tolerance: wanted accuracy of theta(s), rad, and of the tip as a fraction of the length of the arm, with tubes
             made of pieces of 10 mm; the mesh is refined until the estimate is below.
         verify: also re-integrate adaptively and report the difference in `.verification`.
@@ -115,7 +116,8 @@ def forward_kinematics(  # noqa: PLR0913
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube out of its
-            actuator, unknown method; a load on an eccentric robot, or with another method, `verify` or discretisation.
+            actuator, unknown method; a load on an eccentric robot, with `verify` or a discretisation, or with IPOPT
+            where it has no energy.
         SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
             or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
             out of reach; `.solution` holds the best equilibrium found, where there is one.
@@ -138,15 +140,19 @@ def forward_kinematics(  # noqa: PLR0913
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     if load is not None:
         check_load(robot, load, shift)
-        _only_plain(by, verify, discretisation)
+        _only_plain(by, load, verify, discretisation)
         first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        return loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
+        found = loaded_kinematics(robot, first, (alpha, shift), load, tolerance, began)
+        return found if by is NAMED["newton"] else solved_by_ipopt(found, by.name, by.ipopt, began)
     if guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
-        quick = _compiled(robot, alpha, shift, guess, began)
-        if quick is not None and _error(quick) <= tolerance:
-            return verify_equilibrium(quick) if verify else quick
+        for refinement in (0, 1):
+            quick = _compiled(robot, alpha, shift, guess, (began, refinement))
+            if quick is None:
+                break
+            if _error(quick) <= tolerance:
+                return verify_equilibrium(quick) if verify else quick
     if guess is None:
         solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, by)
     else:
@@ -157,10 +163,15 @@ def forward_kinematics(  # noqa: PLR0913
     return verify_equilibrium(equilibrium) if verify else equilibrium
 
 
-def _only_plain(by: Method, verify: bool, discretisation: Discretisation) -> None:
+def _only_plain(by: Method, load: Load, verify: bool, discretisation: Discretisation) -> None:
     """Raise InputError for what there is not under load."""
-    if by is not NAMED["newton"]:
-        raise InputError(f"method is {by.name!r} or has settings of its own; under load it must be 'newton'")
+    if by.name == "newton" and by is not NAMED["newton"]:
+        raise InputError("method has settings of Newton's method; under load they are chosen for you")
+    if by.name != "newton" and not load.has_energy:
+        raise InputError(
+            f"method is {by.name!r}; under a moment or a force that turns with the tip, which have no energy to be "
+            "made least, it must be 'newton'"
+        )
     if verify:
         raise InputError("verify is set; an equilibrium under load is not re-integrated, its own error estimate stands")
     if discretisation != DEFAULT_DISCRETISATION:
@@ -216,9 +227,10 @@ def measure(robot: Robot, length: ArrayLike) -> Array:
 
 
 def _compiled(
-    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, began: float
+    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, how: tuple[float, int]
 ) -> Equilibrium | None:
-    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines."""
+    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
+    `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
     if any(len(tubes) > 1 for tubes in robot.moving_together):
         _check_translations(robot, shift)
     start, translations = None, np.array(shift)
@@ -228,13 +240,13 @@ def _compiled(
             return None
         arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
         start = Start(*arm, turn, guess.translations)
-    answer = solve_compiled(robot, rotations, translations, start)
+    answer = solve_compiled(robot, rotations, translations, start, how[1])
     if answer is None or (answer["contraction"] > LARGEST_RATIO and start is not None):
         return None
     if answer["largest_change"] > (LARGEST_TWIST if guess is None else largest_twist(guess.margin)):
         return None
-    how = "tubes without torsion" if start is None else "guess"
-    return from_compiled(robot, rotations, shift, answer, (how, began))
+    begin = "tubes without torsion" if start is None else "guess"
+    return from_compiled(robot, rotations, shift, answer, (begin, *how))
 
 
 @lru_cache(maxsize=256)
@@ -343,7 +355,7 @@ def one_step(
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     began = time.perf_counter()
-    quick = _compiled(robot, rotations, translations, guess, began)
+    quick = _compiled(robot, rotations, translations, guess, (began, 0))
     if quick is None:
         solution = _near(robot, guess, rotations, translations, DEFAULT_DISCRETISATION)
         if solution is None:

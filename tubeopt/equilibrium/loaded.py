@@ -16,6 +16,8 @@ from ..robots.robot import Robot
 from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
+from ..solvers.loaded_ipopt import solve_loaded_ipopt
+from ..solvers.settings import Ipopt
 from ..typing import Array, Mask
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
 from .load_answer import from_answer, mesh_errors, to_loaded
@@ -161,6 +163,15 @@ def loaded_kinematics(
         else:
             point = _along(JointFamily(JointPath(robot, own, there, d), load, start.load), start)
     return to_tolerance(robot, point, load, d, tolerance, (word, began))
+
+
+def solved_by_ipopt(found: Equilibrium, method: str, settings: Ipopt | None, began: float) -> Equilibrium:
+    """A loaded equilibrium solved once more, by IPOPT; raises SolveError where that fails."""
+    assert found.load is not None
+    point, d = loaded_point(found), discretisation_of(found)
+    result = solve_loaded_ipopt(point.member.problem, found.rotations, point.state, settings)
+    again = to_loaded(found.robot, solved(point.member, result), found.load, d, ("newton", began))
+    return replace(again, statistics=replace(again.statistics, method=method))
 
 
 def compiled(

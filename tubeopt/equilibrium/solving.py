@@ -124,12 +124,13 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
 
 
 def from_compiled(
-    robot: Robot, rotations: Array, translations: tuple[float, ...], answer: dict[str, Any], how: tuple[str, float]
+    robot: Robot, rotations: Array, translations: tuple[float, ...], answer: dict[str, Any], how: tuple[str, float, int]
 ) -> Equilibrium:
-    """The equilibrium that the compiled kernel found; `how` is its start, and when (s) the solve began."""
+    """The equilibrium that the compiled kernel found; `how` is its start, when (s) the solve began, and how often the
+    pieces of the mesh were halved."""
     m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
     position, frame = answer["position"][:m].copy(), answer["frame"][:m].copy()
-    start, began = how
+    start, began, refinement = how
     return Equilibrium(
         robot=robot,
         rotations=rotations,
@@ -161,6 +162,7 @@ def from_compiled(
             degree=DEFAULT_DISCRETISATION.degree,
             start=start,
             seconds=time.perf_counter() - began,
+            refinement=refinement,
         ),
     )
 

@@ -23,7 +23,7 @@ SHARE_OF_SMOOTHING = 0.5
 """Share of the time that is left which smoothing may take: the proof needs the rest."""
 
 ROUNDING, SHARE_OF_ROUNDING = 5.0, 0.3
-"""Most seconds, and share of the time that smoothing leaves, of rounding the corners of the way as it is."""
+"""Most seconds of work, and share of the time that smoothing leaves, of rounding the corners of the way as it is."""
 
 SHORT, SAME = 1e-9, 2e-3
 """Length of a way (joints' scales) on which nothing is smoothed; share by which lengths and durations may differ that
@@ -59,7 +59,7 @@ def motions_near(
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(ROUNDING, SHARE_OF_ROUNDING * clock.left), clock)
+        rest = Clock(min(ROUNDING * clock.crowding, SHARE_OF_ROUNDING * clock.left), clock)
         if len(curves) > 1 and (corners := _rounded(task, first, np.concatenate(curves), limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
         if aim == "time":

@@ -208,7 +208,7 @@ def must_follow_section(tubes: Iterable[Tube], what: str) -> None:
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
     """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
     own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-    chain = tube.pieces or (Piece(tube.curved_length, tube.curvature),) * (tube.curved_length > 0)
+    chain = tube.pieces or ((Piece(tube.curved_length, tube.curvature),) if tube.curved_length > 0 else ())
     out: list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]] = []
     if tube.straight_length > 0:
         out.append((tube.straight_length, (0.0, 0.0, 0.0), *own))
@@ -217,3 +217,13 @@ def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantit
         bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
         out.append((piece.length, piece.precurvature, bending, torsional))
     return out
+
+
+def mass_per_length(tube: Tube) -> float | None:
+    """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
+    if tube.mass_per_length is not None:
+        return tube.mass_per_length
+    thermal = tube.material.thermal
+    if thermal is None:
+        return None
+    return thermal.density * math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Literal, Self
 
@@ -10,17 +10,21 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
 from ..files.units import MM, to_si
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability import LoadLimit, find_load_limit, follow
+from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
 from ..typing import Array
 from ..validation import ForceRecord, estimate_forces
 from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radians
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
+
+PUSH = 1e-3
+"""N that a robot whose stroke force is asked pushes with, so that times are mN."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +51,18 @@ class LoadLimitStudy(LoadedStudy):
     from_deg: OnePerTube | None = Field(
         None, description="rotations from which the robot is turned there, unloaded; by default it starts there"
     )
-    up_to: Positive = Field(Decimal(10), description="most times the load that is looked at")
+    axial: bool = Field(
+        False,
+        description="the load is 1 mN against the tip, which pushes along itself: the stroke force",
+    )
+    up_to: Positive = Field(Decimal(10), description="most times the load that is looked at; with axial, N")
 
     @model_validator(mode="after")
     def _pushed(self) -> Self:
-        if self.pushing() is None:
-            raise ValueError("no load is given; give tip_force_mN, gravity_m_per_s2 or load")
+        if self.pushing() is None and not self.axial:
+            raise ValueError("no load is given; give tip_force_mN, gravity_m_per_s2, load or axial")
+        if self.pushing() is not None and self.axial:
+            raise ValueError("axial is given beside a load; it is one")
         return self
 
     def run(self, progress: Progress | None = None) -> Bearing:
@@ -62,13 +72,18 @@ class LoadLimitStudy(LoadedStudy):
         rotations = radians(self.rotations_deg, np.zeros(self.robot.n_tubes))
         translations = metres(self.translations_mm, self.robot.home_translations)
         load, up_to = self.pushing(), float(self.up_to)
-        assert load is not None
         start = None
         if self.from_deg is not None:
             way = [radians(self.from_deg, rotations), rotations]
             start = follow(self.robot, way, [translations, translations]).equilibria[-1]
-        found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)
-        return Bearing(self.robot, rotations, translations, load, found, up_to)
+        if load is not None:
+            found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)
+            return Bearing(self.robot, rotations, translations, load, found, up_to)
+        start = start or forward_kinematics(self.robot, rotations, translations)
+        found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
+        x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
+        limit = None if found is None else replace(found, factor=found.factor / PUSH)
+        return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)
 
 
 class ForceStudy(LoadedStudy):

@@ -11,6 +11,7 @@ from .judging import judge
 from .load_limit import LoadLimit, find_load_limit
 from .maps import EnergyMap, StabilityMap, energy_map, stability_map
 from .snapping import find_snap
+from .stroke import find_stroke_force
 from .verdict import ASSUMING, Finding, Verdict
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
@@ -35,6 +36,7 @@ __all__ = [
     "find_equilibria",
     "find_load_limit",
     "find_snap",
+    "find_stroke_force",
     "follow",
     "friction_band",
     "judge",

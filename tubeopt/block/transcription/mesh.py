@@ -22,7 +22,8 @@ BEND_PER_PIECE = 1.0
 
 
 TWIST_PER_PIECE = 0.75
-"""Largest natural twist (rad) of a tube along a piece: it turns the curvature of the arm in the Bishop frame."""
+"""Largest natural twist (rad) of a tube along a piece, and of two against each other: it turns the curvature of the arm
+in the Bishop frame, and how they pull at each other."""
 
 DETAIL_PER_PIECE = 4.0
 """Largest polynomial degree of precurvature and stiffness along a piece."""
@@ -81,8 +82,10 @@ def _needs(assembly: Assembly) -> tuple[Array, Array, Array]:
     each = np.maximum(
         there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
     )
-    finest = each.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
-    return rate, steepest, finest * assembly.length
+    # How fast bends turn against one another.
+    turning = np.where(bent, here.twist, -np.inf).max(1, initial=-np.inf) - np.where(bent, here.twist, np.inf).min(1)
+    finest = np.maximum(each.max(1, initial=0.0), np.maximum(turning, 0.0) / TWIST_PER_PIECE)
+    return rate, steepest, finest.reshape(-1, count).max(1, initial=0.0) * assembly.length
 
 
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:

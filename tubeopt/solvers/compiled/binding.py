@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...robots.lengthwise import Lengthwise
-from ...robots.robot import Robot
+from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
 from .library import MOST_TUBES, Library, library
 
@@ -74,6 +74,7 @@ class _Pieces(ctypes.Structure):
         *((name, ctypes.c_longlong) for name in ("most", "width", "most_cuts")),
         *((name, ctypes.c_void_p) for name in ("breaks", "coefficients", "count", "direction", "bent", "detail")),
         *((name, ctypes.c_void_p) for name in ("twist", "compliance", "cuts")),
+        ("refinement", ctypes.c_longlong),
     )
 
 
@@ -97,7 +98,7 @@ def piece_tables(table: Lengthwise) -> dict[str, Array]:
         row[: len(own)] = own
     arrays = [table.breaks, lanes, count, direction, table.bent.astype(float), table.detail, table.twist]
     arrays += [table.compliance[:, :-1], cuts]
-    names = [field[0] for field in _Pieces._fields_[3:]]
+    names = [field[0] for field in _Pieces._fields_[3:-1]]
     return {name: np.ascontiguousarray(array) for name, array in zip(names, arrays, strict=True)}
 
 
@@ -106,21 +107,21 @@ def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
     return tables["coefficients"].shape[1], tables["coefficients"].shape[2], tables["cuts"].shape[1]
 
 
-def _pieces(table: Lengthwise) -> Any:
+def _pieces(table: Lengthwise, refinement: int) -> Any:
     """The C struct Pieces."""
     tables = piece_tables(table)
-    out: Any = _Pieces(*piece_sizes(tables), *(_at(array) for array in tables.values()))
+    out: Any = _Pieces(*piece_sizes(tables), *(_at(array) for array in tables.values()), refinement)
     out.keep = tables  # the structure points into them
     return out
 
 
-def _general_tubes(robot: Robot, table: Lengthwise) -> tuple[Array, Any]:
+def _general_tubes(robot: Robot, table: Lengthwise, refinement: int) -> tuple[Array, Any]:
     """The C struct Tubes of a robot with tubes made of pieces, and what it points to."""
     straight = [tube.straight_length for tube in robot.tubes]
     whole = [tube.length for tube in robot.tubes]
     none = [0.0] * robot.n_tubes
     out = np.concatenate([none, none, none, straight, whole, none, none, [0.0, 0.0]])
-    pieces = _pieces(table)
+    pieces = _pieces(table, refinement)
     out[-1:].view(np.int64)[0] = ctypes.addressof(pieces)
     return out, pieces
 
@@ -146,16 +147,16 @@ def kernel_of(robot: Robot) -> Library | None:
 
 
 @lru_cache(maxsize=64)
-def _prepared(robot: Robot) -> tuple[Library, Any, int] | None:
-    """Kernel of a robot, its tubes, and where these are; None where there is no kernel."""
+def _prepared(robot: Robot, refinement: int = 0) -> tuple[Library, Any, int] | None:
+    """Kernel of a robot, its tubes, and where these are; None where there is no kernel, or none for a refined mesh."""
     kernel = kernel_of(robot)
-    if kernel is None:
+    if kernel is None or (refinement and not is_general(robot)):
         return None
     table, kept = robot.assembly(robot.home_translations).lengthwise, None
     if table is None:
         tubes = _tubes(robot)
     else:
-        tubes, kept = _general_tubes(robot, table)
+        tubes, kept = _general_tubes(robot, table, refinement)
     return kernel, (tubes, kept), _at(tubes)
 
 
@@ -181,13 +182,13 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
 
 
 def solve_compiled(
-    robot: Robot, rotations: Array, translations: Array, start: Start | None = None
+    robot: Robot, rotations: Array, translations: Array, start: Start | None = None, refinement: int = 0
 ) -> dict[str, Any] | None:
     """The stable equilibrium at joint values (n,), as the fields of the C struct Answer; overwritten by the next call.
 
-    None where the kernel declines or there is none.
+    None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
     """
-    prepared = _prepared(robot)
+    prepared = _prepared(robot, refinement)
     if prepared is None:
         return None
     kernel, _, tubes = prepared
@@ -239,15 +240,16 @@ def _carriages(robot: Robot) -> NDArray[np.int64]:
 
 
 def solve_many_compiled(
-    robot: Robot, rotations: Array, translations: Array, arms: Array | None = None
+    robot: Robot, rotations: Array, translations: Array, arms: Array | None = None, refinement: int = 0
 ) -> tuple[Array, Mask] | None:
     """Cold solves of joint values (N, n): a row per configuration with tip position (3), tip frame by rows (9), tip
     rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined. `arms`
     (N, 2, m, n) gets rotations and torsion at the m points of the arms, which all must have.
 
-    None where there is no kernel. The interpreter is free while it runs.
+    None where there is no kernel, and of tubes not made of pieces where `refinement` (of the mesh, by halves) is asked
+    for. The interpreter is free while it runs.
     """
-    prepared = _prepared(robot)
+    prepared = _prepared(robot, refinement)
     if prepared is None:
         return None
     kernel, _, tubes = prepared

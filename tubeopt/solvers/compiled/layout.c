@@ -70,7 +70,7 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *trans
 static double general_need(const Tubes *t, const Layout *l, double start, double length, const int *present) {
     double fastest = 0, steepest = 0, finest = 0;
     for (int g = 0; g < 8; g++) {
-        double s = start + length * SAMPLES[g], kb[N], m[N], kt[N];
+        double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY;
         for (int i = 0; i < N; i++) {
             double place = s + l->transmission[i];
             int own = panel_of(t->pieces, i, place);
@@ -84,7 +84,11 @@ static double general_need(const Tubes *t, const Layout *l, double start, double
             if (!(m[i] > 0)) continue;
             steepest = fmax(steepest, m[i] / kb[i]);
             finest = fmax(finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
+            double turning = t->pieces->twist[panel] > 0 ? twist_of(t->pieces, i, own, place) : 0;
+            most = fmax(most, turning);
+            least = fmin(least, turning);
         }
+        if (most > least) finest = fmax(finest, (most - least) / TWIST_PER_PIECE);
         fastest = fmax(fastest, fastest_growth(kt, m, kb));
     }
     return length * fmax(fmax(fastest / WAVES_PER_ELEMENT, steepest / BEND_PER_PIECE), finest);
@@ -118,7 +122,8 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
             bent += curved[i];
         }
 #if GENERAL
-        double wanted = fmax(1.0, ceil(general_need(t, l, cuts[k], length, present) - 1e-9));
+        double need = general_need(t, l, cuts[k], length, present);
+        double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
 #else
         double need = fmax(fastest_growth(t->kt, m, kb) * length / WAVES_PER_ELEMENT, steepest * length / BEND_PER_PIECE);
         double wanted = bent ? fmax(1.0, ceil(need - 1e-9)) : 1.0;

@@ -14,6 +14,7 @@ typedef struct {
     const double *bent, *detail, *twist; /* (N, most) */
     const double *compliance;          /* (N, most) int ds / GJ up to where a panel begins */
     const double *cuts;                /* (N, most_cuts), infinite behind the last */
+    long long refinement;              /* how often the pieces of the mesh are halved */
 } Pieces;
 
 typedef struct {
