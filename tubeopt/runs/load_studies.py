@@ -13,7 +13,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
-from ..files.units import MM, to_si
+from ..files.units import MM, UNITS, to_si
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
@@ -23,7 +23,7 @@ from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radi
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
-MILLI = 1e-3
+MILLI = to_si(Decimal(1), UNITS["mN"])
 """N that a robot whose stroke force is asked pushes with, so that times are mN."""
 
 
