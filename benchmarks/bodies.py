@@ -24,6 +24,7 @@ from tests.inverse_targets import reachable
 from tubeopt import IkSession, SolveError, forward_kinematics, inverse_kinematics, plan_trajectory
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.obstacles import Obstacle, Sphere
+from tubeopt.control.servo import Command, Servo, ServoOptions
 from tubeopt.inverse.joints import joint_space
 
 COUNTS = (0, 1, 10, 100, 1000, 10000)
@@ -33,7 +34,12 @@ TARGETS = {"servo": 1e-3, "cold": 30e-3, "plan": 1.5}
 """Most seconds of a servo step and of inverse kinematics with 1,000 spheres or the mesh; most time of a plan with 100
 spheres, over that of a free one."""
 
-KINDS = {"servo": "a servo step", "cold": "inverse kinematics, cold", "plan": "a plan, with its proof"}
+KINDS = {
+    "servo": "a servo step",
+    "session": "a step of IkSession",
+    "cold": "inverse kinematics, cold",
+    "plan": "a plan, with its proof",
+}
 
 
 @dataclass(frozen=True)
@@ -71,11 +77,20 @@ def ball() -> MeshObstacle:
 
 
 def servo(bodies: Sequence[Obstacle], steps: int = 200) -> Timing:
-    """Steps of 0.5 mm on a wavy circle."""
-    session = IkSession(THESIS, min_margin=0.1, obstacles=bodies)
+    """Steps of a millisecond, five for each 0.5 mm of a wavy circle."""
     targets = circle(THESIS, (0.055, 0.02, 0.15), 0.03, steps)
-    session.solve(targets[0])
-    return summarise(clock(partial(session.solve, target))[0] for target in targets[1:])
+    seed = inverse_kinematics(THESIS, targets[0], obstacles=bodies).equilibrium
+    leader = Servo(THESIS, seed, obstacles=bodies, options=ServoOptions(speed=0.1, shift_rate=0.1))
+    commands = [Command(position=target) for target in targets[1:] for _ in range(5)]
+    return summarise(clock(partial(leader.step, command, 1e-3))[0] for command in commands)
+
+
+def session(bodies: Sequence[Obstacle], steps: int = 200) -> Timing:
+    """Steps of 0.5 mm on a wavy circle, each to its end."""
+    leader = IkSession(THESIS, min_margin=0.1, obstacles=bodies)
+    targets = circle(THESIS, (0.055, 0.02, 0.15), 0.03, steps)
+    leader.solve(targets[0])
+    return summarise(clock(partial(leader.solve, target))[0] for target in targets[1:])
 
 
 def cold(bodies: Sequence[Obstacle], count: int = 20) -> Timing:
@@ -148,7 +163,7 @@ def main() -> None:
     found = [
         Growth(what, among, count, measure(bodies))
         for among, count, bodies in scenes
-        for what, measure in (("servo", servo), ("cold", cold), ("plan", plan))
+        for what, measure in (("servo", servo), ("session", session), ("cold", cold), ("plan", plan))
     ]
     if options.picture:
         picture(found, options.picture)

@@ -67,6 +67,27 @@ def compare(robot: Any, count: int) -> None:
     print(f"  tips differ by {max(tips):.1e} m at most, derivatives of {len(slopes)} by {max(slopes):.1e} m/rad or 1")
 
 
+def compare_loaded(robot: Any, count: int) -> None:
+    """Tips under a force and weight of the library beside those of Python."""
+    library = CRobot(c_library(robot, loads=True))
+    load = tubeopt.Load(force=(2e-3, -4e-3, 1e-3), gravity=(0.0, 0.0, -9.81))
+    rotations, translations = joints_of(robot, count)
+    known = tubeopt.forward_kinematics_batch(robot, rotations, translations, load=load)
+    tips, declined = [], 0
+    for k in np.flatnonzero(np.isfinite(known.margin)):
+        try:
+            library.solve(rotations[k], translations[k])
+            pose = library.bear(load.force, load.gravity)
+            library.bear()
+        except tubeopt.SolveError:
+            declined += 1
+            continue
+        tips.append(np.linalg.norm(pose.tip_position - known.tip_position[k]))
+    far = np.count_nonzero(np.array(tips) > 1e-9)
+    print(f"C library of {robot.name} under load: {len(tips)} configurations, {declined} declined, {far} differ")
+    print(f"  the other tips by {max(tip for tip in tips if tip <= 1e-9):.1e} m at most")
+
+
 def teleoperate(robot: Any, seconds: float) -> None:
     """The tip led to one place after another by both servos, and what `follow` says of it."""
     rotations, translations = joints_of(robot, 64)
@@ -139,6 +160,7 @@ def main() -> None:
     robots = [tubeopt.load_robot(path) for path in asked.robots]
     for robot in robots:
         compare(robot, asked.configurations)
+    compare_loaded(robots[0], asked.configurations)
     teleoperate(robots[0], asked.seconds)
     among_bodies(robots[0])
 

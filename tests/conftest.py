@@ -31,7 +31,11 @@ SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow tests, which are listed in one file, so that a new list is one run with `--durations=0`."""
+    """Mark the slow tests, which are listed in one file, so that a new list is one run with `--durations=0`.
+
+    The longest come first: at the end no worker waits for another one.
+    """
+    items.sort(key=lambda item: item.path.name != "test_problems.py")
     for item in items:
         if item.nodeid.split("[")[0].removeprefix("tests/") in SLOW:
             item.add_marker(pytest.mark.slow)

@@ -12,35 +12,71 @@ from tests.examples import TWO_TUBE
 from tubeopt import (
     DesignSolution,
     Equilibrium,
+    ForceEstimate,
     HeatingPlan,
     InverseSolution,
     Ipopt,
+    LoadLimit,
     Newton,
     Problem,
     ProblemSolution,
+    Proof,
     Trajectory,
+    Workspace,
     forward_kinematics,
     inverse_kinematics,
+    workspace,
 )
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.equilibrium.result import Status
 from tubeopt.errors import InputError
 from tubeopt.inverse.answer import InverseStatus
+from tubeopt.planning.proof import ProofStatus
 from tubeopt.shaping.heating.plan import HeatingStatus
 from tubeopt.solvers.problem_status import ProblemStatus
+from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
+from tubeopt.validation.force import ForceStatus
+from tubeopt.workspaces.table import WorkspaceStatus
 
-ANSWERS = (DesignSolution, Equilibrium, Fit, HeatingPlan, InverseSolution, ProblemSolution, Trajectory)
+ANSWERS = (
+    DesignSolution,
+    Equilibrium,
+    Fit,
+    ForceEstimate,
+    HeatingPlan,
+    InverseSolution,
+    LoadLimit,
+    ProblemSolution,
+    Proof,
+    Trajectory,
+    Workspace,
+)
 
-STATUSES = (DesignStatus, FitStatus, HeatingStatus, InverseStatus, ProblemStatus, Status)
+STATUSES = (
+    DesignStatus,
+    FitStatus,
+    ForceStatus,
+    HeatingStatus,
+    InverseStatus,
+    LoadLimitStatus,
+    ProblemStatus,
+    ProofStatus,
+    Status,
+    WorkspaceStatus,
+)
 
 
 def of_every_kind(
-    design: DesignSolution, fit: Fit, heating: HeatingPlan, motion: Trajectory, program: ProblemSolution
+    found: tuple[DesignSolution, Fit, HeatingPlan, Trajectory, ProblemSolution],
+    force: ForceEstimate,
+    limit: LoadLimit,
+    proof: Proof,
+    tips: Workspace,
 ) -> tuple[Result, ...]:
     """The type checker sees that each is a Result."""
-    return design, fit, heating, motion, program
+    return (*found, force, limit, proof, tips)
 
 
 @pytest.mark.parametrize("kind", ANSWERS, ids=lambda kind: kind.__name__)
@@ -61,6 +97,10 @@ def test_every_status_reads_as_a_sentence(kind: type[Enum]) -> None:
 
 def test_answers_of_solvers_and_questions() -> None:
     near = forward_kinematics(TWO_TUBE, [0.0, 1.0])
+    tips = workspace(TWO_TUBE, 8)
+    assert isinstance(tips, Result)
+    assert tips.statistics.samples == len(tips.value) == 8
+    assert str(tips.status) == "a stable equilibrium was found at all joint values"
     problem = Problem()
     side = problem.variable("side", guess=1.0)
     problem.minimize((side - 2.0) ** 2)

@@ -1,4 +1,4 @@
-// A client of `tubeopt serve`, for a browser or for Node 22 and newer.
+// A client of `tubeopt serve`, for a browser or for Node 22 and newer (20 with --experimental-websocket).
 //
 //     const robot = await Robot.connect(token, { onState: (state) => console.log(state.margin) });
 //     robot.enable();
@@ -14,7 +14,7 @@ export class Robot {
       socket.onmessage = (event) => {
         const told = JSON.parse(event.data);
         if (told.op === "welcome") resolve(robot);
-        else if (told.op === "state") onState(told);
+        else if (told.op === "state") onState(told, robot);
         else onError(told.words);
       };
     });

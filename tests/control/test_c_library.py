@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS
-from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, forward_kinematics, load_robot
+from tubeopt import ConcentricRobot, InputError, Load, SolveError, Tube, find_load_limit, forward_kinematics, load_robot
 from tubeopt.control.c_binding import CRobot
 from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.why import Why
@@ -79,6 +79,49 @@ def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of
     assert again.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
 
 
+def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led() -> None:
+    library = CRobot(c_library(THESIS, loads=True))
+    free = library.solve(*START)
+    load = Load(force=(5e-3, 1e-2, -3e-3), gravity=(0.0, 0.0, -9.81))
+    library.bear(np.array(load.force) / 3)
+    for _ in range(2):  # from another load, then as it is
+        pose, known = library.bear(load.force, load.gravity), forward_kinematics(THESIS, *START, load=load)
+        assert pose.tip_position == pytest.approx(known.tip_position, abs=1e-9)
+        assert pose.margin == pytest.approx(known.margin, abs=1e-8)
+        assert pose.position[-1] == pytest.approx(known.tip_position, abs=1e-9)
+    jacobian, slopes = known.jacobian(), library.slopes()
+    assert slopes.position == pytest.approx(jacobian.position, abs=1e-6)
+    assert slopes.turn == pytest.approx(jacobian.rotation, abs=1e-5)
+    assert slopes.margin == pytest.approx(jacobian.margin, abs=1e-5)
+    assert known.compliance is not None
+    assert slopes.compliance == pytest.approx(known.compliance, rel=1e-9)
+    target = pose.tip_position + np.array([2e-3, 1e-3, -1e-3])
+    for _ in range(400):
+        pose, distance, _, _ = library.servo(command(target))
+    assert distance < 1e-6
+    again = forward_kinematics(THESIS, pose.rotations, pose.translations, load=load)
+    assert again.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
+    library.follow(*START)
+    assert library.bear().tip_position == pytest.approx(free.tip_position, abs=1e-12)
+    # Up to the fold that Python finds, and no farther.
+    push = np.full(3, 0.1)
+    limit = find_load_limit(THESIS, np.radians([200, 0, 0]), np.zeros(3), Load(force=tuple(push)))
+    assert limit is not None
+    library.solve(np.radians([200, 0, 0]), np.zeros(3))
+    borne = library.bear(0.98 * limit.factor * push)
+    with pytest.raises(SolveError, match="snap"):
+        library.bear(1.02 * limit.factor * push)
+    # It bears what it bore.
+    again = library.follow(np.radians([200, 0, 0]), np.zeros(3))
+    assert again.tip_position == pytest.approx(borne.tip_position, abs=1e-9)
+
+
+def test_loads_that_no_library_has_are_refused() -> None:
+    for name in ("example_pieces", "thesis_etr"):
+        with pytest.raises(InputError, match="loads are asked for; in C they are for concentric tubes"):
+            c_library(load_robot(f"configs/robots/{name}.yaml"), loads=True)
+
+
 def test_derivatives_where_tubes_share_a_carriage_and_end_together() -> None:
     robot = load_robot("configs/robots/example_equal_ends.yaml")
     rotations = np.linspace(0.2, 1.0, robot.n_tubes)
@@ -144,19 +187,22 @@ def test_bad_input_is_refused(thesis: CRobot) -> None:
 
 
 def test_the_library_is_clean_c99_without_memory_of_its_own_and_passes_its_test(tmp_path: Path) -> None:
-    save_c_library(c_library(CRL, prefix="crl"), tmp_path)
+    save_c_library(c_library(CRL, prefix="crl", loads=True), tmp_path)
     own = compiler()
     assert own is not None
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-fno-pie"]
-    subprocess.run([*own, *flags, "-c", "crl_robot.c", "-o", "robot.o"], cwd=tmp_path, check=True, timeout=120)
+    for part in ("robot", "load"):
+        parts = ["-c", f"crl_{part}.c", "-o", f"{part}.o"]
+        subprocess.run([*own, *flags, *parts], cwd=tmp_path, check=True, timeout=240)
     for program in ("test", "example"):
-        parts = [f"{program}.c", "robot.o", "-lm", "-no-pie", "-o", program]
+        parts = [f"{program}.c", "robot.o", "load.o", "-lm", "-no-pie", "-o", program]
         subprocess.run([*own, *flags, *parts], cwd=tmp_path, check=True, timeout=60)
-        done = subprocess.run([tmp_path / program], capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run([tmp_path / program], capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stdout
     if shutil.which("nm"):
-        table = subprocess.run(["nm", "robot.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-        kinds = {line.split()[-1]: line.split()[-2] for line in table.splitlines()}
+        names = ["nm", "robot.o", "load.o"]
+        table = subprocess.run(names, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        kinds = {line.split()[-1]: line.split()[-2] for line in table.splitlines() if " " in line}
         assert not [name for name, kind in kinds.items() if kind in "bBdDC"]  # nothing that can be written to
         assert not {"malloc", "calloc", "realloc", "free"} & set(kinds)
         assert all(name.startswith("crl_") for name, kind in kinds.items() if kind == "T")

@@ -36,17 +36,16 @@ def test_certificate_falls_to_the_closed_form() -> None:
 
 def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     target = Reach((Target((0.05, -0.06, 0.11)),))
-    free = (Free("curvature", (0, 1), 5.0, 15.0),)
+    free = (Free("curvature", (0,), 5.0, 15.0),)
     strain = Strain((0.008,), in_poses=False)
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"))
     error = refused(task)
-    assert error.relaxations
-    for way in error.relaxations[:1]:
-        assert way.words in str(error)
-        assert way.task == apply_changes(task, way.changes)
-        assert optimize_design(way.task, turns=1, begin=way.attempt).verification.kept
-        less = tuple(replace(change, amount=0.5 * change.amount) for change in way.changes)
-        assert not multistart(compile_task(apply_changes(task, less)), starts=1).designs
+    way = error.relaxations[0]
+    assert way.words in str(error)
+    assert way.task == apply_changes(task, way.changes)
+    assert optimize_design(way.task, turns=1, begin=way.attempt).verification.kept
+    less = tuple(replace(change, amount=0.5 * change.amount) for change in way.changes)
+    assert not multistart(compile_task(apply_changes(task, less)), starts=1).designs
 
 
 def test_failures_are_counted_by_what_failed() -> None:

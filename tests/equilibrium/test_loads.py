@@ -27,10 +27,11 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.loaded import evaluate, unknowns
-from tubeopt.equilibrium.load_problem import loaded_problem, mass_per_length
+from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.equilibrium.loaded import loaded_point
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.robots.load import between
+from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.typing import Array
 
@@ -79,7 +80,7 @@ def test_thesis_robot_under_a_dead_moment(thesis: ConcentricRobot) -> None:
 
 def test_thesis_robot_under_its_weight(thesis: ConcentricRobot, monkeypatch: pytest.MonkeyPatch) -> None:
     masses = dict(zip(thesis.tubes, (0.02, 0.05, 0.05), strict=True))
-    monkeypatch.setattr("tubeopt.equilibrium.load_problem.mass_per_length", masses.get)
+    monkeypatch.setattr("tubeopt.robots.load.mass_per_length", masses.get)
     e = forward_kinematics(thesis, ROTATIONS, load=Load((0, 0, -0.1), gravity=(0, -9.81, 0)))
     assert np.allclose(e.tip_position / MM, (84.834622201, -69.410646557, 143.478730193), rtol=0, atol=1e-9 / MM)
     assert e.margin == pytest.approx(0.640786858, abs=1e-8)

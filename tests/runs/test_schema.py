@@ -39,6 +39,7 @@ def test_every_file_passes_its_schema(path: Path) -> None:
         "tubes": "tubes",
         "joints": "joints",
         "obstacles": "obstacles",
+        "colours": "oxide_colours",
     }.get(path.parent.name, "robot")
     schema: Any = json.loads(schemas()[f"{name}.schema.json"])
     jsonschema.Draft202012Validator.check_schema(schema)

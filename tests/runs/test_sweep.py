@@ -55,6 +55,28 @@ def rows(path: Path) -> list[dict[str, str]]:
 # --- what it computes -------------------------------------------------------------------------------------------------
 
 
+def test_tables_of_precurvature_are_found_beside_the_robot(run: Run, tmp_path: Path) -> None:
+    """Whether keys of the robot vary or not, and wherever the sweep is run."""
+    (tmp_path / "bend.csv").write_text("arc_length_mm,curvature_x_per_m,curvature_y_per_m\n0,10,0\n20,8,3\n40,5,6\n")
+    tube = {
+        "outer_diameter_mm": 1,
+        "inner_diameter_mm": 0.7,
+        "straight_length_mm": 30,
+        "pieces": [{"table": "bend.csv"}],
+    }
+    robot = {"kind": "concentric", "name": "one", "tubes": [tube]}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
+    study = {"kind": "forward_kinematics", "robot": "robot.yaml", "rotations_deg": [0]}
+    tips = []
+    for key in ("rotations_deg[0]", "robot.tubes[0].straight_length_mm"):
+        path = written(tmp_path, study=study, vary=[{"key": key, "values": [30]}], columns=["tip_position_mm[2]"])
+        out = run("sweep", path, "--workers", "1")
+        assert out.code == 0, out.err
+        tips.append(float(out.out.splitlines()[-1].split(",")[-1]))
+    assert tips[0] == pytest.approx(tips[1])
+    assert 35 < tips[0] < 40
+
+
 def test_every_row_is_the_study_at_its_point(run: Run, tmp_path: Path) -> None:
     data = answer(run("sweep", written(tmp_path), "--workers", "1", "--out", str(tmp_path / "out"), "--json"))
     assert (data["points"], data["computed"], data["failed"]) == (15, 15, 5)

@@ -51,6 +51,7 @@ class Fault:
 
     name: str = ""
     since: float = 1e9
+    command: str = ""
 
 
 @dataclass
@@ -111,6 +112,8 @@ def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: fl
                 button = 1
             elif wrong == "abort":
                 command = '{"do":"stop"}'
+            elif wrong == "lead":
+                command, fault = fault.command, Fault()
             told = f"{round(1000 * rig.time)} {reading} {volt} {on} {off} {button} {command}"
             process.stdin.write(told + "\n")
             process.stdin.flush()

@@ -78,4 +78,6 @@ def integrate(
         found = solve_ivp(slope, (0.0, at[-1]), trace[-1], method=method, t_eval=at, rtol=rtol, atol=atol, **band)
         assert found.success, found.message
         trace += list(found.y.T)
-    return history_of(model, slot, [State(z[:size].reshape(shape), z[size:].reshape(1, LUMPED)) for z in trace])
+    course = np.array(trace)
+    cells, lumped = course[:, :size].reshape(-1, *shape), course[:, size:].reshape(-1, 1, LUMPED)
+    return history_of(model, slot, State(cells, lumped))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,10 @@ from scipy.integrate import solve_ivp
 
 from tubeopt import Camera, Feedback, HeatingPlan, HeatingSpec, InputError, Thermocouple, TubeResistance, lead_by
 from tubeopt.robots.materials import ZERO_CELSIUS
+from tubeopt.runs.heating_run import run_heating
+from tubeopt.shaping.firmware.leader import Leader
+from tubeopt.shaping.firmware.line import SimulatedLine
+from tubeopt.shaping.firmware.simulated import SimulatedRig
 from tubeopt.shaping.heating.feedback import wilson
 from tubeopt.shaping.heating.gains import RESET, Response, regulator
 from tubeopt.shaping.heating.ideal import joined
@@ -20,6 +25,7 @@ from tubeopt.shaping.heating.leading import fleet_of, nominal_law
 from tubeopt.shaping.heating.loop import Fleet, run_loop
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.rates import at_rest
+from tubeopt.shaping.heating.replanning import planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
@@ -52,7 +58,7 @@ def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_no
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
     law, sensor = led().law, Thermocouple()
     fleet, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
-    history = run_loop(fleet, law, sensor, steps=4)
+    history = run_loop(fleet, law, sensor)
     for b in range(1, 4):
         member = replace(
             fleet.model, properties=fleet.model.properties[b : b + 1], volumes=fleet.model.volumes[b : b + 1]
@@ -159,3 +165,52 @@ def test_nonsense_is_refused() -> None:
         Camera(lowest=300.0, highest=100.0)
     with pytest.raises(InputError, match="lost_on_time of the circuit is 1500 us"):
         replace(thesis_rig().circuit, lost_on_time=1.5e-3)
+
+
+def test_the_rest_is_planned_anew_and_perturbed_rigs_stay_in_the_window() -> None:
+    """Rigs that lose less and more than filed are recognised as stronger and weaker."""
+    law, sensor = led().law, Thermocouple()
+    planner = planner_for(plan(), law, sensor)
+    strengths = []
+    for factor, bias in ((0.85, 2.0), (1.15, -2.0)):
+        other = replace(thesis_rig(), loss_factor=factor)
+        rig = SimulatedRig(thermal_model(TUBE, other, ENSEMBLE), sensor, bias=bias, hot=float(law.reference.max()))
+        held: list[tuple[float, float]] = []
+
+        def seen(_: object, row: dict[str, Any], rig: SimulatedRig = rig, held: list[Any] = held) -> None:
+            curved = joined(rig.model, rig.state.cells[0, :, 0]) - ZERO_CELSIUS
+            held.extend([(curved.min(), curved.max())] * (row["state"] == "holding"))
+
+        leader = Leader(planner)
+        found = run_heating(SimulatedLine(rig, law, plan().spec.limit + 8), show=seen, leader=leader)
+        assert found.done
+        assert sum(row["led"] for row in found.rows) > 0.5 * len(found.rows)
+        assert 500 <= np.min(held) <= np.max(held) <= 550
+        strengths.append(leader.strength)
+    assert strengths[0] > 0.03
+    assert strengths[1] < -0.03
+
+
+def test_a_computer_that_is_late_leaves_the_board_to_its_own_law() -> None:
+    """A lead ends by itself, and the law goes on from it; no lead takes a count beyond the share."""
+    law, sensor = led().law, Thermocouple()
+    rig = SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), sensor)
+    line = SimulatedLine(rig, law, plan().spec.limit + 8)
+    first = law.hold[0] + 2
+    lead = round(110 * float(law.planned[first]))
+
+    def seen(_: object, row: dict[str, Any]) -> None:
+        if row["place"] == first:
+            line.send("lead", **{"slots": 4, "from": lead, "to": lead})
+
+    found = run_heating(line, show=seen)
+    assert found.done
+    assert sum(row["led"] for row in found.rows) == 3
+    hold = [row["temperature_degC"] for row in found.rows if row["state"] == "holding"]
+    assert 500 < min(hold) <= max(hold) < 550
+    memory = replace(begin(1), place=np.array([first]))
+    count, after = decide(law, memory, law.reference[first : first + 1], 255.0)
+    assert count[0] <= law.planned[first] * (1 + law.share) + law.lost + 1
+    # Left alone, the law says the same again.
+    again, _ = decide(law, replace(after, owed=memory.owed), law.reference[first + 1 : first + 2])
+    assert abs(again[0] - count[0]) <= 1

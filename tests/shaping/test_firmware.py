@@ -11,6 +11,7 @@ import threading
 import tty
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,7 +80,8 @@ def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
         ]
         found = run(heater, rigs[0])
         assert found.reason == "done"
-        law, memory, hottest, count = law_for(rigs[1]), begin(1), [], np.zeros(1, dtype=np.int64)
+        law, memory, hottest = law_for(rigs[1]), begin(1), []
+        count: Any = np.zeros(1)
         for k in range(found.columns.shape[1]):
             reading = rigs[1].reading
             if k % 5 == 0:
@@ -87,6 +89,28 @@ def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
             hottest.append(rigs[1].hottest - ZERO_CELSIUS)
             rigs[1].pass_time(int(count[0]), 0.1)
         assert np.abs(found.columns[5] - hottest).max() < 1.0
+
+
+@needs_a_compiler
+def test_the_firmware_follows_a_lead_as_the_law_does_and_goes_on_alone(heater: Path) -> None:
+    rigs = [SimulatedRig(thermal_model(TUBE, thesis_rig(), ENSEMBLE), Thermocouple()) for _ in range(2)]
+    lead = Fault("lead", 40.0, '{"do":"lead","slots":8,"from":1600,"to":900}')
+    found = run(heater, rigs[0], lead)
+    assert found.reason == "done"
+    told = [line for line in found.lines if line.get("event") == "status"]
+    # Told after a slot's count was decided: of the eighth there is nothing left.
+    assert sum(line["led"] for line in told) == 7
+    first = next(k for k, line in enumerate(told) if line["led"])
+    law, memory, hottest = law_for(rigs[1]), begin(1), []
+    count: Any = np.zeros(1)
+    leads = dict(zip(range(first, first + 8), np.linspace(16, 9, 8), strict=True))
+    for k in range(found.columns.shape[1]):
+        reading = rigs[1].reading
+        if k % 5 == 0:
+            count, memory = decide(law, memory, np.array([reading]), leads.get(k // 5, np.nan))
+        hottest.append(rigs[1].hottest - ZERO_CELSIUS)
+        rigs[1].pass_time(int(count[0]), 0.1)
+    assert np.abs(found.columns[5] - hottest).max() < 1.0
 
 
 FAULTS = {

@@ -148,7 +148,7 @@ def test_trials_are_read(tmp_path: Path) -> None:
     assert "column result is 'godo'; it must be under, good, over or set; did you mean 'good'?" in first
     assert "row 2 (line 3): duty of a trial is 300; it must be at most 255" in second
     file.write_text("duty,time_s\n8,60\n")
-    with pytest.raises(InputError, match="column result or spring_back_percent is missing"):
+    with pytest.raises(InputError, match="column result, spring_back_percent or colour is missing"):
         load_heating_trials(file)
 
 

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from tubeopt import Rig
+from tubeopt.physics.heat import Resolution
+from tubeopt.physics.heat_functions import instant_functions
 from tubeopt.robots.materials import ThermalData
-from tubeopt.shaping.heating.rates import State, current, linearised, rates, stored
+from tubeopt.shaping.heating.rates import State, current, rates, stored
 from tubeopt.shaping.heating.rig import gap_conductance
-from tubeopt.shaping.heating.thermal import Resolution, gap_of, leak_resistance, stack, thermal_model
+from tubeopt.shaping.heating.thermal import gap_of, leak_resistance, stack, thermal_model
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.typing import Array
 
@@ -163,8 +165,9 @@ def test_the_jacobian_of_the_implicit_steps_is_that_of_the_flows() -> None:
     """Without current and with a conductivity that does not depend on temperature, by central differences."""
     model = thermal_model(ideal_tube(emissivity=0.3), rig_of(STEEL), GRID)
     cells, lumped = states(1, model.ambient)
-    heat, own, inward, along = linearised(model, cells)
     n, m = cells.shape[1:]
+    columns = instant_functions(GRID)["linearised"](cells[0].T, model.properties[0], model.volumes[0])
+    heat, own, inward, along = (column.full().T[None] for column in columns)
     expected = np.zeros((n, m, n, m))
     for i in range(n):
         for j in range(m):

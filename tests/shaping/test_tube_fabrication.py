@@ -12,7 +12,7 @@ from tubeopt import HeatingPlan, HeatingSpec, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
 from tubeopt.shaping.heating.groove_air import Lie, even_gap
 from tubeopt.shaping.heating.ideal import joined
-from tubeopt.shaping.heating.thermal import FINE, thermal_model
+from tubeopt.shaping.heating.thermal import FINE, gap_of, thermal_model
 from tubeopt.shaping.mold.holes import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
@@ -104,13 +104,26 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
         )
 
     monkeypatch.setattr(tube_fabrication, "plan_heating", cold)
-    rig = with_mold(thesis_rig(), lead=3e-3)
+    rig = with_mold(thesis_rig(), lead=3e-3, gap=50e-6)
     plate = PlateSpec(size=(0.1, 0.05), bolt_diameter=3e-3, dowel_diameter=2e-3)
     made = plan_tube(TUBE, rig, MoldSpec(plate=plate, clamps=ClampSpec(least_lead=2e-3)), SHORT)
     assert not made.heating.feasible
     assert not made.agreed
     assert "mm from clamp to bend, the mold has" in made.disagreement
     assert "leaves the plate" in made.disagreement
+    assert "an even gap of 50 um (gap_um); one with 50 um on either side of this tube comes to 8" in made.remarks[0]
+
+
+def test_an_even_gap_from_a_log_goes_along_with_the_groove() -> None:
+    """What a log said is 0.9 of the computed one stays that in another groove; what is not said is computed."""
+    mold = plan_mold(TUBE)
+    groove = mold.grooves[0]
+    rig = with_mold(thesis_rig(), side_clearance=50e-6)
+    computed = rig_as_drawn(rig, mold).mold
+    assert computed.gap == pytest.approx(_even_gap(groove.width, groove.depth), rel=0.02)
+    assert computed.side_clearance == pytest.approx(40e-6)
+    said = rig_as_drawn(with_mold(rig, gap=0.9 * gap_of(TUBE, rig)), mold).mold
+    assert said.gap == pytest.approx(0.9 * computed.gap)
 
 
 def test_vents_are_heated_as_they_are_drawn() -> None:

@@ -14,11 +14,13 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general
 from ..robots.tubes import Tube
+from ..typing import Array
 from .composed import ComposedBlock
 from .guess import sample
 from .near import N
 from .pieces import tubes_at
 from .transcription.chain import chain_of
+from .transcription.model import Model
 
 AGREEMENT = 1e-6
 """Largest difference of the tip between block and equilibrium, over the length of the arm."""
@@ -34,7 +36,7 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
     translations = np.minimum(translations, numbers["straight_length"])
     model = block.model.at(value)
-    found = block.near.at(robot, rotations, translations, lambda s: sample(model, s)[0]).verified()
+    found = _solved_again(block, (robot, rotations, translations), model)
     tip = np.array(value(block.tip_position)).ravel()
     apart = float(np.linalg.norm(tip - found.tip_position))
     if apart > AGREEMENT * float(found.arc_length[-1]):
@@ -52,6 +54,15 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
                 found,
             )
     return found
+
+
+def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model: Model) -> N:
+    """On a mesh of its own; without load verified by re-integration."""
+    if block.load is None:
+        return block.near.at(*at, lambda s: sample(model, s)[0]).verified()
+    return block.near.at(
+        *at, lambda s: sample(model, s)[0], load=block.load, curvature_at=lambda s: sample(model, s)[2]
+    )
 
 
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:

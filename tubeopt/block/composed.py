@@ -13,26 +13,32 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..robots.breakpoints import order_of, where_of
+from ..robots.load import Load
 from ..typing import Array
 from .given import LENGTHS, assembly_at, given_of
-from .guess import Shape, points_of, poses_of, torsion_of_equilibrium
+from .guess import Shape, columns_of, poses_of, shape_at_start
 from .near import N
 from .outputs import Outputs
 from .program import as_program
+from .pushed import push_of
+from .transcription import burdened
 from .transcription.collocated import Grid
 from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout
-from .transcription.model import UNKNOWNS, Model, model_of, numbers_of, placed, sizes
+from .transcription.model import UNKNOWNS, Model, numbers_of, placed, sizes
 
 CLOSED = 1e-6
 """Breakpoints closer than this part of the arm's length meet."""
 
 JOINTS = ("rotations", "translations")
 
+STATE = ("theta", "twist", "inner", "bend", "bent")
+"""What of a model an equilibrium tells, the last two under load."""
+
 
 class ComposedBlock(Outputs, Generic[N]):
     """An arm in a program; see `EquilibriumBlock` for what it is given and tells."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         opti: Any,
         near: N,
@@ -40,6 +46,7 @@ class ComposedBlock(Outputs, Generic[N]):
         rotations: Any = None,
         translations: Any = None,
         tubes: Mapping[str, Any] | None = None,
+        load: Load | None = None,
         side: int = -1,
         refinement: int | None = None,
         name: str = "",
@@ -54,11 +61,16 @@ class ComposedBlock(Outputs, Generic[N]):
         self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
         self._bundle = assembly_at(self.robot, self.robot.assembly(near.translations), self._given.start)
         self.chain = chain = self._given.chain
+        self.load = near.load if load is None else load
+        push = push_of(near, self._bundle, self.load)
         self._grid = Grid(
-            self.robot.n_tubes, eccentric=self._bundle.eccentric, detail=chain.detail if chain is not None else 0
+            self.robot.n_tubes,
+            eccentric=self._bundle.eccentric,
+            detail=chain.detail if chain is not None else 0,
+            loaded=push is not None,
         )
         # What `model_of` needs beside joint values and dimensions.
-        self.fittings = {"place": placed(self._bundle), "chain": chain}
+        self.fittings: dict[str, Any] = {"place": placed(self._bundle), "chain": chain, "push": push}
         self._moving = self._given.free(*LENGTHS)
         self._fixed = not self._given.free("translations", *self.dimensions)
         self._side, self.layout = side, self._lay_out(side, refinement)
@@ -82,7 +94,8 @@ class ComposedBlock(Outputs, Generic[N]):
             raise InputError(f"side is {side}; it must be -1 (behind the plate) or 1 (in front of it)")
         if refinement is not None and refinement < 0:
             raise InputError(f"refinement is {refinement}; it must be at least 0")
-        halvings = (0 if self._fixed else FREE_REFINEMENT) if refinement is None else refinement
+        usual = 0 if self._fixed and self.load is None else FREE_REFINEMENT
+        halvings = usual if refinement is None else refinement
         order = order_of(self._bundle, self.robot.moving_together, side=side)
         if not order.front:
             raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
@@ -92,34 +105,46 @@ class ComposedBlock(Outputs, Generic[N]):
 
     def _add_unknowns(self) -> None:
         """Unknowns in columns, and the arm that they make."""
-        n, pieces, degree, reach = self.robot.n_tubes, self.layout.n_pieces, self._grid.degree, self.reach
+        reach, push = self.reach, self.fittings["push"]
         scale = {"torsion": 1 / reach, "position": reach}
-        shapes = sizes(n, pieces, degree)
+        if push is not None:
+            scale |= dict.fromkeys(burdened.UNKNOWNS, push.typical / reach)
+        shapes = self.shapes()
+        names = (*UNKNOWNS, *burdened.UNKNOWNS)[: len(shapes)]
+        # What every unknown of the arm typically is.
+        self.typical = [scale.get(name, 1.0) for name in names]
         self.columns = [
-            self.program.variable(self.label + name, rows * columns, scale=scale.get(name, 1.0))
-            for name, (rows, columns) in zip(UNKNOWNS, shapes, strict=True)
+            self.program.variable(self.label + name, rows * columns, scale=typical)
+            for name, (rows, columns), typical in zip(names, shapes, self.typical, strict=True)
         ]
         self.numbers = None
         if self._moving:
             self.numbers = self.program.parameter(self.label + "layout", self.layout.numbers())
         unknowns = tuple(ca.reshape(column, *shape) for column, shape in zip(self.columns, shapes, strict=True))
         values = {**self._given.values, **self.fittings}
-        self.model = model_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
+        self.model = burdened.arm_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
         begin = self._start_model(self._given.start)
-        self._set_guess(begin, torsion_of_equilibrium(self.near, *points_of(begin)))
+        self._set_guess(begin, shape_at_start(self.near, begin))
+
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """Of all unknowns of the arm."""
+        pieces, degree = self.layout.n_pieces, self._grid.degree
+        under_load = burdened.sizes(pieces, degree) if self._grid.loaded else ()
+        return (*sizes(self.robot.n_tubes, pieces, degree), *under_load)
 
     def _start_model(self, numbers: Mapping[str, Array]) -> Model:
         """The arm at joint values and dimensions in numbers, its unknowns nought."""
         self.begin_numbers = dict(numbers)
-        shapes = sizes(self.robot.n_tubes, self.layout.n_pieces, self._grid.degree)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.fittings}
-        zero = tuple(ca.DM.zeros(*shape) for shape in shapes)
-        return model_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
+        zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes())
+        return burdened.arm_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, shape: Shape) -> None:
         """Start from these rotations and torsions on the pieces of `model`."""
-        model = replace(model, theta=shape[0], twist=shape[1], inner=shape[2])
-        for column, value in zip(self.columns, (*shape, *poses_of(model)), strict=True):
+        bending = [shape[3], columns_of(shape[4], model.n_pieces)] if len(shape) > 3 else []
+        numbers: dict[str, Any] = dict(zip(STATE, (*shape[:3], *bending), strict=False))
+        model = replace(model, **numbers)
+        for column, value in zip(self.columns, (*shape[:3], *poses_of(model), *bending), strict=True):
             self.program.set_guess(column, np.asarray(value).ravel(order="F"))
         self.begin = model
 

@@ -18,7 +18,7 @@ from ..robots.breakpoints import order_of
 from .answer import confirmed, rebuilt
 from .composed import CLOSED, ComposedBlock
 from .given import assembly_at, numbers_at, symbolic
-from .guess import Shape, fields_of, points_of, sample, torsion_of_equilibrium
+from .guess import Shape, fields_of, points_of, sample, shape_at_start
 from .near import N, Near
 from .sensitivity import add_jacobian, answers_of
 from .stability import add_certificate, add_margin
@@ -44,6 +44,8 @@ class EquilibriumBlock(ComposedBlock[N]):
             With tubes made of pieces these are in proportion for all of a tube, and PIECES
             (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
             `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
+        load: what pushes on concentric tubes: force and moment at the tip, weight, a constant force per length; None is
+            that of `near`. Margin and certificate are then no expressions; `equilibrium` tells the margin.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
@@ -194,9 +196,12 @@ class EquilibriumBlock(ComposedBlock[N]):
         self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
         start, inside = points_of(begin)
-        theta, twist = sample(solved, start)
         floors = [float(np.array(solution.value(margin)).item()) for _, margin in self.margins]
-        self._begin_with(begin, (theta, twist, sample(solved, inside)[0]), floors)
+        if self.load is not None:
+            shape = shape_at_start(confirmed(self, solution.value), begin)
+        else:
+            shape = (*sample(solved, start)[:2], sample(solved, inside)[0])
+        self._begin_with(begin, shape, floors)
 
     def start(self, equilibrium: Near) -> None:
         """Start the next solve at another equilibrium of the robot, whose dimensions may differ; your own variables are
@@ -214,7 +219,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
         floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self.margins]
-        self._begin_with(begin, torsion_of_equilibrium(equilibrium, *points_of(begin)), floors)
+        self._begin_with(begin, shape_at_start(equilibrium, begin), floors)
 
     def start_at(self, value: Callable[[Any], Any]) -> None:
         """Start the next solve at the equilibrium of the numbers that `value` gives to joint values and dimensions.
@@ -225,7 +230,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         """
         numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
         robot = rebuilt(self.robot, numbers)
-        self.start(self.near.at(robot, numbers["rotations"], numbers["translations"]))
+        self.start(self.near.at(robot, numbers["rotations"], numbers["translations"], load=self.load))
 
     def owns(self, name: str) -> bool:
         """Whether a variable of the program, by its name, is the block's own."""

@@ -9,12 +9,13 @@ import numpy as np
 from ..robots.robot import is_general
 from ..typing import Array
 from .near import Near
+from .pushed import bending_of, torsion_under_load
 from .transcription import arm as arms
 from .transcription import functions
 from .transcription.model import Model
 
-Shape = tuple[Array, Array, Array]
-"""theta, w (n, P) and theta inside (n, P K)."""
+Shape = tuple[Array, ...]
+"""theta, w (n, P) and theta inside (n, P K); under load also bending moments (2, P) and inside (2, P K)."""
 
 
 def points_of(model: Model) -> tuple[Array, Array]:
@@ -24,8 +25,14 @@ def points_of(model: Model) -> tuple[Array, Array]:
     return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
 
 
-def torsion_of_equilibrium(near: Near, start: Array, inside: Array) -> Shape:
-    """Torsion of an equilibrium at the places of a block's pieces; beyond its tip, that of the tip."""
+def shape_at_start(near: Near, model: Model) -> Shape:
+    """An equilibrium at the places of the pieces of a model; beyond its tip, as at the tip."""
+    places = points_of(model)
+    torsion = torsion_under_load(near, *places) if near.load is not None else _torsion(near, *places)
+    return (*torsion, *bending_of(near, *places)) if model.grid.loaded else torsion
+
+
+def _torsion(near: Near, start: Array, inside: Array) -> Shape:
     problem, arm = near.collocated()
     last = float(problem.assembly.total_length)
     start, inside = np.minimum(start, last), np.minimum(inside, last)
@@ -37,20 +44,26 @@ def torsion_of_equilibrium(near: Near, start: Array, inside: Array) -> Shape:
     return theta, twist, arms.interpolate(problem, arm, inside).T
 
 
-def sample(model: Model, arc_length: Array) -> tuple[Array, Array]:
-    """theta and w, (n, len(arc_length)) each, of a solved arm at places along it, m; of tubes of pieces the elastic
-    rotation."""
+def columns_of(inside: Array, pieces: int) -> Array:
+    """(2 K, P) of (2, P K): what is given of the points of a piece, in one column."""
+    return np.asarray(inside.T.reshape(pieces, -1).T)
+
+
+def sample(model: Model, arc_length: Array) -> tuple[Array, Array, Array]:
+    """theta and w, (n, len(arc_length)) each, of tubes of pieces the elastic rotation, and the curvature (2, ...) of a
+    solved arm at places along it, m."""
     start, _ = points_of(model)
     inside = functions.inside_function(model.grid)
     base = np.array([1.0, 0, 0, 0]), np.zeros(3)
-    theta, twist = [], []
+    theta, twist, curvature = [], [], []
     for s in arc_length:
         k = max(int(np.searchsorted(start, s, side="right")) - 1, 0)
         x = min((s - start[k]) / model.lengths[k], 1.0) if model.lengths[k] > 0 else 0.0
         out = inside(*base, x, *model.piece(k))
         theta.append(np.array(out[2]).ravel())
         twist.append(np.array(out[3]).ravel())
-    return np.array(theta).T, np.array(twist).T
+        curvature.append(np.array(out[4]).ravel())
+    return np.array(theta).T, np.array(twist).T, np.array(curvature).T
 
 
 def poses_of(model: Model) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, Self, TypeVar
 
+from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array
 from .transcription.arm import Profile
@@ -35,6 +36,30 @@ class Near(Protocol):
         """(m,) m, along the arm."""
 
     @property
+    def rotation(self) -> Array:
+        """(n, m) rad, along the arm."""
+
+    @property
+    def torsion(self) -> Array:
+        """(n, m) rad/m."""
+
+    @property
+    def point(self) -> Array:
+        """(N,) m, where it is known best."""
+
+    @property
+    def point_rotation(self) -> Array:
+        """(N, n) rad there."""
+
+    @property
+    def point_curvature(self) -> Array:
+        """(N, 2) 1/m there, under load; else empty."""
+
+    @property
+    def load(self) -> Load | None:
+        """What pushes."""
+
+    @property
     def margin(self) -> float:
         """Its stability margin."""
 
@@ -47,8 +72,12 @@ class Near(Protocol):
         rotations: Array,
         translations: Array,
         rotation_at: Callable[[Array], Array] | None = None,
+        *,
+        load: Load | None = None,
+        curvature_at: Callable[[Array], Array] | None = None,
     ) -> Self:
-        """An equilibrium of a robot at joint values, from rotations (n, P) of its tubes at arc lengths (P,) or cold."""
+        """An equilibrium of a robot at joint values, from rotations (n, P) of its tubes at arc lengths (P,), and under
+        `load` from curvatures (2, P), or cold."""
 
     def verified(self) -> Self:
         """The same, verified by adaptive re-integration."""

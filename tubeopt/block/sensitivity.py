@@ -12,8 +12,9 @@ from ..errors import InputError, choice
 from .composed import JOINTS, ComposedBlock
 from .given import LENGTHS
 from .guess import poses_of
+from .transcription.burdened import LoadedModel, arm_of
 from .transcription.chain import OF_TUBE
-from .transcription.model import UNKNOWNS, model_of, numbers_of, sizes
+from .transcription.model import numbers_of
 
 
 def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
@@ -28,10 +29,8 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
     equations, scale, words = _equations(block)
     count = seeds["rotations"].shape[1]
-    shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
-    rows = [size[0] * size[1] for size in shapes]
-    typical = {"torsion": 1 / block.reach, "position": block.reach}
-    unit = np.concatenate([np.full(size, typical.get(name, 1.0)) for name, size in zip(UNKNOWNS, rows, strict=True)])
+    sizes = [rows * columns for rows, columns in block.shapes()]
+    unit = np.concatenate([np.full(size, typical) for size, typical in zip(sizes, block.typical, strict=True)])
     per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
     total = np.outer(unit, per)
     begin = answers_of(block, equations, seeds)
@@ -83,7 +82,7 @@ def _parameters(block: ComposedBlock[Any]) -> list[Any]:
 
 def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
-    shapes = sizes(block.robot.n_tubes, block.model.n_pieces, block.model.grid.degree)
+    shapes = block.shapes()
     rows = [size[0] * size[1] for size in shapes]
     x = ca.MX.sym("x", sum(rows))
     parts = ca.vertsplit(x, np.cumsum([0, *rows]).tolist())
@@ -92,7 +91,7 @@ def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
     unknowns = tuple(ca.reshape(part, *shape) for part, shape in zip(parts, shapes, strict=True))
-    model = model_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
+    model = arm_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
     table = model.equations(symbols["rotations"], block.reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
     words = [word for each in table for word in each.entries]
@@ -105,6 +104,8 @@ def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[st
     begin, count = block.begin, seeds["rotations"].shape[1]
     start = [np.asarray(part).ravel(order="F") for part in (begin.theta, begin.twist, begin.inner)]
     start += [np.asarray(part).ravel(order="F") for part in poses_of(begin)]
+    if isinstance(begin, LoadedModel):
+        start += [np.asarray(part).ravel(order="F") for part in (begin.bend, begin.bent)]
     x = np.concatenate(start)
     numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
     where = [x, *numbers, block.layout.numbers()]

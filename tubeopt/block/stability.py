@@ -25,6 +25,12 @@ def _checked(name: str, margin: Any) -> Any:
     return ca.DM(float(margin))
 
 
+def refuse_load(block: ComposedBlock[Any], what: str) -> None:
+    """Raise InputError where a load pushes on a block, of which `what` is asked."""
+    if block.load is not None:
+        raise InputError(f"{what} of an arm under load is no expression; block.equilibrium(solution) tells it")
+
+
 def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     """Jacobi's condition on tubes softened by `margin`, for their fields y, v from y = 1, v = 0 at the tip: det y >= 0
     where pieces begin and det(y - |beta| v) >= 0 at the plate.
@@ -33,6 +39,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces. The
     matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
+    refuse_load(block, "the margin")
     floor, model, n = _checked("margin", margin), block.model, block.robot.n_tubes
     pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
     count = f" {len(block.margins) + 1}" if block.margins else ""
@@ -77,6 +84,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
 def add_certificate(block: ComposedBlock[Any], margin: Any) -> None:
     """D(lambda) >= 0 for the second variation that is the worst at all rotations, lambda = 1 - margin: see
     `physics.certificate`, with the pieces of the block in place of sections."""
+    refuse_load(block, "the certificate")
     floor, model = _checked("margin", margin), block.model
     if model.place:
         raise InputError("the robot is eccentric; this certificate holds for concentric tubes")

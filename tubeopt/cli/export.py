@@ -25,14 +25,15 @@ def export(
     prefix: Annotated[
         str, typer.Option(metavar="NAME", help="With which all its names begin: two robots need two.")
     ] = "tubeopt",
+    loads: Annotated[bool, typer.Option("--loads", help="It can bear a force at its tip, and its weight.")] = False,
 ) -> None:
     """The robot as a C library of its own: forward kinematics, derivatives, margin, compliance, servo, snap guard.
 
     It is the compiled kernel of this program with the numbers of the robot, in C99: nothing is allocated, nothing is
     global, and every call takes bounded time. For up to six tubes, concentric or not, of one arc or made of pieces;
-    without load, and with compliance for concentric tubes of one arc each.
+    with compliance and, by --loads, under load for concentric tubes of one arc each.
     """
     can_be_saved(output.out)
     can_be_saved(c)
-    library = c_library(load_robot(robot), name=Path(robot).stem, prefix=prefix)
+    library = c_library(load_robot(robot), name=Path(robot).stem, prefix=prefix, loads=loads)
     present(report(library), output, written=save_c_library(library, c))

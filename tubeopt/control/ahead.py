@@ -4,6 +4,7 @@ The way to the target is kept as knots, each an equilibrium (see `horizon`). Eve
 improves them by one quadratic program (real-time iteration; Diehl, Bock and Schloeder, SIAM J. Control Optim. 43
 (2005)), then goes along as far as rates allow, if all of the way is allowed, and if the guard agrees. A new target
 begins with the straight line to the joint values that inverse kinematics finds for it, through whatever is between.
+Where no way becomes allowed, or no joint values are known, and close to the target, one step ahead is looked.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..block.transcription.explicit import explicit_kind
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
@@ -24,8 +26,8 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .command import Command, ServoOptions, ServoStep
-from .guard import Guard
 from .horizon import Aim, Knots, improvement
+from .servo import Servo
 from .why import Why
 
 KNOTS = 20
@@ -45,6 +47,15 @@ TRUST, CALM = 0.3, 0.01
 """Largest change of a knot by one program, in units of the scales: at most, and at least. It is halved where a change
 undoes the last one, as where tubes end together and derivatives differ to either side, and doubled where not."""
 
+PATIENCE = 20
+"""Steps that the robot waits for a way that is allowed."""
+
+SEARCH = 1.0
+"""Most seconds that joint values for a new target are looked for."""
+
+CLOSE = 0.01
+"""Distance of the tip from its target, as a share of the robot's length, from which one step ahead will do."""
+
 ELSEWHERE = 0.05
 """Distance of targets, as a share of the robot's length, from which a way is begun anew."""
 
@@ -53,7 +64,8 @@ class PredictiveServo:
     """The servo of one robot that looks ahead to where the tip shall be.
 
     Args:
-        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective do not count.
+        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective count where one
+            step ahead is enough.
         knots: into how many pieces the way ahead is cut.
 
     Raises:
@@ -73,13 +85,16 @@ class PredictiveServo:
         if knots < 2:
             raise InputError(f"knots is {knots}; it must be at least 2")
         self.options = options or ServoOptions()
-        self._guard = Guard(robot, seed, limits, obstacles, self.options)
+        self._servo = Servo(robot, seed, limits=limits, obstacles=obstacles, options=self.options)
+        self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
         self._chart = Chart(self._guard.space)
+        explicit_kind(robot)  # or it raises
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
         self._trust, self._last = TRUST, np.zeros((knots, len(self._guard.here.q)))
+        self._waited, self._near = 0, True
 
     @property
     def equilibrium(self) -> Equilibrium:
@@ -104,11 +119,30 @@ class PredictiveServo:
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
-        told = self._guard.left(command)
-        here = self._guard.here
-        knots = self._knots(command)
+        told, here = self._guard.left(command), self._guard.here
+        if self._near and told[0] < CLOSE * self._guard.space.length and not self._new(_aim(command)):
+            step = self._servo.step(command, dt)
+            # Where that comes to rest before it is there, one step ahead will not do.
+            self._near = step.why & Why.HELD == 0
+            return step
+        knots = self._knots(_aim(command))
         if knots is None:
-            return ServoStep(here.equilibrium, Why.HELD, *told)
+            return self._servo.step(command, dt)
+        lacking = self._renew(knots)
+        if not lacking:
+            change, passed = self._along(knots, dt)
+            there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0))
+            if Why.HELD not in lacking:
+                self._waited = 0
+                self._leave_behind(passed)
+                return ServoStep(there, lacking, *told)
+        self._waited += 1
+        if self._waited <= PATIENCE:
+            return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
+        return self._servo.step(command, dt)
+
+    def _renew(self, knots: Knots) -> Why:
+        """Improve the way; what the knots lack as they are."""
         assert self._aim is not None
         contacts = knots.contacts(self._guard.scene, self.options.clearance + CLEAR)
         self._improve(knots, improvement(knots, self._aim, contacts, self._trust))
@@ -117,41 +151,39 @@ class PredictiveServo:
             lacking |= Why.MARGIN
         if contacts[0].min(initial=np.inf) < -CLEAR * (1 + ALLOWED):
             lacking |= Why.OBSTACLE
-        if lacking:
-            return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
-        return ServoStep(*self._guard.go(*self._along(knots, dt)), *told)
+        return lacking
 
     def _improve(self, knots: Knots, change: Array | None) -> None:
         """The way after a change (N, m), over the scales, of all knots but the first; without one it is begun anew."""
         if change is None:
-            self._way = None
+            self._aim = None
             return
         undone = float((change * self._last).sum()) < 0
         self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), CALM, TRUST))
         self._last = change
         self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
 
-    def _knots(self, command: Command) -> Knots | None:
-        """The way to a target as it is; None where no joint values are known for it."""
+    def _knots(self, aim: Aim) -> Knots | None:
+        """The way to an aim as it is; None where no joint values are known for it."""
         here = self._guard.here
-        direction = None if command.direction is None else np.asarray(command.direction, dtype=float)
-        aim = Aim(
-            np.asarray(command.position, dtype=float),
-            None if direction is None else direction / np.linalg.norm(direction),
-        )
         begin, floor = self._chart.of(here.equilibrium), min(self.options.min_margin + ROOM, here.margin)
-        if self._way is None or self._aim is None or self._far(aim):
-            end = self._goal(aim)
+        if self._new(aim):
+            self._aim, end = aim, self._goal(aim)
+            self._way = None
             if end is None:
                 return None
             self._trust, self._last = TRUST, np.zeros_like(self._last)
+            self._waited, self._near = 0, True
             self._way = begin + np.linspace(0, 1, self._count + 1)[:, None] * (end - begin)
+        if self._way is None:
+            return None
         self._aim = aim
         return Knots.at(self._chart, np.concatenate([begin[None], self._way[1:]]), floor)
 
-    def _far(self, aim: Aim) -> bool:
-        """Whether an aim is far from the last one."""
-        assert self._aim is not None
+    def _new(self, aim: Aim) -> bool:
+        """Whether no way was looked for, or one to another aim."""
+        if self._aim is None:
+            return True
         moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
         if aim.direction is not None and self._aim.direction is not None:
             moved = max(moved, float(np.linalg.norm(aim.direction - self._aim.direction)))
@@ -168,21 +200,41 @@ class PredictiveServo:
                 min_margin=self.options.min_margin + ROOM,
                 limits=self._limits,
                 obstacles=self._bodies,
-                options=InverseOptions(clearance=self.options.clearance + CLEAR),
+                options=InverseOptions(clearance=self.options.clearance + CLEAR, time_limit=SEARCH),
             )
         except SolveError:
             return None
         return self._chart.of(found.equilibrium)
 
-    def _along(self, knots: Knots, dt: float) -> tuple[Array, Why]:
-        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may."""
+    def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
+        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may; and
+        how many knots that passes."""
         space, here, options = self._guard.space, self._guard.here, self.options
         rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
         turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)
-        passed = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
-        time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), passed))])
-        at = np.array([[np.interp(dt, time, column) for column in knots.z.T]])
-        wanted = self._chart.joints(at, self._chart.arms(at, 0.0))[0]
-        change = np.clip(wanted, space.lower, space.upper) - here.q
-        share = float((np.abs(change) / (rate * dt)).max())
-        return change / max(share, 1.0), Why.RATE if time[-1] > dt else Why(0)
+        moved = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
+        time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), moved))])
+        passed = float(np.interp(dt, time, np.arange(len(time))))
+        at = _places(knots.z, np.array([passed]))
+        change = np.clip(self._chart.joints(at, self._chart.arms(at, 0.0))[0], space.lower, space.upper) - here.q
+        share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
+        return change / max(share, 1.0), passed
+
+    def _leave_behind(self, passed: float) -> None:
+        """Cut what is left of the way into as many knots again, after some have been passed."""
+        if self._way is not None:
+            self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
+
+
+def _places(z: Array, at: Array) -> Array:
+    """(k, m) places on a polyline (K, m), by numbers (k,) of its points."""
+    return np.column_stack([np.interp(at, np.arange(len(z)), column) for column in z.T])
+
+
+def _aim(command: Command) -> Aim:
+    """Where a command leads the tip."""
+    position = np.asarray(command.position, dtype=float)
+    if command.direction is None:
+        return Aim(position, None)
+    direction = np.asarray(command.direction, dtype=float)
+    return Aim(position, direction / np.linalg.norm(direction))

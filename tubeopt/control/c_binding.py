@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 import logging
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,6 +98,7 @@ class CRobot:
                 ("follow", (self._in, self._pose)),
                 ("slopes_at", (self._slopes,)),
                 ("servo", (self._in, self._pose, self._report)),
+                *([("bear", (self._in, self._pose))] if library.loads else []),
             )
         }
 
@@ -133,6 +135,16 @@ class CRobot:
     def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
         return self._go("follow", rotations, translations)
+
+    def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
+        """The last equilibrium under a force (3,) at the tip, N, and an acceleration (3,) by which the tubes weigh,
+        m/s^2, put on slowly; from here on all is told of the loaded arm. Raises SolveError where the branch ends on the
+        way, and InputError where the library has no loads."""
+        if "bear" not in self._calls:
+            raise InputError("the C library was made without loads")
+        self._in[:3], self._in[3:6] = vector("force", force, 3), vector("gravity", gravity, 3)
+        self._call("bear")
+        return self._posed()
 
     def slopes(self) -> CSlopes:
         """Derivatives at the last equilibrium."""
@@ -250,9 +262,18 @@ def _at(array: Array) -> ctypes.c_void_p:
 
 def _compiled(library: CLibrary) -> Path:
     """The shared library of the sources, in the cache."""
-    header, source = (library.files[f"{library.prefix}_robot.{end}"] for end in "hc")
-    text = source.replace(f'#include "{library.prefix}_robot.h"\n', header)
-    path = cache_directory() / "libraries" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.so"
+    header = library.files[f"{library.prefix}_robot.h"]
+    texts = [
+        text.replace(f'#include "{library.prefix}_robot.h"\n', header)
+        for name, text in library.files.items()
+        if name.removeprefix(library.prefix) in ("_robot.c", "_load.c")
+    ]
+    name = hashlib.sha256("\0".join(texts).encode()).hexdigest()[:32]
+    path = cache_directory() / "libraries" / f"{name}.so"
     if not path.exists():
-        compile_to(text, path, ["-std=c99", "-march=native"])
+        with tempfile.TemporaryDirectory() as work:
+            more = [Path(work) / f"{k}.c" for k in range(len(texts) - 1)]
+            for other, text in zip(more, texts[1:], strict=True):
+                other.write_text(text)
+            compile_to(texts[0], path, ["-std=c99", "-march=native", *map(str, more)])
     return path

@@ -24,11 +24,12 @@ from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import piece_sizes, piece_tables
-from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text, with_included
+from ..solvers.compiled.library import COARSE_DEGREE, DEGREE, MOST_TUBES, between_points, kernel_text
+from ..solvers.compiled.text import c_tables, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-
-HERE = Path(__file__).parent / "c"
+from .c_loads import loaded_cases, loads_source
+from .c_text import C_FOLDER, tubes_text
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
@@ -36,23 +37,27 @@ CASES = 24
 
 @dataclass(frozen=True)
 class CLibrary(Displayed):
-    """Texts of a library by file name, what the robot is called, and the prefix of what it exports."""
+    """Texts of a library by file name, what the robot is called, the prefix of what it exports, and whether it has
+    loads."""
 
     robot: Robot
     name: str
     prefix: str
     files: dict[str, str]
+    loads: bool = False
 
 
-def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt") -> CLibrary:
+def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loads: bool = False) -> CLibrary:
     """The C library of a robot: of concentric tubes, of one arc each or made of pieces, or of tubes off the centreline.
 
     Args:
         name: what the comments call it.
         prefix: what the names of its functions begin with; two robots in one program need two.
+        loads: whether it can bear a force at its tip and its weight.
 
     Raises:
-        InputError: more than MOST_TUBES tubes, a prefix that is no name in C.
+        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes made of pieces, off the
+            centreline, or of unknown weight.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
     if robot.n_tubes > MOST_TUBES:
@@ -60,17 +65,22 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt") -> 
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
     space, plain = joint_space(robot), _plain(robot)
+    extra = {"tubeopt_load.c": loads_source(robot, name)} if loads else {}
     cases = _cases(space)
-    told = {"compliance": str(int(plain)), "how": "" if plain else ", by differences of equilibria side by side"}
+    told = {
+        "loads": str(int(loads)),
+        "compliance": str(int(plain)),
+        "how": "" if plain else ", by differences of equilibria side by side",
+    }
     texts = {
         "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes), **told),
         "tubeopt_robot.c": _source(robot, space, name),
-        "CMakeLists.txt": _filled("CMakeLists.txt", name=name),
+        "CMakeLists.txt": _filled("CMakeLists.txt", name=name, load=" tubeopt_load.c" if loads else ""),
         "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
-        "test.c": _filled("test.c", CASES="".join(f"    {{{_numbers(case)}}},\n" for case in cases)),
+        "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
     }
-    files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in texts.items()}
-    return CLibrary(robot, name, prefix, files)
+    files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
+    return CLibrary(robot, name, prefix, files, loads)
 
 
 def save_c_library(library: CLibrary, folder: Path) -> list[Path]:
@@ -88,7 +98,7 @@ def _renamed(text: str, prefix: str) -> str:
 
 def _filled(file: str, **values: str) -> str:
     """The text of a template; in those with braces of their own, only the names given are filled in."""
-    text = (HERE / file).read_text()
+    text = (C_FOLDER / file).read_text()
     for name, value in values.items():
         text = text.replace(f"{{{name}}}", value)
     return text.replace("{{", "{").replace("}}", "}") if file == "CMakeLists.txt" else text
@@ -106,7 +116,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
         "#define CASADI_SYMBOL_EXPORT static\n",
         kernel_text(robot.n_tubes, home.eccentric, home.general),
         _data(robot, space),
-        *(with_included(HERE / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
+        *(with_included(C_FOLDER / file) for file in ("quadratic.c", "robot.c", slopes, "servo.c")),
     ]
     return "".join(parts)
 
@@ -121,14 +131,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     """Tubes, method, joints and limits as C."""
     n, m = robot.n_tubes, len(space.lower)
     home = robot.assembly(robot.home_translations)
-    straight = [tube.straight_length for tube in robot.tubes]
-    none = np.zeros(n)
-    tubes: list[ArrayLike] = [home.bending_stiffness, home.torsional_stiffness, home.curvature]
     pieces = {} if home.lengthwise is None else piece_tables(home.lengthwise)
-    if pieces:
-        tubes = [none, none, none]
-    tubes += [straight, [tube.length for tube in robot.tubes]]
-    tubes += [none, none] if pieces else [home.offset, home.offset_angle]
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
@@ -165,14 +168,13 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "\n/* --- the numbers of the robot --- */\n",
         *(f"#define {key} {value!r}" for key, value in defines.items()),
     ]
-    lines += [f"static const double {key}[] = {{{_numbers(table)}}};" for key, table in tables.items()]
+    lines += [c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
     if pieces:
         entries = [*map(str, piece_sizes(pieces)), *(f"PIECES_{name}" for name in pieces)]
         lines += [f"static const Pieces PIECES = {{{', '.join(entries)}}};"]
-    rest = f"{int(home.eccentric)}{', &PIECES' if pieces else ''}"
-    lines += [f"static const Tubes ROBOT = {{{', '.join(f'{{{_numbers(row)}}}' for row in tubes)}, {rest}}};"]
+    lines += [f"static const Tubes ROBOT = {tubes_text(robot)};"]
     lines += [
         f"static const Method METHOD = {{{{{COARSE_DEGREE}, COARSE_nodes, COARSE_weights, COARSE_matrix}},\n"
         f"                              {{{DEGREE}, FINE_nodes, FINE_weights, FINE_matrix}}, TWICE, TWICE_BACK}};\n\n"
@@ -180,16 +182,13 @@ def _data(robot: Robot, space: JointSpace) -> str:
     return "\n".join(lines)
 
 
-def _numbers(values: ArrayLike) -> str:
-    def literal(value: float) -> str:
-        return repr(value) if np.isfinite(value) else "-INFINITY" if value < 0 else "INFINITY"
-
-    return ", ".join(literal(float(value)) for value in np.ravel(np.asarray(values, dtype=float)))
+def _rows(cases: Iterable[Array]) -> str:
+    return "".join(f"    {{{numbers(case)}}},\n" for case in cases)
 
 
 def _joints(case: Array) -> str:
     n = (len(case) - 4) // 2
-    return f"{{{_numbers(case[:n])}}}, {{{_numbers(case[n : 2 * n])}}}"
+    return f"{{{numbers(case[:n])}}}, {{{numbers(case[n : 2 * n])}}}"
 
 
 def _cases(space: JointSpace) -> list[Array]:

@@ -72,24 +72,24 @@ class Servo:
         options: ServoOptions | None = None,
     ) -> None:
         self.options = options or ServoOptions()
-        self._guard = Guard(robot, seed, limits, obstacles, self.options)
-        self.space = self._guard.space
+        self.guard = Guard(robot, seed, limits, obstacles, self.options)
+        self.space = self.guard.space
         if self.options.objective == "compliance" and _compiled_slopes(self.equilibrium) is None:
             raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
 
     @property
     def equilibrium(self) -> Equilibrium:
         """Where the robot is."""
-        return self._guard.here.equilibrium
+        return self.guard.here.equilibrium
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep:
         """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe."""
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"dt is {dt:g} s; it must be more than 0")
-        here, look = self._guard.here, _Look(self._guard.here)
+        here, look = self.guard.here, _Look(self.guard.here)
         rows, bounds, kinds = self._hedges(look, dt)
-        told = self._guard.left(command)
+        told = self.guard.left(command)
         groups = (self._task(group, command, look, dt) for group in [*self.options.priorities, ""])
         tasks = [task for task in groups if task is not None]
         if not tasks:
@@ -101,7 +101,7 @@ class Servo:
         why = Why(0)
         for kind in {kinds[k] for k in found[1]}:
             why |= kind
-        return ServoStep(*self._guard.go(found[0] * self.space.scale, why), *told)
+        return ServoStep(*self.guard.go(found[0] * self.space.scale, why), *told)
 
     def _hedges(self, look: _Look, dt: float) -> tuple[Array, Array, list[Why]]:
         """Rows and bounds of a step over the joints' scales, and what each stands for; what is missed already must not
@@ -124,7 +124,7 @@ class Servo:
             most = RISE * float(np.maximum(-raised * bounds[1], raised * bounds[0]).sum())
             bounds.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), most)]))
             kinds.append(Why.MARGIN)
-        scene = self._guard.scene
+        scene = self.guard.scene
         if scene.bodies:
             contacts = here.outline.contacts(scene, options.clearance + NEAR * space.length)
             rows.append(here.contact_slopes(scene, contacts) * space.scale)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..block.quantities import CLEARANCES
 from ..typing import Array
+from .piece_pose import PiecePose
 from .pose import Pose
 from .state import State
 
@@ -30,7 +31,7 @@ def _cubic(x: Array) -> tuple[Array, Array]:
     return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
 
 
-def _between(pose: Pose, share: Array) -> tuple[IndexArray, Array, Array]:
+def _between(pose: Pose | PiecePose, share: Array) -> tuple[IndexArray, Array, Array]:
     """For parts (K,) of the arm: the shape point before, the length to the next, and how far along it, 0 to 1."""
     s = pose.arc_length
     at = share * s[-1]
@@ -39,7 +40,7 @@ def _between(pose: Pose, share: Array) -> tuple[IndexArray, Array, Array]:
     return k, h, (at - s[k]) / h
 
 
-def arm_points(pose: Pose, share: Array) -> Array:
+def arm_points(pose: Pose | PiecePose, share: Array) -> Array:
     """Centreline (K, 3) at parts (K,) of the arm's length, cubic between the shape points."""
     k, h, x = _between(pose, share)
     ends = pose.position, pose.frame[:, :, 2]
@@ -47,7 +48,7 @@ def arm_points(pose: Pose, share: Array) -> Array:
     return np.asarray(np.einsum("wk,wkc->kc", _cubic(x)[0], nodes))
 
 
-def arm_slopes(pose: Pose, share: Array) -> Array:
+def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
     """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
     k, h, x = _between(pose, share)
     position, turn, arc = pose.shape_slopes
@@ -68,7 +69,7 @@ def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Ar
 
     Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
     """
-    pose, n = state.shaped(index, "clearance"), state.layout.n
+    pose, n = state.pose(index), state.layout.n
     radii = np.array([tube.outer_diameter / 2 for tube in state.tubes])
     arc = pose.shape_slopes[2][-1]
     beyond = (share[:, None] * pose.arc_length[-1] - pose.problem.assembly.end) / RAMP
@@ -83,7 +84,8 @@ def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Ar
     rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
     moved = (rate * share)[:, None] * arc
     moved[k, n + tube] -= rate
-    moved[k, 4 * n + tube] -= rate
+    if isinstance(pose, Pose):  # the lengths of pieces are given
+        moved[k, 4 * n + tube] -= rate
     return each[k, tube], moved, by_radius
 
 
@@ -93,7 +95,7 @@ SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 def arm_clearance(state: State, index: int, body: Any) -> tuple[Array, Array]:
     """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
     the arm is held off, and its change (.., X)."""
-    pose, radii = state.shaped(index, "clearance"), 0.5 * state.slopes["outer_diameter"]
+    pose, radii = state.pose(index), 0.5 * state.slopes["outer_diameter"]
     radius, thinner, by_radius = arm_radius(state, index, SHARES)
     points = arm_points(pose, SHARES)
     room = body.signed_distance(points) - radius - HELD_OFF

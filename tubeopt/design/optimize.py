@@ -172,10 +172,32 @@ def optimize_design(
     if choice("method", method, METHODS) == "collocation":
         check_collocation(task)
     began = time.perf_counter()
+    search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
     one = forced(task)
     if one is not None:
-        again = partial(optimize_design, method=method, starts=starts, seed=seed, workers=workers, turns=turns)
-        return _bearing(task, one, partial(again, progress=progress), began)
+        return _bearing(task, one, search, turns, began)
+    return _solution(task, search(task, begin=begin), turns, began)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The best design of a search, all that it found, and how often the worst cases were added."""
+
+    best: Attempt
+    ranking: Ranking
+    rounds: int
+
+
+def _searched(
+    task: DesignTask,
+    begin: Attempt | None = None,
+    *,
+    method: str,
+    starts: int,
+    seed: int,
+    workers: int,
+    progress: Progress | None,
+) -> _Found:
     report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
     added = None if begin is None else begin.program.added
@@ -189,26 +211,27 @@ def optimize_design(
         raise infeasible(ranking)
     best, rounds = settle(ranking.designs[0], report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    ranking = replace(ranking, designs=(best, *(others or ranking.designs[1:])))
-    return _solution(task, best, ranking, rounds, turns, began)
+    return _Found(best, replace(ranking, designs=(best, *(others or ranking.designs[1:]))), rounds)
 
 
 def _bearing(
-    task: DesignTask, one: SnapFree, run: Callable[[DesignTask], DesignSolution], began: float
+    task: DesignTask, one: SnapFree, search: Callable[[DesignTask], _Found], turns: int, began: float
 ) -> DesignSolution:
-    """The design for a task that names a force."""
-    found: dict[float, tuple[DesignSolution, Loaded]] = {}
+    """The design for a task that names a force; only the one that bears it is verified."""
+    known: dict[float, tuple[_Found, Loaded]] = {}
 
     def bears(floor: float) -> float:
         try:
-            solution = run(without_force(task, one, floor))
+            found = search(without_force(task, one, floor))
         except InfeasibleDesignError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
-        found[floor] = solution, under_force(solution.attempt, solution.robot, one)
-        return found[floor][1].value
+        known[floor] = found, under_force(found.best, robot_at(found.best.program, found.best.x), one)
+        return known[floor][1].value
 
-    solution, loaded = found[raised(one, bears)]
+    floor = raised(one, bears)
+    found, loaded = known[floor]
+    solution = _solution(without_force(task, one, floor), found, turns, began)
     verification = Verification((*solution.verification.checks, loaded.check))
     return replace(solution, task=task, verification=verification, seconds=time.perf_counter() - began)
 
@@ -252,10 +275,8 @@ def infeasible(ranking: Ranking) -> InfeasibleDesignError:
     return InfeasibleDesignError(f"{head}; {', or '.join(way.words for way in ways)}", ways, ranking.failed[0])
 
 
-def _solution(
-    task: DesignTask, best: Attempt, ranking: Ranking, rounds: int, turns: int, began: float
-) -> DesignSolution:
-    program, x = best.program, best.x
+def _solution(task: DesignTask, found: _Found, turns: int, began: float) -> DesignSolution:
+    program, x = found.best.program, found.best.x
     robot = robot_at(program, x)
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
@@ -268,12 +289,12 @@ def _solution(
         robot=robot,
         certificate=min(snap_free_certificate(robot, row) for row in certified),
         equilibria=equilibria,
-        objective=next(iter(values.values())) if single else best.objective,
+        objective=next(iter(values.values())) if single else found.best.objective,
         objectives=values,
         dimensions=dimensions(program, x),
-        sensitivities=sensitivities(best),
-        ranking=ranking,
-        rounds=rounds,
+        sensitivities=sensitivities(found.best),
+        ranking=found.ranking,
+        rounds=found.rounds,
         added=program.added,
         verification=verification,
         seconds=time.perf_counter() - began,

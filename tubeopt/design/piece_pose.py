@@ -7,16 +7,22 @@ from functools import cached_property
 
 import numpy as np
 
+from ..block.transcription.reduced import to_unknowns
 from ..equilibrium.general_derivatives import Change, Linearised, together
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import Solution, to_equilibrium
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, newton
 from ..stability.certificate import worst_case
+from ..stability.pair_certificate import least_margin_of_pair, pair_of
+from ..stability.shooting import profiles, to_base
 from ..typing import Array
 from .solved import Solved
+
+DIFFERENT = 1e-6
+"""A certificate of two tubes that is larger than that of all pairs at their worst by less is the same."""
 
 
 class PiecePose:
@@ -25,12 +31,12 @@ class PiecePose:
     def __init__(
         self, solved: Solved, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
     ) -> None:
-        self.problem, self.margin = solved.problem, solved.margin
-        self._solved, self._tubes, self._changes = solved, tuple(tubes), changes
+        self.solved, self.problem, self.margin = solved, solved.problem, solved.margin
+        self._tubes, self._changes = tuple(tubes), changes
 
     @cached_property
     def _solution(self) -> Solution:
-        solved = self._solved
+        solved = self.solved
         return Solution(solved.problem, solved.rotations, NewtonResult(solved.state, True, 0, 0.0), solved.margin)
 
     @cached_property
@@ -56,6 +62,16 @@ class PiecePose:
         return self._equilibrium.frame
 
     @property
+    def arc_length(self) -> Array:
+        """(m,) of the shape points, m."""
+        return self._equilibrium.arc_length
+
+    @property
+    def shape_slopes(self) -> tuple[Array, Array, Array]:
+        """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
+        return self.derivatives.shape
+
+    @property
     def tip_slopes(self) -> tuple[Array, Array]:
         """(3, L) change of the tip's position and of its frame (turn vector)."""
         return self.derivatives.tip_position, self.derivatives.tip_rotation
@@ -67,8 +83,25 @@ class PiecePose:
 
     @cached_property
     def certificate(self) -> tuple[float, Array]:
-        """mu_cert at this pose's translations, and its change (L,), nought with the joints."""
+        """mu_cert at this pose's translations, and its change (L,), nought with the joints.
+
+        Where two tubes do better than at their worst it is the margin of the equilibrium that has the least. At that
+        one the margin does not change with the rotations, so its change with the pieces at given ones is that of the
+        least.
+        """
         value, mode, _ = worst_case(self.problem)
+        pair = pair_of(self.problem)
+        least = None if pair is None else least_margin_of_pair(pair)
+        if pair is not None and least is not None and least.bound > value + DIFFERENT:
+            tips = np.zeros((1, len(self._tubes)))
+            tips[0, pair.tubes[0]] = least.tip
+            rotations = to_base(self.problem, tips)[0]
+            theta = profiles(self.problem, tips)[0]
+            found = newton(self.problem, rotations, to_unknowns(self.problem, rotations, theta))
+            if found.converged:
+                solved = Solved(self.problem, rotations, found.state, least.margin)
+                slope = PiecePose(solved, self._tubes, self._changes).margin_slope
+                return least.margin, np.concatenate([np.zeros(2 * len(self._tubes)), slope[2 * len(self._tubes) :]])
         here = Linearised(self._solution, self._equilibrium)
         changed = here.certificate(value, mode, together(self._changes(here)))
         return value, np.concatenate([np.zeros(2 * len(self._tubes)), changed])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..typing import Array
+from .piece_pose import PiecePose
 from .pose import Pose
 from .program import Program, built_in, corners
 from .requirements import Avoid, Coverage, Reach
@@ -97,13 +99,14 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
 
 def _sample(
     tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator
-) -> tuple[list[Array], list[Pose]]:
+) -> tuple[list[Array], list[Pose | PiecePose]]:
     """Joint values (2 n,), rotations then beta, with carriages and ends in order, within the limits of translations
     where that leaves a range, and their poses."""
     n = len(tubes)
     length = np.array([tube.length for tube in tubes])
     straight = np.array([tube.straight_length for tube in tubes])
-    joints, poses = [], []
+    joints: list[Array] = []
+    poses: list[Pose | PiecePose] = []
     for _ in range(POSES):
         rotations = random.uniform(-np.pi, np.pi, n)
         beta = np.zeros(n)
@@ -117,16 +120,16 @@ def _sample(
             beta[i] = random.uniform(low, high) if high > low else high
             ahead, behind = beta[i], max(beta[i] + length[i], 0.0)
         try:
-            pose = Pose(solve_pose(tubes, rotations, beta + straight))
+            solved = solve_pose(tubes, rotations, beta + straight)
         except (InputError, SolveError):
             continue
-        if pose.margin > 0:
+        if solved.margin > 0:
             joints.append(np.concatenate([rotations, beta]))
-            poses.append(pose)
+            poses.append(PiecePose(solved, tubes, lambda _: ()) if solved.problem.assembly.general else Pose(solved))
     return joints, poses
 
 
-def _outside(program: Program, poses: list[Pose]) -> Array:
+def _outside(program: Program, poses: Sequence[Pose | PiecePose]) -> Array:
     """(N,) how far, m, the worst point of each arm is where it must not be."""
     out = np.zeros(len(poses))
     for one in program.task.requirements:

@@ -163,7 +163,7 @@ class State:
         return self._poses[index]
 
     def shaped(self, index: int, what: str) -> Pose:
-        """The equilibrium of a pose, for what is told along the arm.
+        """The equilibrium of a pose, for what is told of its tubes along the arm.
 
         Raises:
             InputError: of a design of pieces, which has no `what`.

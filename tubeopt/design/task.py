@@ -172,11 +172,14 @@ def _check_pieces(task: DesignTask) -> None:
         return
     for one in task.requirements:
         posed = isinstance(one, Strain) and one.in_poses and task.has_poses
-        if isinstance(one, Avoid | Coverage) or posed:
+        if isinstance(one, Coverage) or posed:
+            instead = "that of tubes held straight (in_poses: false)" if posed else "targets at its points"
             what = "strain in poses" if posed else type(one).__name__
-            raise InputError(f"{what} is required; a design of pieces does not take it")
+            raise InputError(f"{what} is required; a design of pieces does not take it, but {instead}")
         if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
-            raise InputError("snap_free names a box or a force; a design of pieces takes translations only")
+            raise InputError(
+                "snap_free names a box or a force; a design of pieces takes translations only: name those that matter"
+            )
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
             raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")

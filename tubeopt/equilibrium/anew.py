@@ -2,31 +2,67 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
+from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import to_unknowns
 from ..block.transcription.second_variation import margin
 from ..errors import SolveError
+from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.loaded import loaded_newton
 from ..solvers.newton import newton
 from ..typing import Array
 from .kinematics import forward_kinematics
+from .load_continuation import Member
+from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
+from .loaded import solved, to_tolerance
 from .result import Equilibrium
 from .solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 
+Along = Callable[[Array], Array]
+
+FOLD = "Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)"
+
+TOLERANCE = 1e-8
+"""Wanted accuracy of rotations under load, rad."""
+
 
 def equilibrium_at(
-    robot: Robot, rotations: Array, translations: Array, rotation_at: Callable[[Array], Array] | None
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    rotation_at: Along | None,
+    *,
+    load: Load | None = None,
+    curvature_at: Along | None = None,
 ) -> Equilibrium:
     """What `Equilibrium.at` tells."""
     if rotation_at is None:
-        return forward_kinematics(robot, rotations, translations)
+        return forward_kinematics(robot, rotations, translations, load=load)
     shift = tuple(translations.tolist())
+    if load is not None and curvature_at is not None:
+        return _under_load(robot, (rotations, shift), load, (rotation_at, curvature_at))
     problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
     theta = rotation_at(problem.arc_length).T.reshape(-1, robot.n_tubes)
     result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
     if not result.converged:
-        raise SolveError("Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)")
+        raise SolveError(FOLD)
     solution = Solution(problem, rotations, result, margin(problem, result.state))
     near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
     return forward_kinematics(robot, rotations, translations, guess=near)
+
+
+def _under_load(
+    robot: Robot, joints: tuple[Array, tuple[float, ...]], load: Load, along: tuple[Along, Along]
+) -> Equilibrium:
+    """From rotations and curvatures along the arm, under a load."""
+    check_load(robot, load, joints[1])
+    began, problem = time.perf_counter(), loaded_problem(robot, joints[1], load)
+    theta, curvature = (each(problem.torsion.arc_length).T for each in along)
+    result = loaded_newton(problem, joints[0], unknowns(problem, joints[0], theta, curvature))
+    if not result.converged:
+        raise SolveError(FOLD)
+    point = solved(Member(problem, *joints), result)
+    return to_tolerance(robot, point, load, LOADED_DISCRETISATION, TOLERANCE, ("a program", began))

@@ -81,8 +81,7 @@ class GeneralMotion:
     @property
     def pushed(self) -> Array:
         """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
-        grown = [float(change.length.sum()) for _, change in self._changes]
-        return np.outer(self.arm.frame[-1][:, 2], grown)
+        return np.outer(self.arm.frame[-1][:, 2], self.shape[2][-1])
 
     def per_tube(self, columns: Array) -> Array:
         """Every tube has a carriage of its own."""
@@ -91,23 +90,37 @@ class GeneralMotion:
     @cached_property
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
-        return np.stack([self._moved(at, change) for at, change in self._changes], axis=-1)
+        moved, _, ahead = self.shape
+        ahead = np.concatenate([ahead[:-1], np.zeros_like(ahead[-1:])])
+        return np.asarray(moved - self.arm.frame[:, :, 2, None] * ahead[:, None])
 
-    def _moved(self, at: Linearised, change: Change) -> Array:
-        """(m, 3) of the shape points with one joint."""
+    @cached_property
+    def shape(self) -> tuple[Array, Array, Array]:
+        """(m, 3, Q) of the shape points, and of the frames there (turn vector), with the arc lengths (m, Q) at which
+        they are: with their pieces of the mesh, or fixed where a joint cuts these anew, but for the tip."""
+        parts = zip(*(self._moved(at, change) for at, change in self._changes), strict=True)
+        position, turn, ahead = (np.stack(part, axis=-1) for part in parts)
+        return position, turn, ahead[:, 0]
+
+    def _moved(self, at: Linearised, change: Change) -> tuple[Array, Array, Array]:
+        """(m, 3) of the shape points with one joint, the turn vectors, and (m, 1) of their arc lengths."""
         turn, length = at.answer(change).turn[0], change.length[0][:, None, None]
         up_to = at.t.lagrange(ENDS, integrals=1)
         turned, lever = (_cumulate(up_to, part) for part in (turn, np.cross(turn, at.position)))
         stretch = _cumulate(up_to, at.frame[..., 2] * length)
         ahead = _cumulate(np.asarray(ENDS)[:, None], length)
         out = np.cross(turned, at.arm.position) - lever + stretch
-        out[:-1] -= at.arm.frame[:-1, :, 2] * ahead[:-1]
         if at is self.here:
-            return np.asarray(out)
-        own = self.equilibrium.arc_length
-        found = np.column_stack([np.interp(own, at.arm.arc_length[:-1], column[:-1]) for column in out.T])
-        found[-1] = out[-1]
-        return found
+            return np.asarray(out), turned, ahead
+        bend = (at.arm.frame[..., :2] @ at.arm.curvature[..., None])[..., 0]
+        own, s = self.equilibrium.arc_length, at.arm.arc_length[:-1]
+        rows = []
+        for part, rate in ((out, at.arm.frame[..., 2]), (turned, bend)):
+            fixed = part - rate * ahead
+            found = np.column_stack([np.interp(own, s, column[:-1]) for column in fixed.T])
+            found[-1] = part[-1]
+            rows.append(found)
+        return rows[0], rows[1], np.where(np.arange(len(own)) < len(own) - 1, 0.0, ahead[-1])[:, None]
 
     @property
     def total_bend(self) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import numpy as np
@@ -12,9 +11,8 @@ from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
 from ..errors import InputError
 from ..robots.assembly import Assembly, cut
-from ..robots.load import Load
+from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..robots.tubes import Tube
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
 from .solving import Discretisation
@@ -51,30 +49,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
             raise InputError(
                 f"points[{k}] of load is at {part.at:g} m; it must be at most the length of the arm, {length:g} m"
             )
-    masses(robot, load)
-
-
-def mass_per_length(tube: Tube) -> float | None:
-    """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
-    if tube.mass_per_length is not None:
-        return tube.mass_per_length
-    thermal = tube.material.thermal
-    if thermal is None:
-        return None
-    return thermal.density * math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
-
-
-def masses(robot: Robot, load: Load) -> Array:
-    """(n,) mass per length of the tubes, kg/m; zeros where the load has no gravity."""
-    if load.gravity is None or not any(load.gravity):
-        return np.zeros(robot.n_tubes)
-    known = [mass_per_length(tube) for tube in robot.tubes]
-    for i, mass in enumerate(known, start=1):
-        if mass is None:
-            raise InputError(
-                f"gravity acts, but the material of tube {i} has no density and the tube no mass_per_length; give one"
-            )
-    return np.array(known, dtype=float)
+    masses(robot.tubes, load)
 
 
 @lru_cache(maxsize=64)
@@ -82,7 +57,7 @@ def loaded_problem(
     robot: Robot, translations: tuple[float, ...], load: Load, discretisation: Discretisation = LOADED_DISCRETISATION
 ) -> LoadedProblem:
     """The problem of a robot at given translations under a load, built once for all rotations."""
-    density = masses(robot, load)
+    density = masses(robot.tubes, load)
     cuts = load.cuts()
     assembly = _cut(robot, translations, tuple(cuts.tolist()))
     counts = loaded_counts(assembly, *_bounds(assembly, load, density), discretisation.refinement)

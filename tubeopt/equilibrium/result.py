@@ -236,15 +236,19 @@ class Equilibrium(Displayed):
         rotations: Array,
         translations: Array,
         rotation_at: Callable[[Array], Array] | None = None,
+        *,
+        load: Load | None = None,
+        curvature_at: Callable[[Array], Array] | None = None,
     ) -> Equilibrium:
         """An equilibrium of a robot at joint values: `forward_kinematics` cold, or, stable or not, from where rotations
-        (n, P) of its tubes at arc lengths (P,) begin; of tubes made of pieces these are the elastic rotations.
+        (n, P) of its tubes at arc lengths (P,) begin; of tubes made of pieces these are the elastic rotations. Under
+        `load` curvatures (2, P) belong to them.
 
         Raises:
             SolveError: there is none.
         """
         found: Equilibrium = late("tubeopt.equilibrium.anew.equilibrium_at")(
-            robot, rotations, translations, rotation_at
+            robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
         )
         return found
 

@@ -254,7 +254,7 @@ def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows
     sideways = _gain(v.axial * (at.mold[1:, :] - at.mold[:-1, :]))
     cooling = g["clamp_loss"] * (at.clamp - ambient)
     return Flows(
-        tube=tube - ca.vertcat(ca.SX(first, 1), into_mold),
+        tube=tube - ca.vertcat(ca.DM(first, 1), into_mold),
         mold=ca.horzcat(into_mold + stray, outward) - ca.horzcat(outward, outside) + sideways,
         clamp=ca.sum1(into_clamp) + contact - cooling,
         surroundings=ca.sum1(air) + ca.sum1(outside) + cooling,
@@ -263,7 +263,7 @@ def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows
 
 def _gain(flow: Any) -> Any:
     """What cells gain, by row, from flows (n-1, ...) that run from every next one to the one before."""
-    nothing = ca.SX(1, flow.size2())
+    nothing = ca.DM(1, flow.size2())
     return ca.vertcat(flow, nothing) - ca.vertcat(nothing, flow)
 
 
@@ -281,15 +281,15 @@ def stored_heat(at: Temperatures, v: Volumes, g: Properties) -> Any:
 
 
 def frozen_jacobian(at: Temperatures, cells: Any, v: Volumes, g: Properties) -> tuple[Any, Any, Any]:
-    """Jacobian of the flows into `cells` (1 + M, n) of which `at` consists, at no current and the conductivity of the
-    reference temperature: symmetric, what an implicit step needs, short of what it can do without.
+    """Jacobian of the flows into `cells` (1 + M, n) of which `at` consists, at no current: what an implicit step needs,
+    short of what it can do without. Symmetric but for the slope of the conductivity.
 
     Returns:
         own: (1 + M, n) W/K. inward: (1 + M, n) with the next in the same cell, 0 in the last row.
         along: (1 + M, n-1) with the same in the next cell.
     """
     nothing = Load(0.0, 0.0, 0.0)
-    flows = heat_flows(at, nothing, v, g | {"conduction_slope": 0.0})
+    flows = heat_flows(at, nothing, v, g)
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
     own, inward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
@@ -305,5 +305,5 @@ def _diagonal(matrix: Any, offset: int) -> Any:
 
 def by_cell(tube: Any, mold: Any, bare: float = 0.0) -> Any:
     """(1 + M, n) values of the tube (first row) and the shells around it, `bare` where there is no mold."""
-    outside = bare * ca.SX.ones(mold.size2(), tube.numel() - mold.size1())
+    outside = bare * ca.DM.ones(mold.size2(), tube.numel() - mold.size1())
     return ca.densify(ca.vertcat(tube.T, ca.horzcat(outside, mold.T)))

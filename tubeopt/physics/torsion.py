@@ -34,7 +34,9 @@ class CrossSection:
     bending_energy: Any
 
 
-def cross_section(theta: Any, stiffness: Any, moment: Any, offset: Any = None, angle: Any = None) -> CrossSection:
+def cross_section(
+    theta: Any, stiffness: Any, moment: Any, offset: Any = None, angle: Any = None, *, load: Any = 0.0
+) -> CrossSection:
     """Equilibrium of one cross-section.
 
     Args:
@@ -43,13 +45,15 @@ def cross_section(theta: Any, stiffness: Any, moment: Any, offset: Any = None, a
         moment: (n,) m_i = kb_i kappa_i of the tubes curved here, 0 for the others, N m; or (n, 2), kb_i times the
             precurvature about both axes of the tube.
         offset, angle: (n,) d_i (m), phi_i (rad); None where all tubes are concentric.
+        load: (2,) bending moment that forces put on concentric tubes here, N m.
 
     Returns:
         curvature u (2,), stretch g (n,), moment M (n,), bending energy per centreline length (N).
     """
     total = _total(_pulls(theta, moment))
     if offset is None:
-        return _at_curvature(total / ca.sum1(stiffness), theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
+        u = (total + load) / ca.sum1(stiffness)
+        return _at_curvature(u, theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
     u = _offset_curvature(total, stiffness, offset, angle)
     return _at_curvature(u, theta, stiffness, moment, _stretch(u, offset, angle))
 

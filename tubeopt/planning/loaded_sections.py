@@ -8,9 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..equilibrium.load_problem import masses
 from ..equilibrium.result import Equilibrium
-from ..robots.load import Load
+from ..robots.load import Load, masses
 from ..robots.robot import Robot
 from ..typing import Array, Index
 from .jets import Jet
@@ -44,7 +43,7 @@ class Pull:
         """Of a load all of which is covered."""
         along = np.array(load.distributed if _even(load) else np.zeros(3), dtype=float)
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
-        return Pull(np.array(load.force), along, masses(robot, load)[:, None] * gravity)
+        return Pull(np.array(load.force), along, masses(robot.tubes, load)[:, None] * gravity)
 
     def on(self, s: Array, ends: Array) -> Array:
         """(..., 3) force on the cross-section at arc lengths (...) of arms whose tubes end at (..., n)."""

@@ -34,7 +34,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
-from ..typing import Array
+from ..typing import Array, Sentence
 from .clearing import Wanted
 from .faults import joint_range, out_of_range, rates_of, too_fast
 from .loaded_passage import LoadedFollower
@@ -47,6 +47,22 @@ SAMPLES = 5
 
 AGREEMENT = 1e-6
 """Largest difference of a tip from its re-integration, over the length of the robot."""
+
+
+class ProofStatus(Sentence):
+    """What is known of a trajectory that was followed once more; every value reads as a sentence."""
+
+    PROVED = "the trajectory is proved from end to end"
+    OPEN = "the time ended before anything was refuted"
+    FAULTY = "something is not as it must be, or is not shown to be"
+
+
+@dataclass(frozen=True)
+class ProofStatistics:
+    """What a proof took: equilibria that were solved, and the share of the time that it covers."""
+
+    equilibria: int
+    followed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +105,23 @@ class Proof(Displayed):
     followed: float = 1.0
     open: bool = False
     forced: ForceBound | None = None
+
+    @property
+    def value(self) -> float:
+        """The least margin of all times."""
+        return self.least_margin
+
+    @property
+    def status(self) -> ProofStatus:
+        """Whether the trajectory is proved."""
+        if self.holds:
+            return ProofStatus.PROVED
+        return ProofStatus.OPEN if self.open else ProofStatus.FAULTY
+
+    @property
+    def statistics(self) -> ProofStatistics:
+        """What it took."""
+        return ProofStatistics(self.equilibria, self.followed)
 
     @property
     def holds(self) -> bool:

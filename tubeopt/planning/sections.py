@@ -1,4 +1,8 @@
-"""Many equilibria as one set of arrays, and the sections that neighbours among them share."""
+"""Many equilibria as one set of arrays, and the sections that neighbours among them share.
+
+What `Bending` bounds is written here by hand, apart from the physics by which motions are found, since it is part of
+their proof: whatever the rotations, in intervals of translations. Tests hold it against equilibria in between.
+"""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ from ..display import Displayed
 from ..errors import InputError, choice, finite, positive, vector
 from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
+from .tubes import Tube, mass_per_length
 
 Vector = tuple[float, float, float]
 
@@ -181,6 +182,19 @@ def between(start: Load, end: Load, t: float) -> Load:
         points=(*one.points, *other.points),
         gravity=gravity,
     )
+
+
+def masses(tubes: Sequence[Tube], load: Load) -> Array:
+    """(n,) mass per length of tubes, kg/m; zeros where the load has no gravity."""
+    if load.gravity is None or not any(load.gravity):
+        return np.zeros(len(tubes))
+    known = [mass_per_length(tube) for tube in tubes]
+    for i, mass in enumerate(known, start=1):
+        if mass is None:
+            raise InputError(
+                f"gravity acts, but the material of tube {i} has no density and the tube no mass_per_length; give one"
+            )
+    return np.array(known, dtype=float)
 
 
 def _vector(name: str, value: Any) -> Vector:

@@ -217,3 +217,13 @@ def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantit
         bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
         out.append((piece.length, piece.precurvature, bending, torsional))
     return out
+
+
+def mass_per_length(tube: Tube) -> float | None:
+    """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
+    if tube.mass_per_length is not None:
+        return tube.mass_per_length
+    thermal = tube.material.thermal
+    if thermal is None:
+        return None
+    return thermal.density * math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)

@@ -9,15 +9,21 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..files.checked import Number, in_file
+from ..files.checked import Number, Positive, in_file
 from ..files.units import MM, to_si
-from ..shaping.heating.calibration import FACTORS, HeatingLog, RigFit, calibrate
+from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
+from ..shaping.heating.colours import NITINOL_COLOURS, ColourTable
+from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.trials import Trial, TrialFit, calibrate_from_trials
 from ..shaping.mold.springback import Calibration, calibrate_springback
+from ..typing import Array
 from .base import Progress, Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
-from .rig_file import load_heating_log, load_heating_trials
+from .rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
+
+CameraView = tuple[Array, Array, Array]
+"""Times, places and temperatures that a camera saw."""
 
 
 class HeatingCalibrationStudy(TubeOnRig):
@@ -33,16 +39,31 @@ class HeatingCalibrationStudy(TubeOnRig):
     trials: bool = Field(False, description="the file holds outcomes of trials, not a log")
     fit: list[str] = Field(
         ["loss", "gap", "contact_resistance", "resistivity"],
-        description=f"of {', '.join(FACTORS)}; trials tell the loss alone",
+        description=f"of {', '.join((*FACTORS, BIAS))}; trials tell the loss alone",
         examples=["NAME,.."],
     )
+    camera: Annotated[CameraView, in_file(load_camera, "a CSV file")] | None = Field(
+        None,
+        description="what a thermal camera saw beside the log: a CSV file of time_s and a column of temperatures in "
+        "degC for every place, called by it in mm from the middle of the curved part",
+        examples=["FILE.csv"],
+    )
+    colours: Annotated[ColourTable, in_file(load_colours, "a file of colours")] | None = Field(
+        None,
+        description="of the oxide by temperature, for trials that tell its colour: a YAML file; by default wide ones",
+        examples=["FILE.yaml"],
+    )
+    noise_K: Positive | None = Field(None, description="stated noise of the thermometers, which residuals are held to")
+    noise_V: Positive | None = Field(None, description="stated noise of the voltage")
+    noise_A: Positive | None = Field(None, description="stated noise of the current")
     position_mm: Number = Field(Decimal(0), description="of the thermometer from the middle of the curved part")
 
     @functools.cached_property
     def _read(self) -> HeatingLog | tuple[Trial, ...]:
         if self.trials:
             return load_heating_trials(self.log)
-        return load_heating_log(self.log, to_si(self.position_mm, MM))
+        log = load_heating_log(self.log, to_si(self.position_mm, MM))
+        return log if self.camera is None else log.with_camera(*self.camera)
 
     @model_validator(mode="after")
     def _can_be_read(self) -> Self:
@@ -55,8 +76,10 @@ class HeatingCalibrationStudy(TubeOnRig):
             progress(0, 0)
         read = self._read
         if isinstance(read, HeatingLog):
-            return calibrate(self.heated(), self.rig, read, self.fit)
-        return calibrate_from_trials(self.heated(), self.rig, read)
+            stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
+            noise = {name: float(value) for name, value in stated.items() if value is not None}
+            return calibrate(self.heated(), self.rig, read, self.fit, noise=noise)
+        return calibrate_from_trials(self.heated(), self.rig, read, colours=self.colours or NITINOL_COLOURS)
 
 
 class MoldCalibrationStudy(Study):

@@ -15,14 +15,18 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
+from ..shaping.firmware.leader import Leader
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine
 from ..shaping.firmware.simulated import SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
+from ..shaping.heating.law import HeatingLaw
 from ..shaping.heating.leading import lead_by
+from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
+from ..shaping.heating.replanning import planner_for
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import ENSEMBLE
-from ..shaping.heating.sensors import Thermocouple
+from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import thermal_model
 from .base import Progress, Study
@@ -81,6 +85,12 @@ class HeatingRunStudy(Study):
     simulate: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
         None, description="a simulated rig with its law in place of a board", examples=["RIG.yaml"]
     )
+    rig: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
+        None, description="file of the rig on the port, with which the rest is planned anew", examples=["RIG.yaml"]
+    )
+    replan_s: Positive | None = Field(
+        None, description="time between plans of the rest on this computer; by default the board's law is left alone"
+    )
     dry: bool = Field(False, description="everything but the current")
     speed: Positive = Field(Decimal(20), description="of the simulated clock, times the real one")
 
@@ -90,25 +100,37 @@ class HeatingRunStudy(Study):
             raise ValueError("port and simulate are missing; one of them must be given")
         if self.port is not None and self.simulate is not None:
             raise ValueError("port and simulate are given; it must be one of them")
-        if self.simulate is not None and self.simulate.tube is None:
-            raise ValueError("simulate: the rig file names no tube; it must name the one that is heated")
+        if self.port is not None and self.replan_s is not None and self.rig is None:
+            raise ValueError("rig is missing; it must be given where the rest is planned anew for a board on a port")
+        for name, rig in (("simulate", self.simulate), ("rig", self.rig)):
+            if rig is not None and rig.tube is None:
+                raise ValueError(f"{name}: the rig file names no tube; it must name the one that is heated")
         return self
 
-    def open(self) -> Line:
-        """The line to the board, or to the simulated rig; raises InputError where the port cannot be opened."""
+    def open(self) -> tuple[Line, Leader | None]:
+        """The line to the board, or to the simulated rig, and what plans the rest anew where that is asked for; raises
+        InputError where the port cannot be opened."""
+        rig, law = self.rig if self.simulate is None else self.simulate, None
+        leader = None
+        if rig is not None and (self.simulate is not None or self.replan_s is not None):
+            law = led_law(rig)
+        if law is not None and self.replan_s is not None:
+            leader = Leader(planner_for(*law), float(self.replan_s))
         if self.port is not None:
-            return SerialLine(self.port)
-        assert self.simulate is not None
-        return simulated_line(self.simulate, float(self.speed))
+            return SerialLine(self.port), leader
+        assert law is not None
+        return simulated_line(*law, float(self.speed)), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
         """Run it, and log into `out`."""
         tell = progress or (lambda done, total: None)
+        line, leader = self.open()
         return run_heating(
-            self.open(),
+            line,
             dry=self.dry,
             log=None if out is None else out / LOG_FILE,
             show=lambda hello, row: tell(row["place"], int(hello.get("slots", 0))),
+            leader=leader,
         )
 
     def run(self, progress: Progress | None = None) -> HeatingRun:
@@ -116,14 +138,18 @@ class HeatingRunStudy(Study):
         return self.run_in(None, progress)
 
 
-def simulated_line(rig: Rig, speed: float = 20.0) -> Line:
-    """A line to a simulated rig, planned and led on the spot by a thermocouple; its file must name the tube."""
+def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
+    """A rig's schedule as `tubeopt heat firmware` makes it by default, and the law of a thermocouple; the file must
+    name the tube."""
     assert rig.tube is not None
-    plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
-    sensor = Thermocouple()
-    law = lead_by(plan, sensor, samples=20).law
-    simulated = SimulatedRig(thermal_model(rig.tube, rig, ENSEMBLE), sensor)
-    return SimulatedLine(simulated, law, plan.spec.limit + OVERSHOOT, speed)
+    plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
+    return plan, lead_by(plan, sensor, samples=20).law, sensor
+
+
+def simulated_line(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, speed: float = 20.0) -> Line:
+    """A line to a simulated rig that is led by a law."""
+    simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, ENSEMBLE), sensor)
+    return SimulatedLine(simulated, law, plan.spec.limit + OVERSHOOT, speed, plan.spec.window_degC)
 
 
 def run_heating(
@@ -132,12 +158,13 @@ def run_heating(
     dry: bool = False,
     log: Path | None = None,
     show: Callable[[dict[str, Any], dict[str, Any]], object] | None = None,
+    leader: Leader | None = None,
 ) -> HeatingRun:
     """Start a rig and follow it to its end; where this is interrupted, the rig is stopped first.
 
     Args:
         line: to it. dry: everything but the current. log: CSV, written row by row. show: gets what the rig said of
-            itself and every report.
+            itself and every report. leader: plans the rest anew, and tells the rig.
 
     Raises:
         SolveError: the rig does not answer.
@@ -160,6 +187,8 @@ def run_heating(
             rows.append(found)
             if log is not None:
                 _append(log, found)
+            if leader is not None and (lead := leader.advise(found)) is not None:
+                line.send("lead", **lead)
             if show is not None:
                 show(hello, found)
             if found["state"] == "stopped":

@@ -13,7 +13,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
-from ..files.units import MM, UNITS, to_si
+from ..files.units import MM, to_si
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
@@ -23,7 +23,7 @@ from .base import SHIFTED, TURNED, OnePerTube, Progress, RobotPath, metres, radi
 from .load_file import LoadedStudy
 from .validation_study import MeasurementsPath
 
-MILLI = to_si(Decimal(1), UNITS["mN"])
+PUSH = 1e-3
 """N that a robot whose stroke force is asked pushes with, so that times are mN."""
 
 
@@ -81,9 +81,9 @@ class LoadLimitStudy(LoadedStudy):
             return Bearing(self.robot, rotations, translations, load, found, up_to)
         start = start or forward_kinematics(self.robot, rotations, translations)
         found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
-        x, y, z = (-MILLI * start.tip_rotation[:, 2]).tolist()
-        limit = None if found is None else replace(found, factor=found.factor / MILLI)
-        return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / MILLI)
+        x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
+        limit = None if found is None else replace(found, factor=found.factor / PUSH)
+        return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)
 
 
 class ForceStudy(LoadedStudy):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from os import PathLike
 from typing import Any, Literal
@@ -13,9 +14,11 @@ from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
 from ..files.fields import Part, entry_of, to_data
+from ..files.units import MM, decimal, parse_number, to_si
 from ..files.yaml_file import load_yaml, save_yaml
 from ..robots.materials import ZERO_CELSIUS
-from ..shaping.heating.calibration import HeatingLog
+from ..shaping.heating.colours import ColourTable
+from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.rig import Battery, Rig
 from ..shaping.heating.trials import RESULTS, Trial
 from ..typing import Array
@@ -91,22 +94,29 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
 # --- logs and trials --------------------------------------------------------------------------------------------------
 
 LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
-TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "spring_back_percent", "result", "note")
+PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
+"""Columns of several thermometers, each with its place."""
+
+TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "spring_back_percent", "result", "colour", "note")
 
 
 def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> HeatingLog:
     """A logged heating in CSV: `time_s`, `duty`, and any of `temperature_degC`, `voltage_V`, `current_A`.
 
     Empty cells are readings that were not taken. `position` (m): of the thermometer from the middle of the curve.
+    Several have columns with their places: `temperature_-20_mm_degC`.
 
     Raises:
         InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
     """
     table = read_csv(path)
-    table.expect(LOG_COLUMNS[:2], LOG_COLUMNS[2:])
+    placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
+    table.expect(LOG_COLUMNS[:2], (*LOG_COLUMNS[2:], *placed))
     values = {name: _readings(table, name) for name in table.columns}
     table.check()
-    temperature = values.get("temperature_degC")
+    places = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
+    columns = [values[name] for name in places]
+    temperature = None if not columns else columns[0] if len(columns) == 1 else np.column_stack(columns)
     try:
         return HeatingLog(
             time=values["time_s"],
@@ -114,10 +124,48 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0) -> Heatin
             temperature=None if temperature is None else temperature + ZERO_CELSIUS,
             voltage=values.get("voltage_V"),
             current=values.get("current_A"),
-            position=position,
+            position=list(places.values()) or position,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
+    """What a thermal camera saw, in CSV: `time_s`, and a column of temperatures, degC, for every place along the tube.
+
+    Columns are called by their place from the middle of the curved part, mm: `time_s,-40,-20,0,20,40`. Empty cells are
+    places that were not seen.
+
+    Returns:
+        Times (C,), s, places (P,), m, and temperatures (C, P), K, NaN where nothing was seen.
+
+    Raises:
+        InputError: no such file, a column that is no place, or cells that are no numbers.
+    """
+    table = read_csv(path)
+    placed = [name for name in table.columns if name != "time_s"]
+    strange = [name for name in placed if not re.fullmatch(r"[-+]?[0-9.]+", name)]
+    refuse(path, [f"column {name} is not known; it must be time_s or a place in mm" for name in strange])
+    table.expect(("time_s",), placed)
+    if not placed:
+        refuse(path, ["there is no column of temperatures; there must be one for every place, called by it in mm"])
+    time = _readings(table, "time_s")
+    seen = np.column_stack([_readings(table, name) for name in placed])
+    table.check()
+    return time, np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
+
+
+ColourEntry = entry_of(ColourTable, extra={"kind": (Literal["oxide_colours"], ...)})
+"""Temperatures at which colours of the oxide come."""
+
+COLOUR_KINDS: dict[str, type[Part]] = {"oxide_colours": ColourEntry}
+"""What the key `kind` of a file of colours may say."""
+
+
+def load_colours(path: str | PathLike[str]) -> ColourTable:
+    """The table of colours in a YAML file; raises InputError for what makes none: one line for every problem."""
+    table: ColourTable = check_kind(COLOUR_KINDS, load_yaml(path), path).build()
+    return table
 
 
 def _readings(table: CsvTable, column: str) -> Array:
@@ -131,7 +179,7 @@ def _readings(table: CsvTable, column: str) -> Array:
 
 
 def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
-    """Trials in CSV: `duty`, `time_s`, optionally `ramp_s` and `note`, and `result` or `spring_back_percent`.
+    """Trials in CSV: `duty`, `time_s`, optionally `ramp_s` and `note`, and `result`, `spring_back_percent` or `colour`.
 
     `result` is under, good, over or set; a spring-back above 5 % means under, below it set.
 
@@ -140,19 +188,23 @@ def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
     """
     table = read_csv(path)
     table.expect(TRIAL_COLUMNS[:2], TRIAL_COLUMNS[2:])
-    if not {"result", "spring_back_percent"} & set(table.columns):
-        refuse(path, ["column result or spring_back_percent is missing"])
+    if not {"result", "spring_back_percent", "colour"} & set(table.columns):
+        refuse(path, ["column result, spring_back_percent or colour is missing"])
     trials = []
     for k in range(len(table.rows)):
         result = _result(table, k)
         duty, time = float(table.number(k, "duty")), float(table.number(k, "time_s"))
         ramp = float(table.number(k, "ramp_s")) if "ramp_s" in table.columns and table.cell(k, "ramp_s") else 0.0
         try:
-            trials.append(Trial(duty, time, result, ramp))
+            trials.append(Trial(duty, time, result, ramp, _colour(table, k)))
         except InputError as error:
             table.problems.append(f"row {k + 1} (line {table.line[k]}): {error}")
     table.check()
     return tuple(trials)
+
+
+def _colour(table: CsvTable, row: int) -> str | None:
+    return (table.cell(row, "colour") or None) if "colour" in table.columns else None
 
 
 def _result(table: CsvTable, row: int) -> str:
@@ -162,6 +214,9 @@ def _result(table: CsvTable, row: int) -> str:
             table.complain(row, "result", f"is {text!r}; it must be under, good, over or set{nearest(text, RESULTS)}")
             return "set"
         return text
+    measured = "spring_back_percent" in table.columns and bool(table.cell(row, "spring_back_percent"))
+    if not measured and _colour(table, row) is not None:
+        return ""
     if "spring_back_percent" not in table.columns:
         table.complain(row, "result", "is empty; it must be under, good, over or set")
         return "set"

@@ -199,9 +199,18 @@ def _with_file(name: str, data: Data, where: Path, keys: tuple[str, ...]) -> Dat
     """The study with what is in a file that it names: as data where keys go into it, else built."""
     if not isinstance(data.get(name), str) or name in keys:
         return data
-    content = load_yaml(where.parent / data[name])
+    file = where.parent / data[name]
+    content = _anchored(load_yaml(file), file.parent)
     inside = any(key.startswith(f"{name}.") for key in keys)
     return {**data, name: content if inside else FILES[name](content, data[name])}
+
+
+def _anchored(data: Any, directory: Path) -> Any:
+    """What is in a file, with the tables that it names to be found from anywhere."""
+    if isinstance(data, dict):
+        named = {key: isinstance(value, str) and key == "table" for key, value in data.items()}
+        return {k: str(directory / v) if named[k] else _anchored(v, directory) for k, v in data.items()}
+    return [_anchored(value, directory) for value in data] if isinstance(data, list) else data
 
 
 _PART = re.compile(r"(\w+)|\[(\d+)\]")

@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import InputError
 from ..robots.materials import NITINOL, ZERO_CELSIUS
 from ..robots.tubes import Tube
+from .heating.ageing import ageing_words
 from .heating.plan import HeatingPlan
 from .heating.planning import plan_heating
 from .heating.rig import Rig
@@ -116,7 +117,7 @@ def plan_tube(
         if plan is None or not _alike(before, on):
             plan = plan_heating(heated_tube(following.grooves[0]), on, heating)
         elif _settled(drawn, plan):
-            return TubeFabrication(tube, drawn, on, plan, round_, "", remarks)
+            return TubeFabrication(tube, drawn, on, plan, round_, "", (*remarks, *ageing_words(plan)))
         known = _known(drawn.grooves[0], plan)
     assert drawn is not None
     assert plan is not None

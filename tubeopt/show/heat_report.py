@@ -14,9 +14,10 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_study import Heating
 from ..runs.rig_file import rig_to_dict, save_rig
-from ..shaping.heating.calibration import Estimate, RigFit
+from ..shaping.heating.calibration import BIAS, Estimate, RigFit
 from ..shaping.heating.cures import Cure
 from ..shaping.heating.files import arduino_header, schedule_csv
+from ..shaping.heating.logged import UNITS, kind_of
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
@@ -126,7 +127,7 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("energy_error", "part of the energy that is not accounted for", label="energy balance",
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
-    Quantity("iterations", "of the optimal control problem, in its last round"),
+    Quantity("iterations", "of the optimal control problem, in its last round; 0 where none was needed"),
     Quantity("problems", "what is wrong, in words", lambda p: list(p.problems)),
     Quantity("cures", "what would help, what cures it first", lambda p: list(p.cures), of=CURE),
     Quantity("duty", "0 to 255, one for every slot", lambda p: p.duty),
@@ -272,7 +273,7 @@ def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
 
 ESTIMATE: tuple[Quantity[Estimate], ...] = (
     Quantity("name", "what was fitted"),
-    Quantity("factor", "on the value of the rig file"),
+    Quantity("factor", "on the value of the rig file; of a bias K"),
     Quantity("low", "least of its interval"),
     Quantity("high", "greatest of its interval"),
     Quantity("held", "whether it was held, since the log does not tell it"),
@@ -297,14 +298,16 @@ class RigFitReport(Report[RigFit]):
         """A row per factor, the residuals, the remarks."""
         f = self.answer
         cells = [
-            (e.name, *(("held", "–") if e.held else (f"{e.factor:.4f}", f"{e.low:.4f} to {e.high:.4f}")))
+            (
+                e.name + " (K)" * e.name.startswith(BIAS),
+                *(("held", "–") if e.held else (f"{e.factor:.4f}", f"{e.low:.4f} to {e.high:.4f}")),
+            )
             for e in f.estimates
         ]
         factors = grid(
             ("factor on", "fitted >", f"{100 * f.confidence:g} % interval >"), cells, title=f.rig.name or "rig"
         )
-        units = {"temperature": "K", "voltage": "V", "current": "A"}
-        noise = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in f.noise.items())
+        noise = ", ".join(f"{name} {value:.3g} {UNITS[kind_of(name)]}" for name, value in f.noise.items())
         return Group(factors, Text(f"residuals: {noise}"), *remarks(f.remarks, what="remark"))
 
     def save(self, directory: Path) -> list[Path]:

@@ -65,7 +65,9 @@ class BearingReport(Report[Bearing]):
         """The answer in words."""
         a = self.answer
         name = a.robot.name or "the robot"
-        return f"{name} bears {a.up_to if a.limit is None else a.limit.factor:.6g} times the load"
+        if a.limit is None:
+            return f"{name} bears at least {a.up_to:.6g} times the load, as far as was looked (--up-to)"
+        return f"{name} bears {a.limit.factor:.6g} times the load"
 
     def table(self) -> Group:
         """The answer in words, then the numbers of the limit."""

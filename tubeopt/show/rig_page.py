@@ -10,6 +10,7 @@ from rich.live import Live
 
 from ..errors import SolveError
 from ..runs.heating_run import LOG_FILE, HeatingRun, HeatingRunStudy, run_heating
+from ..shaping.firmware.leader import Leader
 from .quantities import Quantity
 from .report import Report, report, two_columns
 
@@ -47,23 +48,41 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
     if not shown:
         return study.run_in(out)
     readings: list[float] = []
-    line = study.open()
+    line, leader = study.open()
     with Live(console=Console(stderr=True), transient=True, refresh_per_second=8) as live:
 
         def show(hello: dict[str, Any], row: dict[str, Any]) -> None:
             readings.append(row["temperature_degC"])
-            live.update(two_columns(f"{hello.get('firmware', 'rig')}: {row['state']}", _told(hello, row, readings)))
+            live.update(
+                two_columns(
+                    f"{hello.get('firmware', 'rig')}: {row['state']}",
+                    _told(hello, row, readings) + _foretold(row, leader),
+                )
+            )
 
         log = None if out is None else out / LOG_FILE
-        return run_heating(line, dry=study.dry, log=log, show=show)
+        return run_heating(line, dry=study.dry, log=log, show=show, leader=leader)
+
+
+def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:
+    """What a computer that plans the rest anew thinks of the rig."""
+    if leader is None:
+        return []
+    who = "this computer" if row.get("led") else "the board's own law"
+    rest = leader.rest
+    hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.place, 0) :]
+    told = [("led by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
+    return told if not len(hold) else [*told, ("foretold", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
 
 
 def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
     left = max(hello.get("slots", 0) - row["place"], 0) * hello.get("slot_ms", 500) / 1000
     volt, ampere = row["voltage_V"], row["current_A"]
     battery = "not measured" if volt is None else f"{volt:.2f} V, {ampere:.0f} A while on"
+    window = hello.get("window_degC")
+    within = "" if window is None else f", window {window[0]:g} to {window[1]:g}"
     return [
-        ("temperature", f"{row['temperature_degC']:.1f} degC, wanted {row['reference_degC']:.1f}"),
+        ("temperature", f"{row['temperature_degC']:.1f} degC, wanted {row['reference_degC']:.1f}{within}"),
         ("", _curve(readings)),
         ("duty", f"{row['count']} of 255" + (", dry: nothing flows" if row["dry"] else "")),
         ("battery", battery),

@@ -14,11 +14,12 @@ from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_continuation import LoadedPoint, LoadFamily, Member, carry, reach
 from ..equilibrium.load_problem import LOADED_DISCRETISATION, check_load, loaded_problem
 from ..equilibrium.loaded import solved, unloaded_point
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
+from ..typing import Sentence
 from .loaded_events import fall, lose
 
 PAST = 1e-4
@@ -26,6 +27,13 @@ PAST = 1e-4
 
 STAGE = 4.0
 """Every stage of a growing load ends with so many times the load of the one before, on a mesh of its own."""
+
+
+class LoadLimitStatus(Sentence):
+    """How a branch ends as a load grows; every value reads as a sentence."""
+
+    FOLD = "the equilibrium vanishes in a fold, and the robot snaps"
+    BIFURCATION = "the equilibrium becomes unstable at a bifurcation, and the robot buckles"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +57,21 @@ class LoadLimit(Displayed):
     after: Equilibrium | None
     tip_jump: float
     energy_released: float
+
+    @property
+    def value(self) -> float:
+        """The factor on the load."""
+        return self.factor
+
+    @property
+    def status(self) -> LoadLimitStatus:
+        """How the branch ends."""
+        return LoadLimitStatus.FOLD if self.kind == "fold" else LoadLimitStatus.BIFURCATION
+
+    @property
+    def statistics(self) -> Statistics:
+        """What the equilibrium at the limit took."""
+        return self.before.statistics
 
 
 def find_load_limit(

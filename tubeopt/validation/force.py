@@ -17,7 +17,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..typing import Array
+from ..typing import Array, Sentence
 from .measurements import SAME_PLACE, Measurements
 
 MOST_STEPS = 60
@@ -33,6 +33,20 @@ SETTLED = 1e-4
 
 UNSEEN = 1e-8
 """Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
+
+
+class ForceStatus(Sentence):
+    """How far a force is told; every value reads as a sentence."""
+
+    TOLD = "the force is told in all directions"
+    IN_PART = "the force is told from none in some directions only"
+
+
+@dataclass(frozen=True)
+class ForceStatistics:
+    """What an estimate took: steps of the fit."""
+
+    iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +74,22 @@ class ForceEstimate(Displayed):
     iterations: int
 
     @property
+    def value(self) -> Array:
+        """(3,) the force, N."""
+        return self.force
+
+    @property
+    def status(self) -> ForceStatus:
+        """Whether the force is told in all directions."""
+        told = np.abs(self.directions @ self.force) >= 2 * self.errors
+        return ForceStatus.TOLD if told.all() else ForceStatus.IN_PART
+
+    @property
+    def statistics(self) -> ForceStatistics:
+        """What it took."""
+        return ForceStatistics(self.iterations)
+
+    @property
     def untold(self) -> str:
         """What the measurement cannot tell, in a sentence: directions in which the force is not told from none."""
         parts = []
@@ -68,7 +98,7 @@ class ForceEstimate(Displayed):
             if along < 2 * error:
                 axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
                 parts.append(f"along ({axis}) it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN")
-        return "the force is told in all directions" if not parts else "not told from none: " + "; ".join(parts)
+        return str(ForceStatus.TOLD) if not parts else "not told from none: " + "; ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,25 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.robot import Robot
-from ..typing import Array, Mask
+from ..typing import Array, Mask, Sentence
 
 CHUNK = 1 << 14
 """Rows that are looked at together, so that a table on disk never is in memory as a whole."""
+
+
+class WorkspaceStatus(Sentence):
+    """What became of the joint values of a workspace; every value reads as a sentence."""
+
+    SOLVED = "a stable equilibrium was found at all joint values"
+    GAPS = "at some joint values no stable equilibrium was found"
+
+
+@dataclass(frozen=True)
+class WorkspaceStatistics:
+    """Joint values that were solved for, and how many of them have no stable equilibrium that was found."""
+
+    samples: int
+    failures: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +53,21 @@ class Workspace(Displayed):
 
     def __len__(self) -> int:
         return len(self.table)
+
+    @property
+    def value(self) -> Array:
+        """(N, 3) the tips, m."""
+        return self.tip_position
+
+    @property
+    def status(self) -> WorkspaceStatus:
+        """Whether an equilibrium was found everywhere."""
+        return WorkspaceStatus.GAPS if self.failures else WorkspaceStatus.SOLVED
+
+    @property
+    def statistics(self) -> WorkspaceStatistics:
+        """What it took."""
+        return WorkspaceStatistics(len(self), len(self.failures))
 
     @property
     def rotations(self) -> Array:

@@ -181,6 +181,7 @@ def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(tab: 
 
 def test_a_change_is_taken_back_and_the_target_begins_at_the_tip(tab: Tab) -> None:
     assert tab.page.get_by_text(THESIS.name).count()
+    assert tab.read("tubes").split() == ["●", "tube", "1", "●", "tube", "2", "●", "tube", "3"]
     tab.tab("Tip")
     for axis, value in zip("xyz", tip(0, 0, 0) * 1e3, strict=True):
         assert abs(float(tab.box(f"target {axis} (mm)").input_value()) - value) < 1e-3

@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...physics.shape import GAUSS_POINTS, magnus_quaternion
+from ...physics.shape import GAUSS_POINTS, magnus_quaternion, rotation_matrix
 from ...physics.torsion import CrossSection, bent_anyhow, cross_section, section_functions
 from .panel import Local, local, width
 from .tableau import Tableau, tableau
@@ -35,13 +35,14 @@ ENDS = np.arange(STEPS + 1) / STEPS
 @dataclass(frozen=True)
 class Grid:
     """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets, and of tubes
-    made of pieces the `detail`, coefficients of what varies along them (0: nothing does)."""
+    made of pieces the `detail`, coefficients of what varies along them (0: nothing does); whether they bear a load."""
 
     n_tubes: int
     family: str = "gauss"
     degree: int = 6
     eccentric: bool = False
     detail: int = 0
+    loaded: bool = False
 
     @property
     def tableau(self) -> Tableau:
@@ -109,6 +110,41 @@ class Piece:
         return [moment, slope, *stretch]
 
 
+@dataclass(frozen=True, eq=False)
+class LoadedPiece(Piece):
+    """A piece of tubes on the centreline that bears a load.
+
+    bend: (2,) bending moment where it begins, N m.  bent: (2, K) at its points.  push: (3, K) force on the
+    cross-sections there, N, in the frame in which the piece begins.
+    """
+
+    bend: Any = None
+    bent: Any = None
+    push: Any = None
+
+    @property
+    def data(self) -> list[Any]:
+        """What is given of the piece."""
+        return [*super().data, self.bend, ca.vec(self.bent), ca.vec(self.push)]
+
+    def section(self, theta: Any, x: Any) -> CrossSection:
+        """The cross-section at the fraction x, where the moment is that between its points."""
+        moment = ca.horzcat(self.bend, self.bent) @ ca.vertcat(*_between([0.0, *self.grid.tableau.nodes.tolist()], x))
+        here = self.local(x)
+        return cross_section(theta + here.wound, here.stiffness, here.moment, load=moment)
+
+
+def _between(nodes: list[float], x: Any) -> list[Any]:
+    """Weights at x of values at the nodes, whose polynomial is meant."""
+    weights = []
+    for k, own in enumerate(nodes):
+        weight: Any = 1.0
+        for other in nodes[:k] + nodes[k + 1 :]:
+            weight = weight * (x - other) / (own - other)
+        weights.append(weight)
+    return weights
+
+
 def symbols(grid: Grid) -> Piece:
     """A piece of symbols."""
     n = grid.n_tubes
@@ -116,7 +152,12 @@ def symbols(grid: Grid) -> Piece:
     place = (d, phi) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
     along = ca.SX.sym("along", width(n, grid.detail)) if grid.detail else None
-    return Piece(grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along)
+    given = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along
+    if not grid.loaded:
+        return Piece(*given)
+    return LoadedPiece(
+        *given, ca.SX.sym("bend", 2), ca.SX.sym("bent", 2, grid.degree), ca.SX.sym("push", 3, grid.degree)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +214,28 @@ def torsion_of(piece: Piece) -> Torsion:
     defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
     end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
     return Torsion(piece, twist, gain, slope - twist, defect, end)
+
+
+def bending_of(torsion: Torsion) -> tuple[Any, Any]:
+    """The collocated bending moment of a piece that bears a load: defect (2, K), moment (2,) where the piece ends.
+
+    m_x' = -u_y t + nu_y,  m_y' = u_x t - nu_x  with the torque t of all tubes and the force nu in the frame there.
+    """
+    piece, t = torsion.piece, torsion.piece.grid.tableau
+    assert isinstance(piece, LoadedPiece)
+    turn, before, rates = ca.SX([1, 0, 0, 0]), 0.0, []
+    for k, x in enumerate(t.nodes.tolist()):
+        u = torsion.curvature(before + (x - before) * GAUSS_POINTS)
+        turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, piece.length * (x - before))
+        before, nu = x, rotation_matrix(turn).T @ piece.push[:, k]
+        u, torque = (
+            piece.section(piece.inner[:, k], x).curvature,
+            ca.dot(piece.torsional_stiffness, torsion.twist[:, k]),
+        )
+        rates.append(ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]))
+    rate = piece.length * ca.horzcat(*rates)
+    defect = piece.bent - ca.repmat(piece.bend, 1, len(rates)) - rate @ t.matrix.T
+    return defect, piece.bend + rate @ t.weights
 
 
 def energy_of(torsion: Torsion) -> Any:

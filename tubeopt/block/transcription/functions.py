@@ -10,7 +10,7 @@ import casadi as ca
 from ...physics.matrix import determinant
 from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
-from .collocated import Grid, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
+from .collocated import Grid, bending_of, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
 
@@ -20,6 +20,13 @@ def torsion_function(grid: Grid) -> ca.Function:
     """Arguments of a piece -> defect (n, K), theta and w (n,) where it ends."""
     torsion = torsion_of(symbols(grid))
     return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
+
+
+@lru_cache(maxsize=64)
+def bending_function(grid: Grid) -> ca.Function:
+    """Arguments of a piece that bears a load -> defect (2, K), bending moment (2,) where it ends."""
+    torsion = torsion_of(symbols(grid))
+    return ca.Function("bending", torsion.piece.arguments, list(bending_of(torsion)), OPTIONS)
 
 
 @lru_cache(maxsize=64)

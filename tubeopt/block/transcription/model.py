@@ -8,7 +8,7 @@ w = 0 at the tip is w = 0 at its own end).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -167,14 +167,14 @@ class Model(TorsionModel):
 
     def at(self, value: Callable[[Any], Any]) -> Model:
         """The numbers of this arm that `value` gives to its expressions."""
-        names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place")]
+        names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place", "typical")]
         parts = {name: getattr(self, name) for name in names}
         numbers: dict[str, Any] = {
             name: None if part is None else np.array(value(part)).reshape(part.shape) for name, part in parts.items()
         }
         for name in ("lengths", "gaps", "transmission", "held"):
             numbers[name] = numbers[name].ravel()
-        return Model(grid=self.grid, place=self.place, **numbers)
+        return replace(self, **numbers)
 
 
 def places_in_words(pieces: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
@@ -243,7 +243,7 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], gi
         lengths = length @ where
         transmission = transmissions(chain, laid, (held, curved[:, 0]), given["torsional_stiffness"])
         along = columns(chain, laid, (curved, present), (held, ca.vertcat(0, ca.cumsum(lengths))))
-    theta, twist, inner, q, p = unknowns
+    theta, twist, inner, q, p = unknowns[:5]
     return Model(
         grid,
         theta=theta,

@@ -6,6 +6,18 @@
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 #define LONGEST_TWIST(margin) fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
+#if TUBEOPT_LOADS
+size_t tubeopt_bearing_size(void);
+int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int count, const double *s,
+                         const double *rotation, const double *torsion, double margin, tubeopt_pose *pose);
+int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose);
+void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints);
+void tubeopt_bearing_compliance(const void *room, double *out);
+int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]);
+void tubeopt_bearing_keep(void *room);
+void tubeopt_bearing_return(void *room);
+#endif
+
 #if !SLOPES
 typedef tubeopt_slopes Slopes;
 #endif
@@ -22,12 +34,45 @@ struct tubeopt_memory {
     double rotation[N * MOST_SHAPE], torsion[N * MOST_SHAPE]; /* of the last one, by tubes */
     Slopes slopes;
     Quadratic quadratic;
+#if TUBEOPT_LOADS
+    int bears;
+    tubeopt_load load;
+    tubeopt_pose loaded, next_loaded, first_loaded;
+#endif
 };
 
+#if TUBEOPT_LOADS
+#define OWN_ROOM ((sizeof(tubeopt_memory) + 63) / 64 * 64)
+
+static void *room_of(tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
+
+size_t tubeopt_memory_size(void) { return OWN_ROOM + tubeopt_bearing_size(); }
+
+static double margin_here(const tubeopt_memory *m) {
+    double own = m->answers[m->here].margin;
+    return m->bears ? fmin(own, m->loaded.margin) : own;
+}
+
+/* One step of the loaded arm, without accepting it; after that of the unloaded one. */
+static int bear_to(tubeopt_memory *m, const tubeopt_joints *joints) {
+    return m->bears && tubeopt_bearing_step(room_of(m), &m->load, joints, &m->next_loaded);
+}
+
+static double next_margin(const tubeopt_memory *m) {
+    double own = m->answers[!m->here].margin;
+    return m->bears ? fmin(own, m->next_loaded.margin) : own;
+}
+#else
 size_t tubeopt_memory_size(void) { return sizeof(tubeopt_memory); }
 
+static double margin_here(const tubeopt_memory *m) { return m->answers[m->here].margin; }
+static double next_margin(const tubeopt_memory *m) { return m->answers[!m->here].margin; }
+#define bear_to(memory, joints) 0
+#define accept_loaded(memory, joints)
+#endif
+
 tubeopt_memory *tubeopt_start(void *memory) {
-    memset(memory, 0, sizeof(tubeopt_memory));
+    memset(memory, 0, tubeopt_memory_size());
     return memory;
 }
 
@@ -45,6 +90,12 @@ static int sensible(const tubeopt_joints *joints) {
 static void tell(const tubeopt_memory *m, tubeopt_pose *pose) {
     const Answer *a = m->answers + m->here;
     long long tip = a->pieces * STEPS;
+#if TUBEOPT_LOADS
+    if (m->bears) {
+        *pose = m->loaded;
+        return;
+    }
+#endif
     pose->joints = m->joints;
     memcpy(pose->position, a->position[tip], sizeof pose->position);
     memcpy(pose->frame, a->frame[tip], sizeof pose->frame);
@@ -112,12 +163,22 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
     return at;
 }
 
+#if TUBEOPT_LOADS
+#include "bearing.c"
+#endif
+
 tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tubeopt_pose *pose) {
     if (!sensible(joints)) return TUBEOPT_BAD_INPUT;
     m->fresh = 0;
     if (solve_one(&ROBOT, &METHOD, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;
     accept(m, joints);
+#if TUBEOPT_LOADS
+    if (m->bears) { /* the branch starts anew, without load */
+        m->bears = 0;
+        return tubeopt_bear(m, &m->load, pose);
+    }
+#endif
     tell(m, pose);
     return TUBEOPT_DONE;
 }
@@ -131,11 +192,16 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     double longest = 1 / parts, step = longest, done = 0;
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     m->first = *last;
+#if TUBEOPT_LOADS
+    m->first_loaded = m->loaded;
+    if (m->bears) tubeopt_bearing_keep(room_of(m));
+#endif
     for (int solves = 0; done < 1; solves++) {
         double t = done + step >= 1 - 1e-12 ? 1 : done + step;
         tubeopt_joints at = between(&from, joints, t);
-        if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART && !step_to(m, &at)) {
+        if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART && !step_to(m, &at) && !bear_to(m, &at)) {
             accept(m, &at);
+            accept_loaded(m, &at);
             done = t;
             step = fmin(2 * step, longest);
         } else if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART) {
@@ -144,6 +210,11 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
             if (done > 0) {
                 m->answers[m->here] = m->first;
                 take(m, &from);
+                m->fresh = 0;
+#if TUBEOPT_LOADS
+                m->loaded = m->first_loaded;
+                if (m->bears) tubeopt_bearing_return(room_of(m));
+#endif
             }
             return TUBEOPT_SNAP;
         }
@@ -156,6 +227,9 @@ static int look_ahead(tubeopt_memory *m, int exact);
 
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
+#if TUBEOPT_LOADS
+    if (m->bears) return loaded_slopes(m, slopes) ? TUBEOPT_DECLINED : TUBEOPT_DONE;
+#endif
     if (look_ahead(m, 1)) return TUBEOPT_DECLINED;
     memcpy(slopes->position, m->slopes.position, sizeof slopes->position);
     memcpy(slopes->turn, m->slopes.turn, sizeof slopes->turn);
@@ -171,15 +245,19 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 2) return TUBEOPT_BAD_INPUT;
     const Answer *a = m->answers + m->here;
+    const double *along = a->arc_length, (*place)[3] = a->position, (*frame)[9] = a->frame;
     int last = (int)a->pieces * STEPS, k = 0;
+#if TUBEOPT_LOADS
+    if (m->bears) last = tubeopt_bearing_arm((const char *)m + OWN_ROOM, &along, &place, &frame);
+#endif
     for (int c = 0; c < count; c++) {
-        double s = a->arc_length[last] * c / (count - 1);
-        while (k + 1 < last && a->arc_length[k + 1] < s) k++;
-        double h = a->arc_length[k + 1] - a->arc_length[k], t = (s - a->arc_length[k]) / h, u = 1 - t;
+        double s = along[last] * c / (count - 1);
+        while (k + 1 < last && along[k + 1] < s) k++;
+        double h = along[k + 1] - along[k], t = (s - along[k]) / h, u = 1 - t;
         arc_length[c] = s;
         for (int r = 0; r < 3; r++) /* cubic, with the tangents */
-            position[c][r] = a->position[k][r] * (1 + 2 * t) * u * u + a->position[k + 1][r] * t * t * (3 - 2 * t) +
-                             h * t * u * (a->frame[k][3 * r + 2] * u - a->frame[k + 1][3 * r + 2] * t);
+            position[c][r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
+                             h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
     }
     return TUBEOPT_DONE;
 }

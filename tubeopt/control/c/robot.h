@@ -15,6 +15,7 @@ extern "C" {
 
 #define TUBEOPT_TUBES {n}
 #define TUBEOPT_JOINTS (2 * TUBEOPT_TUBES) /* rotations, then translations */
+#define TUBEOPT_LOADS {loads}      /* whether the robot can bear loads */
 #define TUBEOPT_COMPLIANCE {compliance} /* whether the compliance of the tip is known */
 
 typedef struct tubeopt_memory tubeopt_memory;
@@ -88,6 +89,18 @@ tubeopt_status tubeopt_solve(tubeopt_memory *memory, const tubeopt_joints *joint
 
 /* The equilibrium to which a slow straight motion from the last one leads. The last one stays where it fails. */
 tubeopt_status tubeopt_follow(tubeopt_memory *memory, const tubeopt_joints *joints, tubeopt_pose *pose);
+
+#if TUBEOPT_LOADS
+/* A dead load, in the plate frame: a force at the tip, N, and the acceleration by which the tubes weigh, m/s^2. */
+typedef struct {
+    double force[3], gravity[3];
+} tubeopt_load;
+
+/* The last equilibrium under a load, which is put on slowly; zeros take it off. From here on all that is told is of the
+   loaded arm, and it must stay stable with the load and without. TUBEOPT_DECLINED or TUBEOPT_SNAP where the branch ends
+   before the load is on: the load is then what it was. */
+tubeopt_status tubeopt_bear(tubeopt_memory *memory, const tubeopt_load *load, tubeopt_pose *pose);
+#endif
 
 /* Derivatives at the last equilibrium. */
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes);

@@ -40,10 +40,10 @@ static void dependent(const double *q, tubeopt_joints *joints) {
 
 /* What is missing to the command, at most what its speed allows, and how the tip answers to the joints. */
 static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, tubeopt_report *report) {
-    const Answer *a = m->answers + m->here;
-    int tip = (int)a->pieces * STEPS;
+    tubeopt_pose here;
     double gap[3], distance = 0, length = 0, turned = 0;
-    for (int r = 0; r < 3; r++) gap[r] = c->position[r] - a->position[tip][r];
+    tell(m, &here);
+    for (int r = 0; r < 3; r++) gap[r] = c->position[r] - here.position[r];
     distance = sqrt(dot(gap, gap, 3));
     double share = distance > c->speed * c->step ? c->speed * c->step / distance : 1;
     for (int r = 0; r < 3; r++) {
@@ -59,7 +59,7 @@ static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, 
     if (!(length > 0)) return;
     for (int r = 0; r < 3; r++) { /* the change of the direction t is turn x t */
         int one = (r + 1) % 3, two = (r + 2) % 3;
-        double t[3] = {a->frame[tip][2], a->frame[tip][5], a->frame[tip][8]}, first[JOINTS], second[JOINTS];
+        double t[3] = {here.frame[2], here.frame[5], here.frame[8]}, first[JOINTS], second[JOINTS];
         by_joints(m->slopes.turn[one], first);
         by_joints(m->slopes.turn[two], second);
         for (int k = 0; k < JOINTS; k++) aim->task[3 + r][k] = first[k] * t[two] - second[k] * t[one];
@@ -98,7 +98,7 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const doubl
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
     memcpy(p->rows[p->count], aim->margin, sizeof aim->margin);
-    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - m->answers[m->here].margin), RISE * most), rise);
+    p->bounds[p->count++] = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
 }
 
 /* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
@@ -161,7 +161,7 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
     if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
     aim_at(m, c, &aim, report);
     independent(&m->joints, q);
-    floor = fmin(c->min_margin, m->answers[m->here].margin); /* what is below it does not get worse */
+    floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
     if (step_towards(m, c, q, 1, &aim, step) || step_towards(m, c, q, 0, &aim, step)) {
         double share = 1;
         for (int half = 0; half <= HALVINGS; half++, share /= 2) {
@@ -169,8 +169,9 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
                 there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
             dependent(there, &next);
             report->solves++;
-            if (step_to(m, &next) || m->answers[!m->here].margin < floor) continue;
+            if (step_to(m, &next) || bear_to(m, &next) || next_margin(m) < floor) continue;
             accept(m, &next);
+            accept_loaded(m, &next);
             report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
             break;
         }

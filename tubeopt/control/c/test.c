@@ -18,6 +18,12 @@
 static const double CASES[][2 * N + 4] = {
 {CASES}};
 
+#if TUBEOPT_LOADS
+/* Joints, force, gravity, tip position, margin. */
+static const double LOADED[][2 * N + 10] = {
+{LOADED}};
+#endif
+
 static int failures = 0;
 
 static void check(int holds, const char *what) {
@@ -97,7 +103,7 @@ static int compare(const void *a, const void *b) {
 }
 
 /* Targets here and there, far out of reach too: rates and the floor are kept, and no step takes long. */
-static void servo(tubeopt_memory *robot) {
+static void servo(tubeopt_memory *robot, int steps) {
     static double took[STEPS];
     tubeopt_joints joints = joints_of(CASES[0]), last;
     tubeopt_pose pose;
@@ -107,7 +113,7 @@ static void servo(tubeopt_memory *robot) {
     check(tubeopt_solve(robot, &joints, &pose) == TUBEOPT_DONE, "the servo has a start");
     double reach = sqrt(pose.position[0] * pose.position[0] + pose.position[1] * pose.position[1] +
                         pose.position[2] * pose.position[2]);
-    for (int k = 0; k < STEPS; k++) {
+    for (int k = 0; k < steps; k++) {
         struct timespec before, after;
         if (k % 500 == 0)
             for (int r = 0; r < 3; r++) {
@@ -125,16 +131,52 @@ static void servo(tubeopt_memory *robot) {
             check(fabs(pose.joints.translations[i] - last.translations[i]) < 1e-4 + 1e-12, "no joint moves too fast");
         }
     }
-    qsort(took, STEPS, sizeof(double), compare);
-    printf("servo step, processor time: %.0f us in the median, %.0f us at 99.9 %%, %.0f us at most\n", took[STEPS / 2],
-           took[STEPS - STEPS / 1000], took[STEPS - 1]);
+    qsort(took, steps, sizeof(double), compare);
+    printf("servo step, processor time: %.0f us in the median, %.0f us at 99.9 %%, %.0f us at most\n", took[steps / 2],
+           took[steps - steps / 1000], took[steps - 1]);
 }
+
+#if TUBEOPT_LOADS
+/* Known answers under load, what the compliance says of a little more of it, and the way back. */
+static void loads(tubeopt_memory *robot) {
+    const tubeopt_load none = {{0, 0, 0}, {0, 0, 0}};
+    for (size_t k = 0; k < sizeof LOADED / sizeof LOADED[0]; k++) {
+        const double *row = LOADED[k];
+        tubeopt_joints joints = joints_of(row);
+        tubeopt_load load;
+        tubeopt_pose free, pose, more;
+        tubeopt_slopes slopes;
+        memcpy(&load, row + 2 * N, sizeof load);
+        check(tubeopt_solve(robot, &joints, &free) == TUBEOPT_DONE, "a known configuration is solved");
+        check(tubeopt_bear(robot, &load, &pose) == TUBEOPT_DONE, "it bears its load");
+        check(distance(pose.position, row + 2 * N + 6) < 1e-9, "the loaded tip is within 1 nm");
+        check(fabs(pose.margin - row[2 * N + 9]) < 1e-6, "the loaded margin is known");
+        check(tubeopt_slopes_at(robot, &slopes) == TUBEOPT_DONE, "there are derivatives under load");
+        load.force[0] += 1e-6;
+        check(tubeopt_bear(robot, &load, &more) == TUBEOPT_DONE, "it bears a little more");
+        for (int r = 0; r < 3; r++)
+            check(fabs((more.position[r] - pose.position[r]) / 1e-6 - slopes.compliance[r][0]) <
+                      1e-3 * fabs(slopes.compliance[0][0]),
+                  "the tip gives way as its compliance says");
+        check(tubeopt_bear(robot, &none, &pose) == TUBEOPT_DONE, "the load is taken off");
+        check(distance(pose.position, free.position) < 1e-12, "the tip is back");
+        if (k) continue;
+        tubeopt_bear(robot, &load, &pose);
+        printf("under load: ");
+        servo(robot, STEPS / 5);
+        tubeopt_bear(robot, &none, &pose);
+    }
+}
+#endif
 
 int main(void) {
     tubeopt_memory *robot = tubeopt_start(malloc(tubeopt_memory_size()));
     known_answers(robot);
     slopes(robot);
-    servo(robot);
+    servo(robot, STEPS);
+#if TUBEOPT_LOADS
+    loads(robot);
+#endif
     bad_input(robot);
     free(robot);
     printf("%s\n", failures ? "failed" : "all is well");

@@ -89,8 +89,16 @@ class SimulatedLine:
     speed: of its clock, in seconds of the rig per second; infinite for as fast as can be.
     """
 
-    def __init__(self, rig: SimulatedRig, law: HeatingLaw, limit: float, speed: float = float("inf")) -> None:
-        self._rig, self._law, self._limit, self._speed = rig, law, limit, speed
+    def __init__(
+        self,
+        rig: SimulatedRig,
+        law: HeatingLaw,
+        limit: float,
+        speed: float = float("inf"),
+        window: tuple[float, float] | None = None,
+    ) -> None:
+        self._rig, self._law, self._limit, self._speed, self._window = rig, law, limit, speed, window
+        self._lead: deque[float] = deque()
         self._memory = begin(1)
         self._count, self._running, self._dry, self._reason, self._state = 0, False, False, "", "idle"
         self._heard: deque[dict[str, Any]] = deque()
@@ -105,6 +113,7 @@ class SimulatedLine:
                 "schedule": "",
                 "slots": len(self._law.planned),
                 "slot_ms": slot,
+                "window_degC": self._window,
             }
         )
 
@@ -112,10 +121,13 @@ class SimulatedLine:
         """Send a command."""
         if do == "start" and not self._running:
             self._running, self._dry, self._memory = True, bool(more.get("dry")), begin(1)
+            self._lead.clear()
         elif do == "stop" and self._running:
             self._end("stopped by command")
         elif do == "hello":
             self._hello()
+        elif do == "lead":
+            self._lead = deque(np.linspace(more["from"] / 100, more["to"] / 100, more["slots"]).tolist())
         else:
             self._heard.append(self._status())
 
@@ -134,11 +146,12 @@ class SimulatedLine:
         elif self._memory.waited[0] > law.patience:
             self._end("behind schedule")
         else:
-            count, self._memory = decide(law, self._memory, np.array([reading]))
+            lead = self._lead.popleft() if self._lead else np.nan
+            count, self._memory = decide(law, self._memory, np.array([reading]), lead)
             self._count = int(count[0])
             self._state = "holding" if place >= law.hold[0] else "heating"
             self._heard.append(self._status(reading))
-            self._rig.pass_time(0 if self._dry else self._count, law.slot, 3)
+            self._rig.pass_time(0 if self._dry else self._count, law.slot)
             if np.isfinite(self._speed):
                 time.sleep(law.slot / self._speed)
         return self._heard.popleft()
@@ -170,4 +183,5 @@ class SimulatedLine:
             "current_A": round(ampere, 2),
             "reason": self._reason,
             "dry": self._dry,
+            "led": bool(self._lead),
         }

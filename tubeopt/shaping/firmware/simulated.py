@@ -35,9 +35,9 @@ class SimulatedRig:
         self._cold = float(self._target[0])
         self._rng = np.random.default_rng(self.seed)
 
-    def pass_time(self, count: int, span: float, steps: int = 1) -> None:
+    def pass_time(self, count: int, span: float) -> None:
         """Let `span` seconds go by with the switch at `count`."""
-        self.state = advance(self.model, self.state, count / COUNTS, span, steps)
+        self.state = advance(self.model, self.state, count / COUNTS, span)
         now = self.sensor.target(self.model, self.state)
         self._lagged, self._target = self.sensor.followed(self._lagged, self._target, now, span), now
         self.time += span

@@ -131,6 +131,8 @@ def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, table
     lowest = rig.battery.open_circuit[0][1] - sagging * full
     return {
         "SLOTS": f"{len(law.planned)}u",
+        "WINDOW_LOW": str(round(plan.spec.window_degC[0])),
+        "WINDOW_HIGH": str(round(plan.spec.window_degC[1])),
         "HOLD_FIRST": f"{first}u",
         "SLOT_MS": f"{slot}u",
         "TICKS_PER_SLOT": f"{ticks}u",

@@ -9,18 +9,20 @@ perturbed rigs at once. The noise of every channel is estimated from its own res
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy
 
 from ...display import Displayed
-from ...errors import InputError, choice, finite
+from ...errors import InputError, choice, positive
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
+from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, unexplained
 from .rates import State, at_rest, current
 from .rig import COUNTS, Rig
 from .simulation import advance
@@ -31,11 +33,11 @@ STEP = 0.5
 """Longest time step of the simulation, s."""
 
 PERTURBATION = 1e-3
-NOISE = {"temperature": 5.0, "voltage": 0.05, "current": 0.5}
-"""Noise of the channels to begin with, K, V, A."""
+BIAS = "bias"
+"""What can be fitted besides factors: by how much every thermometer is off, K."""
 
-LEAST_NOISE = {"temperature": 0.05, "voltage": 1e-3, "current": 1e-2}
-"""No instrument is better."""
+BIAS_SCALE = 25.0
+"""Bias, K, that counts as much as a factor of e."""
 
 WEAK = 0.4
 """A factor known to less than this standard error of its logarithm is held: the log does not determine it."""
@@ -55,71 +57,18 @@ FACTORS: dict[str, Callable[[Rig, float], Rig]] = {
     "contact_resistance": _scaled("circuit", "contact_resistance"),
     "resistivity": lambda rig, factor: replace(rig, resistivity_factor=rig.resistivity_factor * factor),
     "internal_resistance": _scaled("battery", "internal_resistance"),
+    "clamps": _scaled("clamps", "contact_conductance"),
 }
-"""What can be fitted: loss, the groove's even gap, resistance of the clamps' contacts, resistivity, the battery's."""
-
-
-@dataclass(frozen=True, eq=False)
-class HeatingLog:
-    """A logged heating, (T,) each; NaN where nothing was read.
-
-    Attributes:
-        time: s, increasing. duty: counts 0-255, held from each row to the next.
-        temperature: of the tube, K. voltage, current: at the battery while the MOSFET conducts, V and A.
-        position: of the thermometer from the middle of the curved part, m.
-
-    Raises:
-        InputError: fewer than 3 rows, times that do not increase, duties out of range, or nothing that was measured.
-    """
-
-    time: Array
-    duty: Array
-    temperature: Array | None = None
-    voltage: Array | None = None
-    current: Array | None = None
-    position: float = 0.0
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value is not None and f.name != "position":
-                object.__setattr__(self, f.name, _column(f.name, value))
-        object.__setattr__(self, "position", abs(finite("position", self.position)))
-        count = len(self.time)
-        if count < 3:
-            raise InputError(f"the log has {count} rows; it must have at least 3")
-        for name in ("duty", *NOISE):
-            value = getattr(self, name)
-            if value is not None and value.shape != (count,):
-                raise InputError(
-                    f"{name} of the log has shape {value.shape}; it must have {count} numbers, one per time"
-                )
-        if not (np.diff(self.time) > 0).all():
-            raise InputError("time of the log must increase from row to row")
-        if not ((self.duty >= 0) & (self.duty <= COUNTS)).all():
-            raise InputError("duty of the log must be from 0 to 255")
-        if not any(np.isfinite(values).any() for values in self.channels.values()):
-            raise InputError("the log holds neither temperature nor voltage nor current; it must hold one of them")
-
-    @property
-    def channels(self) -> dict[str, Array]:
-        """The measured channels by name."""
-        return {name: getattr(self, name) for name in NOISE if getattr(self, name) is not None}
-
-
-def _column(name: str, value: Any) -> Array:
-    try:
-        column = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} of the log is {value!r}; it must be a list of numbers") from None
-    if column.ndim != 1:
-        raise InputError(f"{name} of the log has shape {column.shape}; it must be one number per row")
-    return column
+"""What can be fitted: loss, the groove's even gap, resistance of the clamps' contacts, resistivity, the battery's,
+and how well heat passes into the clamps, which thermometers along the tube tell."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted factor on what the rig's file says, and its interval; held at 1, and infinite, where undetermined."""
+    """A fitted factor on what the rig's file says, and its interval; held at 1, and infinite, where undetermined.
+
+    A bias is no factor: by how much a thermometer shows too much, K; held at 0 between infinities.
+    """
 
     name: str
     factor: float
@@ -135,8 +84,9 @@ class RigFit(Displayed):
     Attributes:
         rig: with the factors applied. estimates: one for every factor that was asked for. confidence: of the intervals.
         noise: standard deviation of the residuals of each channel, K, V, A.
-        before, after: predicted channels (T,) of the rig as given and as fitted. log: what was measured.
-        remarks: in words, what the log does not determine.
+        log: that was fitted, without what was not believed.
+        before, after: predicted channels (T,) of the rig as given and as fitted, biases included.
+        remarks: in words, what the log does not determine, and what the model does not explain.
     """
 
     rig: Rig
@@ -153,23 +103,23 @@ def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog) -> dict[str, Array
     """(T, B) what the log's channels would show on each rig."""
     model = stack([thermal_model(tube, rig, GRID) for rig in rigs])
     state = at_rest(model)
-    rows: dict[str, list[Array]] = {name: [] for name in NOISE}
+    rows: dict[str, list[Array]] = {name: [] for name in (*log.thermometers, "voltage", "current")}
     for k, time in enumerate(log.time):
         if k:
             span = float(time - log.time[k - 1])
             state = advance(model, state, float(log.duty[k - 1]) / COUNTS, span, max(1, int(np.ceil(span / STEP))))
-        seen = _seen(model, state, log.position)
-        for name in NOISE:
-            rows[name].append(seen[name])
+        for name, values in _seen(model, state, log).items():
+            rows[name].append(values)
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def _seen(model: ThermalModel, state: State, position: float) -> dict[str, Array]:
+def _seen(model: ThermalModel, state: State, log: HeatingLog) -> dict[str, Array]:
     tube = state.cells[:, :, 0]
     now = current(model, tube, state.lumped)
-    at = max(model.half_length - position, float(model.position[model.zone == LEAD][0]))
+    at = np.maximum(model.half_length - log.positions, float(model.position[model.zone == LEAD][0]))
     temperature = np.array([np.interp(at, model.position, row) for row in tube])
-    return {"temperature": temperature, "voltage": now.terminal_voltage, "current": now.total}
+    thermometers = dict(zip(log.thermometers, temperature.T, strict=True))
+    return thermometers | {"voltage": now.terminal_voltage, "current": now.total}
 
 
 def calibrate(
@@ -178,22 +128,36 @@ def calibrate(
     log: HeatingLog,
     parameters: Sequence[str] = ("loss", "gap", "contact_resistance", "resistivity"),
     *,
+    noise: Mapping[str, float] | None = None,
     confidence: float = 0.95,
 ) -> RigFit:
     """The rig that explains a log, from any subset of temperature, voltage and current.
 
     Factors that the log does not determine are held at 1 and reported, weakest first, until the rest is determined.
+    Residuals that are more than the stated noise, or come in waves, are remarked.
+
+    Args:
+        parameters: names of FACTORS, and "bias" for that of every thermometer.
+        noise: stated standard deviations by "temperature", "voltage", "current", K, V, A.
 
     Raises:
-        InputError: an unknown factor, none, or a confidence outside of (0, 1).
+        InputError: an unknown factor, none, a confidence outside of (0, 1), or a thermometer that is dead.
     """
-    names = [choice("parameter", name, FACTORS) for name in dict.fromkeys(parameters)]
+    names = [choice("parameter", name, (*FACTORS, BIAS)) for name in dict.fromkeys(parameters)]
+    stated = {
+        choice("noise", name, NOISE): positive(f"noise of {name}", value) for name, value in (noise or {}).items()
+    }
     if not names:
         raise InputError(f"parameters is empty; it must name some of {', '.join(FACTORS)}")
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
+    expected = {name: values[:, 0] for name, values in predict(tube, [rig], log).items()}
+    log, doubts = believable(log, rig, expected)
+    names = [
+        each for name in names for each in ((f"{BIAS} of {t}" for t in log.thermometers) if name == BIAS else (name,))
+    ]
     problem = _Problem(tube, rig, log)
-    free, remarks = list(names), []
+    free, remarks = list(names), list(doubts)
     while True:
         x, sigma, errors = problem.solve(free)
         weak = int(np.argmax(errors)) if len(free) else 0
@@ -205,16 +169,20 @@ def calibrate(
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
     values = dict(zip(free, zip(x, errors, strict=True), strict=True))
     estimates = tuple(_estimate(name, values.get(name), reach) for name in names)
-    fitted = problem.rig(free, x)
-    seen = predict(tube, [rig, fitted], log)
-    before, after = ({c: seen[c][:, side] for c in log.channels} for side in (0, 1))
-    return RigFit(fitted, estimates, confidence, sigma, before, after, log, tuple(remarks))
+    before, after = problem.before_and_after(free, x)
+    for channel, read in problem.read.items():
+        share = len(free) * float(read.sum()) / problem.count
+        residual = (after[channel] - log.channels[channel])[read]
+        remarks += unexplained(channel, residual, stated.get(kind_of(channel)), share)
+    return RigFit(problem.rig(free, x), estimates, confidence, sigma, before, after, log, tuple(remarks))
 
 
 def _estimate(name: str, value: tuple[float, float] | None, reach: float) -> Estimate:
     if value is None:
-        return Estimate(name, 1.0, 0.0, float("inf"), True)
+        return Estimate(name, *((0.0, -math.inf) if name.startswith(BIAS) else (1.0, 0.0)), math.inf, True)
     x, error = value
+    if name.startswith(BIAS):
+        return Estimate(name, BIAS_SCALE * x, BIAS_SCALE * (x - reach * error), BIAS_SCALE * (x + reach * error), False)
     return Estimate(name, float(np.exp(x)), float(np.exp(x - reach * error)), float(np.exp(x + reach * error)), False)
 
 
@@ -230,19 +198,35 @@ class _Problem:
         """The rig with its factors exp(x)."""
         rig = with_gap(self.tube, self.given) if "gap" in names else self.given
         for name, value in zip(names, x, strict=True):
-            rig = FACTORS[name](rig, float(np.exp(value)))
+            if name in FACTORS:
+                rig = FACTORS[name](rig, float(np.exp(value)))
         return rig
+
+    def biases(self, names: Sequence[str], x: Array) -> dict[str, float]:
+        """What each thermometer shows too much, K."""
+        start = f"{BIAS} of "
+        found = zip(names, x, strict=True)
+        return {name.removeprefix(start): BIAS_SCALE * float(v) for name, v in found if name.startswith(start)}
+
+    def before_and_after(self, names: Sequence[str], x: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        """(T,) channels as the rig's file predicts them, and as at x."""
+        seen = predict(self.tube, [self.given, self.rig(names, x)], self.log)
+        before, after = ({c: seen[c][:, side] for c in self.log.channels} for side in (0, 1))
+        return before, after | {c: after[c] + off for c, off in self.biases(names, x).items()}
 
     def differences(self, names: Sequence[str], x: Array) -> dict[str, Array]:
         """(T, 1 + P) model less log of every channel, at x and with each unknown perturbed."""
         shifted = [x, *(x + PERTURBATION * unit for unit in np.eye(len(x)))]
         seen = predict(self.tube, [self.rig(names, at) for at in shifted], self.log)
+        for k, at in enumerate(shifted):
+            for channel, off in self.biases(names, at).items():
+                seen[channel][:, k] += off
         return {c: seen[c][read] - self.log.channels[c][read][:, None] for c, read in self.read.items()}
 
     def solve(self, names: Sequence[str]) -> tuple[Array, dict[str, float], Array]:
         """Logarithms of the factors, noise of the channels, and standard errors."""
         x = np.zeros(len(names))
-        sigma = {c: NOISE[c] for c in self.read}
+        sigma = {c: NOISE[kind_of(c)] for c in self.read}
         for _ in range(2):
             if names:
                 x = self._fit(names, x, sigma)
@@ -250,7 +234,7 @@ class _Problem:
             # Each channel pays for its share of the unknowns.
             share = len(names) / self.count
             sigma = {
-                c: max(float(np.sqrt((d[:, 0] ** 2).sum() / max(len(d) * (1 - share), 1.0))), LEAST_NOISE[c])
+                c: max(float(np.sqrt((d[:, 0] ** 2).sum() / max(len(d) * (1 - share), 1.0))), LEAST_NOISE[kind_of(c)])
                 for c, d in now.items()
             }
         J = np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION / sigma[c] for c, d in now.items()])

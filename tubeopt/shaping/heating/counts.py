@@ -22,7 +22,6 @@ MOST_COLDER = 4.0
 SETTLED = 10.0
 """Time of the hold, s, after which no duty comes near the ramp any more, and counts follow without a look."""
 
-STEPS = 2
 SPARED = 0.02
 """Part of ramp and current limit that counts leave unused, for what the quick simulation beside them gets wrong."""
 
@@ -69,7 +68,7 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
         given += float(counts[k])
         if not hopeless:
             given = max(given, sums[k] - owed)
-        state = advance(model, state, counts[k] / COUNTS, spec.slot, STEPS)
+        state = advance(model, state, counts[k] / COUNTS, spec.slot)
     rest = np.maximum(np.floor(sums[watched:heated] - given + 0.5), 0.0)
     counts[watched:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
     return counts

@@ -31,24 +31,38 @@ FINE_COUNT, LESS_PEAK, OHM_STEP = 0.4, 0.95, 1e-3
 which resistors are rounded up."""
 
 
-class Schedule(Protocol):
-    """What is asked of a schedule (`heating.Schedule`)."""
+@dataclass(frozen=True, eq=False)
+class Programmed:
+    """What the program said of a schedule.
 
-    @property
-    def ideal(self) -> Ideal:
-        """The program's answer."""
+    Attributes:
+        ideal: its answer. shift: of its temperatures, by which it was corrected. reserve: kept from the window's ends,
+        K.
+    """
+
+    ideal: Ideal
+    shift: Shift | None
+    reserve: tuple[float, float]
+
+
+class Schedule(Protocol):
+    """What is asked of a schedule (`planning.Schedule`)."""
 
     @property
     def outcome(self) -> Outcome:
         """What is kept."""
 
     @property
-    def shift(self) -> Shift | None:
-        """Of the program's temperatures, by which it was corrected."""
+    def program(self) -> Programmed | None:
+        """What the program said of it; it is asked where the window is missed."""
 
-    @property
-    def reserve(self) -> tuple[float, float]:
-        """Kept from the window's ends, K."""
+
+@dataclass(frozen=True)
+class Search:
+    """How schedules are found: the best one, and the soonest one, which is None where it does not keep everything."""
+
+    best: Callable[[Tube, Rig, HeatingSpec], Schedule]
+    soonest: Callable[[Tube, Rig, HeatingSpec], Schedule | None]
 
 
 @dataclass(frozen=True)
@@ -72,28 +86,23 @@ class Cure:
 Change = tuple[str, Rig, HeatingSpec]
 
 
-def find_cures(
-    tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, schedule: Callable[[Tube, Rig, HeatingSpec], Schedule]
-) -> tuple[Cure, ...]:
+def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule, by: Search) -> tuple[Cure, ...]:
     """Changes that let everything be kept, or at least nearly; the best first, the search ends at the first that cures.
 
-    Changes for the window are first tried by the program alone; what seems to cure is confirmed by `schedule`.
+    Changes for the window that leave nothing of the rig free are first tried by the soonest schedule; the others, and
+    those that it does not keep, by the program alone, and what seems to cure is confirmed.
 
     Args:
-        best: the best schedule without any change. schedule: finds that of another question.
+        best: the best schedule without any change.
     """
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
-        return _ordered([_confirmed(change, tube, schedule) for change in _for_limits(tube, rig, plain, best.outcome)])
+        return _ordered([_confirmed(change, tube, by) for change in _for_limits(tube, rig, plain, best.outcome)])
     found: list[Cure | None] = []
-    for change in _candidates(rig, plain, best.ideal, best.shift)[:TRIES]:
-        tried = _tried(change, tube, spec, best)
-        if tried is None:
-            continue
-        cure: Cure | None = tried[0]
-        if tried[0].shortfall < ENOUGH:
-            # What is told is confirmed: the rig is no longer free.
-            cure = _confirmed((tried[0].change, tried[1], replace(change[2], free=())), tube, schedule)
+    said = best.program
+    assert said is not None
+    for change in _candidates(rig, plain, said.ideal, said.shift)[:TRIES]:
+        cure = _kept(change, tube, by) or _estimated(change, tube, spec, said, by)
         if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
             found.append(cure)
             if cure.cures:
@@ -101,11 +110,27 @@ def find_cures(
     return _ordered(found)
 
 
+def _kept(change: Change, tube: Tube, by: Search) -> Cure | None:
+    """The cure that a change is by the soonest schedule; None where that does not keep everything."""
+    words, rig, asked = change
+    if asked.free or by.soonest(tube, rig, asked) is None:
+        return None
+    return Cure(words, 0.0)
+
+
+def _estimated(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed, by: Search) -> Cure | None:
+    """What the program makes of a change; what it would cure is confirmed, the rig no longer free."""
+    tried = _tried(change, tube, spec, best)
+    if tried is None or tried[0].shortfall >= ENOUGH:
+        return None if tried is None else tried[0]
+    return _confirmed((tried[0].change, tried[1], replace(change[2], free=())), tube, by)
+
+
 def _ordered(cures: Sequence[Cure | None]) -> tuple[Cure, ...]:
     return tuple(sorted((c for c in cures if c is not None), key=lambda cure: (not cure.cures, cure.shortfall)))
 
 
-def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> tuple[Cure, Rig] | None:
+def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Programmed) -> tuple[Cure, Rig] | None:
     """By how much the program misses the window with a change, and the rig as it chose; None where it finds nothing."""
     words, rig, asked = change
     part = asked.slot / spec.slot
@@ -121,11 +146,11 @@ def _tried(change: Change, tube: Tube, spec: HeatingSpec, best: Schedule) -> tup
     return Cure(told, max(answer.miss, 0.0)), answer.rig
 
 
-def _confirmed(change: Change, tube: Tube, schedule: Callable[[Tube, Rig, HeatingSpec], Schedule]) -> Cure | None:
+def _confirmed(change: Change, tube: Tube, by: Search) -> Cure | None:
     """What whole counts make of a change; None where there is no schedule."""
     words, rig, asked = change
     try:
-        found = schedule(tube, rig, asked)
+        found = by.best(tube, rig, asked)
     except SolveError:
         return None
     return Cure(words, found.outcome.shortfall, found.outcome.broken)

@@ -29,13 +29,13 @@ class Response:
     time_constant: float
 
 
-def readings(model: ThermalModel, sensor: Sensor, slot: float, duty: Array, steps: int = 3) -> Array:
+def readings(model: ThermalModel, sensor: Sensor, slot: float, duty: Array) -> Array:
     """(T + 1, B) degC that a sensor without bias and noise shows under duties (T,) in [0, 1]."""
     state = at_rest(model)
     target = sensor.target(model, state)
     lagged, rows = target, [target]
     for level in duty:
-        state = advance(model, state, level, slot, steps)
+        state = advance(model, state, level, slot)
         now = sensor.target(model, state)
         lagged, target = sensor.followed(lagged, target, now, slot), now
         rows.append(lagged)

@@ -20,7 +20,6 @@ from .simulation import advance
 from .spec import HeatingSpec
 from .thermal import ThermalModel
 
-STEPS = 2
 DECIDED = 0.5
 """Least time, s, for which a duty of the hold is chosen; slots that are shorter share it."""
 
@@ -41,15 +40,24 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
         if _curved(model, state)[0] >= low:
             break
         most = most_count(model, state, spec, rig)
-        level = min(_level(model, state, most / COUNTS, (spec.slot, high)), most / COUNTS)
-        counts.append(int(COUNTS * level + 1e-9))
-        state = advance(model, state, counts[-1] / COUNTS, spec.slot, STEPS)
+        count, state = _greatest(model, state, most, (spec.slot, high))
+        counts.append(count)
     else:
         return None
     held = _hold(model, spec, rig, state, high)
     heating = np.array(counts, dtype=np.int64)
     levels = np.concatenate([heating / COUNTS, held])
     return np.concatenate([heating, sum_up_rounding(held)]), levels, spec.slot * len(heating)
+
+
+def _greatest(model: ThermalModel, state: State, most: int, goal: tuple[float, float]) -> tuple[int, State]:
+    """Greatest count, up to `most`, that keeps every point below a temperature after a time (`goal`: s, degC), and the
+    state then."""
+    after = advance(model, state, most / COUNTS, goal[0])
+    if _hottest(after) <= goal[1]:
+        return most, after
+    count = int(COUNTS * _level(model, state, most / COUNTS, goal) + 1e-9)
+    return count, advance(model, state, count / COUNTS, goal[0])
 
 
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
@@ -62,9 +70,8 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         coldest, hottest = _curved(model, state)
         most = (most_count(model, state, spec, rig) - 1) / COUNTS
         target = min(middle + 0.5 * (hottest - coldest), high)
-        level = min(_level(model, state, most, (span, target)), most)
-        levels += [max(level, 0.0)] * together
-        state = advance(model, state, levels[-1], span, STEPS)
+        levels += [_level(model, state, max(most, 0.0), (span, target))] * together
+        state = advance(model, state, levels[-1], span)
     return np.array(levels[: spec.hold_slots])
 
 
@@ -74,15 +81,16 @@ def _curved(model: ThermalModel, state: State) -> tuple[float, float]:
     return float(found.min()), float(found.max())
 
 
+def _hottest(state: State) -> float:
+    """Of any point of the tube, degC."""
+    return float(state.cells[0, :, 0].max()) - ZERO_CELSIUS
+
+
 def _level(model: ThermalModel, state: State, most: float, goal: tuple[float, float]) -> float:
-    """Duty with which the hottest point has a temperature after a time (`goal`: s, degC), or more than `most`."""
+    """Duty up to `most` with which the hottest point has a temperature after a time (`goal`: s, degC), or less."""
     span, target = goal
-
-    def hottest(level: float) -> float:
-        return float(advance(model, state, level, span, STEPS).cells[0, :, 0].max()) - ZERO_CELSIUS
-
-    top = hottest(most)
-    if top <= target:
-        return most
     less = max(most - PROBE / COUNTS, 0.0)
-    return most if most <= less else max(less + (target - hottest(less)) / (top - hottest(less)) * (most - less), 0.0)
+    top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
+    if top <= target or most <= less:
+        return most
+    return max(less + (target - bottom) / (top - bottom) * (most - less), 0.0)

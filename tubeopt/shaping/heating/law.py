@@ -70,10 +70,15 @@ def begin(members: int) -> LawState:
     return LawState(np.zeros(members, dtype=np.int64), *(np.zeros(members) for _ in range(3)))
 
 
-def decide(law: HeatingLaw, state: LawState, reading: Array) -> tuple[Array, LawState]:
+def decide(law: HeatingLaw, state: LawState, reading: Array, lead: Array | float = np.nan) -> tuple[Array, LawState]:
     """Whole counts (B,) for the slot that begins, from the readings (B,), degC; and what is remembered.
 
     After the schedule's end, and where it waited longer than its patience, the count is 0.
+
+    Args:
+        lead: mean counts of effect that somebody else wants of this slot, (B,) or one; NaN where nobody does. They are
+            given as far as the share allows, and the sum becomes the one with which the law would have said the same,
+            so that it goes on from there.
     """
     place = np.minimum(state.place, len(law.planned) - 1)
     running = (state.place < len(law.planned)) & (state.waited <= law.patience)
@@ -81,7 +86,12 @@ def decide(law: HeatingLaw, state: LawState, reading: Array) -> tuple[Array, Law
     waits = (error > law.holdback) & (place <= law.hold[0])
     total = np.clip(state.total + law.integral * law.slot * error, -law.share, law.share)
     share = np.clip(law.proportional * error + total, -law.share, law.share)
-    wanted = np.where(running, law.planned[place] * (1 + share), 0.0)
+    planned = law.planned[place]
+    led = np.isfinite(lead) & (planned > 0)
+    said = np.clip(np.where(led, lead, 0.0) / np.where(led, planned, 1.0) - 1, -law.share, law.share)
+    total = np.where(led, np.clip(said - law.proportional * error, -law.share, law.share), total)
+    share = np.where(led, said, share)
+    wanted = np.where(running, planned * (1 + share), 0.0)
     due = wanted + state.owed
     count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, COUNTS), 0.0)
     given = np.maximum(count - law.lost, 0.0)

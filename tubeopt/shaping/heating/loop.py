@@ -62,15 +62,12 @@ class LoopHistory:
         return np.where(np.isfinite(low), low, -math.inf), np.where(np.isfinite(high), high, math.inf)
 
 
-def run_loop(
-    fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, dies: float = math.inf, steps: int = 2
-) -> LoopHistory:
+def run_loop(fleet: Fleet, law: HeatingLaw, sensor: Sensor, *, seed: int = 0, dies: float = math.inf) -> LoopHistory:
     """Run every rig of a fleet under the law until the last has ended.
 
     Args:
         seed: of the sensor's noise.
         dies: s, time from which the sensor is dead: the firmware then stops, and the count is 0.
-        steps: of the integrator in every slot.
     """
     model, rng = fleet.model, np.random.default_rng(seed)
     state, memory = at_rest(model), begin(model.members)
@@ -89,7 +86,7 @@ def run_loop(
         rows.append((reading, count, place, *_seen(model, state)))
         if (memory.place > len(law.planned)).all() or k == slots:
             break
-        state = advance(model, state, count / COUNTS, law.slot, steps)
+        state = advance(model, state, count / COUNTS, law.slot)
         now = sensor.target(model, state)
         lagged, target = sensor.followed(lagged, target, now, law.slot), now
     names = ("reading", "count", "place", "coldest", "hottest", "top")

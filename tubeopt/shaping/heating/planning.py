@@ -1,12 +1,12 @@
 """How to heat a tube so that its curved part is shape-set: the schedule of duties, and whether the window can be held.
 
-The ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and simulated in
-steps of a tenth of a second on a grid of three times as many cells and shells. Where that misses the window, the
-program's bounds are shifted by the difference between the two grids, and it is solved again (deferred correction): what
-holds in the end holds on the fine grid, for the schedule that is returned. Counts never break the ramp where one count
-alone keeps it; where they fall behind the ideal schedule for that, it is solved again with more room below the ramp.
-Where the soonest hold is asked for, the greatest counts that keep the limits are sooner still (`haste`), and what they
-do is checked alike.
+Where the soonest hold is asked for, the greatest counts that keep the limits are tried first (`haste`). Where these do
+not keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
+grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
+and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
+it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
+returned. Counts never break the ramp where one count alone keeps it; where they fall behind the ideal schedule for
+that, it is solved again with more room below the ramp.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, guarded_counts
-from .cures import find_cures
+from .cures import Programmed, Search, find_cures
 from .haste import soonest
 from .ideal import Ideal, Shift, joined, solve_ideal
 from .leading import lead_by
@@ -58,15 +58,16 @@ ROOMS = (0.75, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """A schedule: the ideal one and the counts in its place, what both do, and what is kept.
+    """A schedule: mean duties and the counts in their place, what both do, and what is kept.
 
     Attributes:
-        ideal, levels: the program's answer, and its mean duties (T,) in every slot. counts: (T,) in their place.
+        rig: with clearance, lead and vents as chosen. levels: mean duties (T,) in every slot. counts: (T,) in their
+        place.
         model: the fine one. exact: what `levels` do to it; checked: what `counts` do.
-        error: of the mesh, K. shift, reserve: with which `ideal` was found. start: of the hold, s.
+        error: of the mesh, K. start: of the hold, s. program: what the program said of it, where it was asked.
     """
 
-    ideal: Ideal
+    rig: Rig
     levels: Array
     counts: Counts
     model: ThermalModel
@@ -74,9 +75,8 @@ class Schedule:
     checked: History
     error: float
     outcome: Outcome
-    shift: Shift | None
-    reserve: tuple[float, float]
     start: float
+    program: Programmed | None = None
 
     @property
     def kept(self) -> bool:
@@ -112,12 +112,12 @@ def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, senso
     spec = HeatingSpec() if spec is None else spec
     check_inputs(tube, rig, spec)
     found = best_schedule(tube, rig, spec)
-    cures = () if found.kept else find_cures(tube, rig, spec, found, best_schedule)
-    start, iterations = found.start, found.ideal.iterations
+    cures = () if found.kept else find_cures(tube, rig, spec, found, Search(best_schedule, _hastened))
+    start, iterations = found.start, 0 if found.program is None else found.program.ideal.iterations
     computed = Computed(
         found.model, start, found.counts, found.levels, found.checked, found.exact, found.error, iterations
     )
-    plan = HeatingPlan.of(tube, found.ideal.rig, spec, computed, cures=cures)
+    plan = HeatingPlan.of(tube, found.rig, spec, computed, cures=cures)
     return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
 
 
@@ -126,10 +126,13 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     if spec.objective == "margin":
         # Nothing is farther from the window's ends than what does not fall behind.
         return _corrected(tube, rig, spec, ROOMS[-1])
+    hasty = spec.objective == "time"
+    if hasty and not spec.free and (sooner := _hastened(tube, rig, spec)) is not None:
+        return sooner
     found = _corrected(tube, rig, spec, ROOMS[0])
-    if spec.objective == "time":
-        sooner = _hastened(tube, spec, found)
-        if sooner is not None:
+    if hasty and spec.free and found.outcome.shortfall <= HOPELESS:
+        sooner = _hastened(tube, found.rig, spec)
+        if sooner is not None and not (found.kept and sooner.start >= found.start):
             return sooner
     if found.kept or not _behind(found, spec):
         return found
@@ -137,32 +140,41 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     return other if other.outcome.shortfall < found.outcome.shortfall else found
 
 
-def _hastened(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule | None:
-    """The soonest schedule of whole counts on the rig that was chosen; None where it keeps less or is no sooner."""
-    model, rig = found.model, found.ideal.rig
-    if found.outcome.shortfall > HOPELESS:
-        return None
+def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
+    """The soonest schedule of whole counts; None where it does not keep everything."""
     # Other charges are rounded anew: half a count is left for that.
-    answer = soonest(model, spec, rig, found.error + LEAST_RESERVE + ripple(tube, rig, spec))
-    if answer is None or (found.kept and answer[-1] >= found.start):
+    least, model = LEAST_RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
+    # What the mesh adds is told by the same on a coarse one.
+    rough = soonest(model, spec, rig, least)
+    if rough is None or _far(model, spec, rough[1], rough[-1]):
+        return None
+    fine = thermal_model(tube, rig, FINE)
+    error = mesh_error(model, spec, rough[1], simulate(fine, spec.slot, rough[1]))
+    answer = soonest(fine, spec, rig, error + least)
+    if answer is None:
         return None
     cooling = np.zeros(math.ceil(COOLING / spec.slot))
     counts = np.concatenate([answer[0], cooling.astype(np.int64)])
-    levels = np.concatenate([answer[1], cooling])
+    found = _simulated((tube, rig, spec), fine, np.concatenate([answer[1], cooling]), counts, answer[-1])
+    return found if found.kept else None
+
+
+def _far(model: ThermalModel, spec: HeatingSpec, levels: Array, start: float) -> bool:
+    """Whether the window is missed by so much that no grid would change it."""
+    low, high = spec.window_degC
+    held = joined(model, simulate(model, spec.slot, levels).tube[round(start / spec.slot) :, 0]) - ZERO_CELSIUS
+    return bool(max(low - held.min(), held.max() - high) > HOPELESS)
+
+
+def _simulated(
+    asked: tuple[Tube, Rig, HeatingSpec], model: ThermalModel, levels: Array, counts: Counts, start: float
+) -> Schedule:
+    """What mean duties and the counts in their place do, and what is kept, where the hold begins at `start`, s."""
+    tube, rig, spec = asked
     exact, checked = simulate(model, spec.slot, levels), resimulate(model, spec.slot, counts / COUNTS)
     error = mesh_error(thermal_model(tube, rig, COARSE), spec, levels, exact)
-    outcome = outcome_of(model, rig, spec, checked, answer[-1], error)
-    sooner = replace(
-        found,
-        levels=levels,
-        counts=counts,
-        exact=exact,
-        checked=checked,
-        error=error,
-        outcome=outcome,
-        start=answer[-1],
-    )
-    return sooner if sooner.kept else None
+    outcome = outcome_of(model, rig, spec, checked, start, error)
+    return Schedule(rig, levels, counts, model, exact, checked, error, outcome, start)
 
 
 def _behind(found: Schedule, spec: HeatingSpec) -> bool:
@@ -177,11 +189,11 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
     swing = ripple(tube, rig, spec)
     error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
     reserve = (swing + error, swing + error)
-    found: Schedule | None = None
+    said: Programmed | None = None
     shift: Shift | None = None
     for round_ in range(ROUNDS):
-        found = _schedule(tube, rig, spec, room, (found, shift, reserve))
-        ideal, error = found.ideal, found.error
+        found, said = _schedule(tube, rig, spec, room, (said, shift, reserve))
+        ideal, error = said.ideal, found.error
         # The margin is that of the fine grid only after a correction.
         if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
             break
@@ -192,10 +204,9 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> Schedule
             break
         low, high = _rounded(found.model, found.exact, found.checked, spec, ideal)
         reserve = (low + error + LEAST_RESERVE, high + error + LEAST_RESERVE)
-    assert found is not None
     if found.outcome.hottest + error > spec.limit:
-        counts, checked = trimmed(found.model, spec, found.ideal.rig, found.levels, error)
-        outcome = outcome_of(found.model, found.ideal.rig, spec, checked, found.start, error)
+        counts, checked = trimmed(found.model, spec, found.rig, found.levels, error)
+        outcome = outcome_of(found.model, found.rig, spec, checked, found.start, error)
         found = replace(found, counts=counts, checked=checked, outcome=outcome)
     return found
 
@@ -205,9 +216,9 @@ def _schedule(
     rig: Rig,
     spec: HeatingSpec,
     room: float,
-    earlier: tuple[Schedule | None, Shift | None, tuple[float, float]],
-) -> Schedule:
-    """One round; `earlier`: the schedule of the round before, the shift that corrects it, the reserve of this one."""
+    earlier: tuple[Programmed | None, Shift | None, tuple[float, float]],
+) -> tuple[Schedule, Programmed]:
+    """One round; `earlier`: what the program said before, the shift that corrects it, the reserve of this one."""
     before, shift, reserve = earlier
     # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
     asked, on = (spec, rig) if before is None else (replace(spec, free=()), before.ideal.rig)
@@ -216,12 +227,9 @@ def _schedule(
     model = thermal_model(tube, ideal.rig, FINE)
     levels = commanded(slots(ideal, spec), ideal.rig)
     counts = guarded_counts(model, spec, ideal.rig, levels)
-    exact = simulate(model, spec.slot, levels)
-    checked = resimulate(model, spec.slot, counts / COUNTS)
-    error = mesh_error(thermal_model(tube, ideal.rig, COARSE), spec, levels, exact)
-    start = hold_start(ideal, spec)
-    outcome = outcome_of(model, ideal.rig, spec, checked, start, error)
-    return Schedule(ideal, levels, counts, model, exact, checked, error, outcome, shift, reserve, start)
+    found = _simulated((tube, ideal.rig, spec), model, levels, counts, hold_start(ideal, spec))
+    said = Programmed(ideal, shift, reserve)
+    return replace(found, program=said), said
 
 
 def mesh_error(coarse: ThermalModel, spec: HeatingSpec, schedule: Array, fine: History) -> float:

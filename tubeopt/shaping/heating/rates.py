@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...block.transcription.buffered import mapped
-from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions
+from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions, step_function
 from ...typing import Array
 from .thermal import ThermalModel
 
@@ -62,12 +62,11 @@ def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float)
     return rate.reshape(cells.shape), slow
 
 
-def linearised(model: ThermalModel, cells: Array) -> tuple[Array, Array, Array, Array]:
-    """Heat capacities (B, n, 1+M), J/K, and the `frozen_jacobian` of the flows: own and inward (B, n, 1+M), along
-    (B, n-1, 1+M), W/K."""
-    heat, own, inward, along = _evaluated("linearised", model, cells)
-    b, n, m = cells.shape
-    return heat.reshape(b, n, m), own.reshape(b, n, m), inward.reshape(b, n, m), along.reshape(b, n - 1, m)
+def stepped(model: ThermalModel, cells: Array, lumped: Array, duty: Array, span: float) -> tuple[Array, Array]:
+    """(cells, lumped) after one step of the integrator over `span`, s, at a duty (1, 1) or (B, 1)."""
+    function = mapped(step_function(model.resolution), len(cells))
+    after, slow = function(cells.reshape(function.inputs[0].shape), lumped, duty, span, model.properties, model.volumes)
+    return after.reshape(cells.shape).copy(), slow.copy()
 
 
 def stored(model: ThermalModel, state: State) -> Array:

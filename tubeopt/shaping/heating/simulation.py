@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CLAMP
 from ...typing import Array
-from .rates import State, at_rest, current, imbalance, linearised, rates
+from .rates import State, at_rest, current, imbalance, rates, stepped
 from .thermal import ThermalModel
 
-GAMMA = 1 + 1 / math.sqrt(2)
-"""Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,
-Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999))."""
-
-
-STEP, LOOK = 1 / 6, 0.1
-"""Greatest step, s, of a simulation in slots of up to half a second, and of one that looks for extremes."""
+STEP, TOGETHER, LOOK = 0.25, 0.2, 0.1
+"""Greatest step, s, of a simulation, of one in which slots are stepped over together, and of one that looks for
+extremes."""
 
 FORGOTTEN = 0.03 / 255
 """Duty times s by which the duties of slots that are stepped over together may run away from their mean: what half a
 count does in the shortest of slots."""
-
-REUSED = 10.0
-"""Change of temperature, K, up to which factors of the Jacobian serve again."""
 
 BATCH = 60
 """States of one member that are looked at together; each holds the model's numbers once."""
@@ -83,78 +75,47 @@ class History:
         return State(np.concatenate([self.tube[k][..., None], self.walls[k]], axis=-1), self.lumped[k])
 
 
-def history_of(model: ThermalModel, slot: float, states: Sequence[State]) -> History:
-    """What a simulation tells of its states at the slots' ends."""
-    tube = np.array([s.cells[:, :, 0] for s in states])
-    now = [current(model, s.cells[:, :, 0], s.lumped) for s in states]
+def history_of(model: ThermalModel, slot: float, course: State) -> History:
+    """What a simulation tells of its states (T, B, ...) at the slots' ends."""
+    cells, lumped = course.cells, course.lumped
+    tube = np.ascontiguousarray(cells[..., 0])
+    # One member is asked in many states at once.
+    together = BATCH if model.members == 1 else 1
+    batches = [slice(first, first + together) for first in range(0, len(tube), together)]
+    now = [current(model, np.concatenate(tube[some]), np.concatenate(lumped[some])) for some in batches]
+
+    def seen(name: str) -> Array:
+        return np.concatenate([getattr(one, name) for one in now]).reshape(tube.shape[:2])
+
     return History(
-        time=np.asarray(slot * np.arange(len(states)), dtype=float),
+        time=np.asarray(slot * np.arange(len(tube)), dtype=float),
         tube=tube,
-        walls=np.array([s.cells[:, :, 1:] for s in states]),
-        lumped=np.array([s.lumped for s in states]),
-        voltage=np.array([n.terminal_voltage for n in now]),
-        current=np.array([n.total for n in now]),
-        resistance=np.array([2 * n.resistance for n in now]),
-        final=states[-1],
-        imbalance=imbalance(model, states[-1]),
+        walls=cells[..., 1:],
+        lumped=lumped,
+        voltage=seen("terminal_voltage"),
+        current=seen("total"),
+        resistance=2 * seen("resistance"),
+        final=State(cells[-1], lumped[-1]),
+        imbalance=imbalance(model, State(cells[-1], lumped[-1])),
     )
 
 
 # --- many members at once ---------------------------------------------------------------------------------------------
 
 
-class _Factor:
-    """Cholesky factors of heat - gamma h J, member by member: banded, since a cell's shells and the next cell are all
-    that it couples."""
-
-    def __init__(self, model: ThermalModel, cells: Array, h: float) -> None:
-        self._at, self._h = np.full_like(cells, np.inf), h
-        self.heat = np.empty_like(cells)
-        self._factors: list[Array] = [np.empty(0)] * len(cells)
-        self.renew(model, cells)
-
-    def serves(self, h: float) -> bool:
-        """Whether these are factors for steps of `h`."""
-        return h == self._h
-
-    def renew(self, model: ThermalModel, cells: Array) -> None:
-        """Factor anew what belongs to members whose temperatures (B, n, m) have left those of their factors."""
-        stale = np.flatnonzero(~(np.abs(cells - self._at).max((1, 2)) < REUSED))
-        if not len(stale):
-            return
-        heat, own, inward, along = linearised(model, cells)
-        n, m = cells.shape[1:]
-        for b in stale:
-            band = np.zeros((m + 1, n * m))
-            band[0] = (heat[b] - GAMMA * self._h * own[b]).ravel()
-            band[1] = (-GAMMA * self._h * inward[b]).ravel()
-            band[m, : (n - 1) * m] = (-GAMMA * self._h * along[b]).ravel()
-            self._factors[b] = dpbtrf(band, lower=1)[0]
-        self._at[stale], self.heat[stale] = cells[stale], heat[stale]
-
-    def solve(self, rate: Array) -> Array:
-        """The stage for the right-hand side `rate` (B, n, m)."""
-        load = (self.heat * rate).reshape(len(rate), -1)
-        found = [dpbtrs(factor, one, lower=1)[0] for factor, one in zip(self._factors, load, strict=True)]
-        return np.reshape(found, rate.shape)
-
-
-def advance(model: ThermalModel, state: State, duty: Array | float, span: float, steps: int = 3) -> State:
-    """The state after `span` seconds at constant duty, by ROS2 in equal steps."""
-    return _advance(model, state, duty, span / steps, steps, _Factor(model, state.cells, span / steps))
-
-
-def _advance(model: ThermalModel, state: State, duty: Array | float, h: float, steps: int, factor: _Factor) -> State:
-    cells, lumped = state.cells, state.lumped
-    for _ in range(steps):
-        rate, slow = rates(model, cells, lumped, duty)
-        first = factor.solve(rate)
-        # The lumped states are slow: their Jacobian is left out, and the method is that of Heun for them.
-        rate, later = rates(model, cells + h * first, lumped + h * slow, duty)
-        second = factor.solve(rate - 2 * first)
-        cells = cells + h * (1.5 * first + 0.5 * second)
-        lumped = lumped + 0.5 * h * (slow + later)
+def advance(model: ThermalModel, state: State, duty: Array | float, span: float, steps: int | None = None) -> State:
+    """The state after `span` seconds at constant duty, one number or (B,): equal steps of ROS2, as many as `STEP` asks
+    for unless told."""
+    count = steps_of(span) if steps is None else steps
+    cells, lumped, level = state.cells, state.lumped, np.reshape(duty, (-1, 1))
+    for _ in range(count):
+        cells, lumped = stepped(model, cells, lumped, level, span / count)
     return State(cells, lumped)
+
+
+def steps_of(span: float) -> int:
+    """Steps that a span, s, takes."""
+    return max(math.ceil(span / STEP - 1e-9), 1)
 
 
 def simulate(
@@ -165,79 +126,81 @@ def simulate(
     The times of the history are the slots' ends, with the start.
 
     Args:
-        steps: in every slot; by default as many as `STEP` asks for, at most 3. Without it, slots far shorter than that
-            are stepped over together where their duties hardly differ.
+        steps: in every slot; by default as many as `STEP` asks for. Without it, slots far shorter than that are stepped
+            over together where their duties hardly differ.
     """
     return history_of(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
 
 
-def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> list[State]:
-    """The states at the slots' ends, with the start."""
-    states = [start]
-    count = min(math.ceil(slot / STEP - 1e-9), 3) if steps is None else steps
-    together = max(int(STEP / slot + 1e-9), 1) if steps is None else 1
-    factor: _Factor | None = None
+def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> State:
+    """The states (T + 1, B, ...) at the slots' ends, with the start."""
+    course = State(*(np.empty((len(levels) + 1, *row.shape)) for row in (start.cells, start.lumped)))
+    course.cells[0], course.lumped[0] = start.cells, start.lumped
+    together = max(int(TOGETHER / slot + 1e-9), 1) if steps is None else 1
+    state = start
     for first, last in _windows(levels, slot, together):
-        state, part = states[-1], levels[first:last]
-        h, mean = slot * (last - first) / count, part.mean(0)
-        if factor is None or not factor.serves(h):
-            factor = _Factor(model, state.cells, h)
-        factor.renew(model, state.cells)
-        after = _advance(model, state, mean, h, count, factor)
-        states += [*_between(model, state, after, slot * np.cumsum(part - mean, 0)[:-1], part), after]
-    return states
+        part, before = levels[first:last], state
+        mean = part.mean(0)
+        state = advance(model, state, mean, slot * (last - first), steps)
+        course.cells[last], course.lumped[last] = state.cells, state.lumped
+        if last > first + 1:
+            _fill(model, (before, state), slot * np.cumsum(part - mean, 0)[:-1], part, course, first)
+    return course
 
 
 def _windows(levels: Array, slot: float, most: int) -> Iterator[tuple[int, int]]:
     """First and last slot + 1 of those that are stepped over together: at most so many, and of nearly the same duty."""
+    given = slot * np.concatenate([0 * levels[:1], np.cumsum(levels, 0)])
     first = 0
     while first < len(levels):
-        last = first + 1
-        while last < min(first + most, len(levels)):
-            part = levels[first : last + 1]
-            if np.abs(slot * np.cumsum(part - part.mean(0), 0)).max() > FORGOTTEN:
+        last = min(first + most, len(levels))
+        while last > first + 1:
+            ahead = given[first : last + 1] - given[first]
+            if np.abs(ahead - np.multiply.outer(np.linspace(0.0, 1.0, len(ahead)), ahead[-1])).max() <= FORGOTTEN:
                 break
-            last += 1
+            last -= 1
         yield first, last
         first = last
 
 
-def _between(model: ThermalModel, before: State, after: State, ahead: Array, duty: Array) -> Iterator[State]:
-    """States at the ends of slots within a window: linear in time, and what duty was given `ahead` of the mean (duty
-    times s) has warmed and not yet left."""
-    if not len(ahead):
-        return
+def _fill(model: ThermalModel, ends: tuple[State, State], ahead: Array, duty: Array, course: State, first: int) -> None:
+    """Write the states at the ends of slots within a window into a course: linear in time, and what duty was given
+    `ahead` of the mean (duty times s) has warmed and not yet left."""
+    before, after = ends
+    part = np.arange(1, len(duty)).reshape(-1, 1, 1, 1) / len(duty)
+    inside = slice(first + 1, first + len(duty))
+    course.cells[inside] = before.cells + part * (after.cells - before.cells)
+    course.lumped[inside] = before.lumped + part[..., 0] * (after.lumped - before.lumped)
     low, high = duty.min(0), duty.max(0)
-    rows = [rates(model, before.cells, before.lumped, level)[0] for level in (low, high)]
-    response = (rows[1] - rows[0]) / np.maximum(np.reshape(high - low, (-1, 1, 1)), 1e-12)
-    for k, extra in enumerate(ahead, start=1):
-        part = k / len(duty)
-        cells = before.cells + part * (after.cells - before.cells) + response * np.reshape(extra, (-1, 1, 1))
-        yield State(cells, before.lumped + part * (after.lumped - before.lumped))
+    if (high > low).any():
+        rows = [rates(model, before.cells, before.lumped, level)[0] for level in (low, high)]
+        response = (rows[1] - rows[0]) / np.maximum(np.reshape(high - low, (-1, 1, 1)), 1e-12)
+        course.cells[inside] += response * np.reshape(ahead, (len(ahead), -1, 1, 1))
 
 
 def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
     """One member under a schedule, in steps of at most `LOOK`; the history knows the extremes within the slots."""
     levels = np.asarray(duty, dtype=float)
     looks = math.ceil(slot / LOOK - 1e-9)
-    states = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
-    return replace(history_of(model, slot, states[::looks]), within=_extremes(model, states, levels, looks))
+    course = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
+    ends = State(course.cells[::looks], course.lumped[::looks])
+    return replace(history_of(model, slot, ends), within=_extremes(model, course, levels, looks))
 
 
-def _extremes(model: ThermalModel, states: Sequence[State], duty: Array, looks: int) -> Extremes:
+def _extremes(model: ThermalModel, course: State, duty: Array, looks: int) -> Extremes:
     """Of slots (T-1,) at these duties, from states at `looks` times in every slot and at the start."""
     at = (looks * np.arange(len(duty))[:, None] + np.arange(looks + 1)).ravel()
     level = np.repeat(duty, looks + 1)
     free = model.zone > GRIP
     rate, ampere = [], []
     for first in range(0, len(at), BATCH):
-        some = [states[k] for k in at[first : first + BATCH]]
-        cells, lumped = (np.concatenate([getattr(s, name) for s in some]) for name in ("cells", "lumped"))
+        some = at[first : first + BATCH]
+        cells, lumped = course.cells[some, 0], course.lumped[some, 0]
         found = rates(model, cells, lumped, level[first : first + BATCH])[0]
         rate.append(found[:, free, 0].max(1))
         ampere.append(current(model, cells[:, :, 0], lumped).total)
     shape = len(duty), looks + 1
-    tube = np.array([s.cells[0, :, 0] for s in states])[at].reshape(*shape, -1)
+    tube = course.cells[:, 0, :, 0][at].reshape(*shape, -1)
     most = np.concatenate(ampere).reshape(shape).max(1)
     return Extremes(tube.min(1), tube.max(1), np.concatenate(rate).reshape(shape).max(1), most, duty * most)
 
@@ -250,7 +213,8 @@ def simulate_feedback(
     for k in range(count):
         duties.append(controller(k * slot, states[-1]))
         states.append(advance(model, states[-1], duties[-1], slot))
-    return history_of(model, slot, states), np.array(duties)
+    course = State(*(np.array([getattr(state, name) for state in states]) for name in ("cells", "lumped")))
+    return history_of(model, slot, course), np.array(duties)
 
 
 def clamp_temperature(history: History) -> Array:

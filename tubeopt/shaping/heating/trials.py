@@ -18,6 +18,7 @@ from ...physics.heat import Resolution
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
+from .colours import NITINOL_COLOURS, ColourTable
 from .rig import COUNTS, Rig
 from .simulation import simulate
 from .spec import HeatingSpec
@@ -43,7 +44,9 @@ class Trial:
         duty: counts 0-255 at the end. duration: s, from switching on to taking the tube out.
         ramp: s, in which the duty was raised from 0, evenly.
         result: "under" (it sprang back), "good" (the shape is the mold's and the tube still superelastic), "over" (the
-            shape is the mold's but the tube no longer superelastic), or "set" (good or over, not tested).
+            shape is the mold's but the tube no longer superelastic), "set" (good or over, not tested), or "" where only
+            the colour was looked at.
+        colour: of the oxide afterwards, one of the table's; None where nobody looked.
 
     Raises:
         InputError: a value is out of its range.
@@ -53,9 +56,11 @@ class Trial:
     duration: float
     result: str
     ramp: float = 0.0
+    colour: str | None = None
 
     def __post_init__(self) -> None:
-        choice("result of a trial", self.result, (*RESULTS, "set"))
+        if self.result or self.colour is None:
+            choice("result of a trial", self.result, (*RESULTS, "set"))
         if not 0 < positive("duty of a trial", self.duty) <= COUNTS:
             raise InputError(f"duty of a trial is {self.duty:g}; it must be at most {COUNTS}")
         if positive("ramp of a trial", self.ramp, zero=True) > positive("duration of a trial", self.duration):
@@ -85,12 +90,22 @@ class TrialFit(Displayed):
 
 
 def calibrate_from_trials(
-    tube: Tube, rig: Rig, trials: Sequence[Trial], spec: HeatingSpec | None = None, *, confidence: float = 0.95
+    tube: Tube,
+    rig: Rig,
+    trials: Sequence[Trial],
+    spec: HeatingSpec | None = None,
+    *,
+    colours: ColourTable = NITINOL_COLOURS,
+    confidence: float = 0.95,
 ) -> TrialFit:
     """The loss factor from trial outcomes: Bayes' rule on a grid, with a log-normal prior around the rig's file.
 
+    Args:
+        colours: temperatures of the oxide's colours; by default wide ones of nitinol.
+
     Raises:
-        InputError: no trials, or a confidence outside of (0, 1).
+        InputError: no trials, a colour that the table does not know, or knows after another time, or a confidence
+            outside of (0, 1).
     """
     if not trials:
         raise InputError("there are no trials; there must be at least one")
@@ -98,7 +113,7 @@ def calibrate_from_trials(
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
     window = (spec or HeatingSpec()).window_degC
     ends = np.array([_end_temperatures(tube, rig, trial) for trial in trials])  # (K, G)
-    chance = np.array([_chance(trial.result, row, window) for trial, row in zip(trials, ends, strict=True)])
+    chance = np.array([_chance(trial, row, window, colours) for trial, row in zip(trials, ends, strict=True)])
     log = np.log(np.maximum(chance, 1e-12)).sum(0) + scipy.stats.norm.logpdf(np.log(FACTORS), scale=PRIOR)
     density = np.exp(log - log.max())
     density /= density.sum()
@@ -118,11 +133,15 @@ def _end_temperatures(tube: Tube, rig: Rig, trial: Trial) -> Array:
     slot = trial.duration / SLOTS
     at = (np.arange(SLOTS) + 0.5) * slot
     duty = trial.duty / COUNTS * np.minimum(at / trial.ramp if trial.ramp else 1.0, 1.0) * np.ones(SLOTS)
-    history = simulate(model, slot, duty)
+    history = simulate(model, slot, duty, steps=3)
     return np.asarray(history.tube[-1, :, -1]) - ZERO_CELSIUS
 
 
-def _chance(result: str, temperature: Array, window: tuple[float, float]) -> Array:
-    """Probability of a result at temperatures, degC."""
+def _chance(trial: Trial, temperature: Array, window: tuple[float, float], colours: ColourTable) -> Array:
+    """Probability of what a trial showed at temperatures, degC: of its result, and of its colour."""
     set_, over = (scipy.stats.norm.cdf((temperature - edge) / SPREAD) for edge in window)
-    return np.asarray({"under": 1 - set_, "good": set_ - over, "over": over, "set": set_}[result])
+    results = {"under": 1 - set_, "good": set_ - over, "over": over, "set": set_, "": np.ones_like(set_)}
+    found = np.asarray(results[trial.result])
+    if trial.colour is not None:
+        found = found * colours.chance(trial.colour, temperature, trial.duration - trial.ramp)
+    return found

@@ -28,7 +28,7 @@ from ..materials import MoldMaterial
 AMBIENT = 20.0 + ZERO_CELSIUS
 
 USUAL_GAP = 75e-6
-"""Even gap of air, m, to which that of a groove of 2 mm in board comes around a tube of 1.92 mm (`groove_air`)."""
+"""Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.groove_air`)."""
 
 TALBOT_POINTS = 24
 """Points of the contour: more gains nothing in double precision."""

@@ -70,6 +70,8 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     axes.plot(plan.time, plan.clamp_temperature, color=COLD, lw=1.0, label="clamps")
     for at in (plan.hold_start, plan.hold_end):
         axes.axvline(at, color=FAINT, lw=0.6, ls=":")
+    # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
+    axes.text(plan.time[-1], 0.5 * plan.highest, "unquenched", fontsize=7, ha="right", color=FAINT)
     axes.set_ylabel("temperature (°C)")
     axes.set_ylim(0, None)
     axes.set_xlim(0, plan.time[-1])
@@ -152,16 +154,16 @@ def plot_rig_fit(fit: RigFit) -> Figure:
     Args:
         fit: of `calibrate`.
     """
-    names = {"temperature": "temperature (°C)", "voltage": "voltage (V)", "current": "current (A)"}
+    names = {"voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
     figure = new_figure(7.0, 1.1 + 1.9 * len(channels))
     rows = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (name, logged) in zip(rows, channels.items(), strict=True):
-        zero = ZERO_CELSIUS if name == "temperature" else 0.0
+        zero = ZERO_CELSIUS if name.startswith("temperature") else 0.0
         axes.plot(fit.log.time, logged - zero, ".", ms=3, color=INK, label="logged")
         axes.plot(fit.log.time, fit.before[name] - zero, color=FAINT, lw=1.0, ls="--", label="rig file")
         axes.plot(fit.log.time, fit.after[name] - zero, color=TUBE, lw=1.2, label="calibrated")
-        axes.set_ylabel(names[name])
+        axes.set_ylabel(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
     rows[0].legend(fontsize=7, ncols=3, loc="lower right")
     rows[-1].set_xlabel("time (s)")
     words = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)

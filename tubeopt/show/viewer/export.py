@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...files.csv_file import to_csv
+from ...files.files import atomic_write
 from ...files.units import DEG, MM, RAD, in_unit
 from ...files.yaml_file import save_yaml
 from ...planning.file import BRANCH, TIME
@@ -131,3 +132,17 @@ def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: b
         height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
         return "view.png", png(client.get_render(height, width, transport_format="png", timeout=60))
     return "view.html", scene_html(session, scene.contents, trail=trail).encode()
+
+
+def saved(what: str, session: Session, scene: Scene, client: Any, *, trail: bool, out: Path | None) -> str:
+    """Send an export to the browser, and save it into a directory if there is one; what is to be said of it.
+
+    Raises:
+        InputError, RuntimeError, OSError: it cannot be made, or not be saved.
+    """
+    name, content = exported(what, session, scene, client, trail=trail)
+    if out is not None:
+        with atomic_write(out / name) as temporary:
+            temporary.write_bytes(content)
+    client.send_file_download(name, content, save_immediately=True)
+    return f"saved {name}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from html import escape
 from http import HTTPStatus
 from typing import Any
@@ -18,12 +19,21 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 """Under what a browser on this machine may ask for the page."""
 
 
+@dataclass(frozen=True)
+class Beside:
+    """What a server does beside viser: a script in its page, and a socket at a path, whose messages are attended to."""
+
+    script: str
+    path: str
+    attend: Callable[[Any], Awaitable[None]]
+
+
 @contextmanager
-def quiet_server(host: str, port: int, title: str = "tubeopt") -> Iterator[Any]:
+def quiet_server(host: str, port: int, title: str = "tubeopt", beside: Beside | None = None) -> Iterator[Any]:
     """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
 
     Args:
-        title: of the page.
+        title: of the page.   beside: what it does beside viser.
 
     Raises:
         InputError: viser is not installed, the address is none of this machine's, the port is taken.
@@ -37,7 +47,7 @@ def quiet_server(host: str, port: int, title: str = "tubeopt") -> Iterator[Any]:
     console = rich.get_console()
     loud, console.quiet = console.quiet, True
     try:
-        with _own_page_alone(host, title):
+        with _own_page_alone(host, title, beside):
             server = viser.ViserServer(host=host, port=port, verbose=False)
         # viser's relay would put the page on the public internet at the press of a key.
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
@@ -71,7 +81,7 @@ def _bind(host: str, port: int) -> None:
 
 
 @contextmanager
-def _own_page_alone(host: str, title: str) -> Iterator[None]:
+def _own_page_alone(host: str, title: str, beside: Beside | None) -> Iterator[None]:
     """Have the server that is made meanwhile refuse requests that other pages in the same browser make.
 
     viser checks neither the host that a browser believes to talk to nor the page that opens a websocket: any site that
@@ -79,6 +89,7 @@ def _own_page_alone(host: str, title: str) -> Iterator[None]:
     maker is wrapped.
     """
     import websockets.asyncio.server as library
+    from websockets.exceptions import ConnectionClosed
 
     make = library.serve
 
@@ -88,10 +99,17 @@ def _own_page_alone(host: str, title: str) -> Iterator[None]:
                 return connection.respond(HTTPStatus.FORBIDDEN, "tubeopt view answers to its own page alone\n")
             if request.path.split("?")[0] in ("/", "/index.html"):
                 del request.headers["Accept-Encoding"]
-                return titled(process_request(connection, request), title)
+                return titled(process_request(connection, request), title, "" if beside is None else beside.script)
             return process_request(connection, request)
 
-        return make(handler, address, port, process_request=answer, **options)
+        async def handle(connection: Any) -> None:
+            if beside is not None and connection.request.path == beside.path:
+                with suppress(ConnectionClosed):
+                    await beside.attend(connection)
+            else:
+                await handler(connection)
+
+        return make(handle, address, port, process_request=answer, **options)
 
     library.serve = guarded  # type: ignore[assignment, misc]
     try:
@@ -100,10 +118,12 @@ def _own_page_alone(host: str, title: str) -> Iterator[None]:
         library.serve = make  # type: ignore[misc]
 
 
-def titled(response: Any, title: str) -> Any:
-    """A response of the server with the page's title in place of viser's; None, for a websocket, stays None."""
+def titled(response: Any, title: str, script: str = "") -> Any:
+    """A response of the server with the page's title in place of viser's, and a script of its own; None, for a
+    websocket, stays None."""
     if response is not None and UNTITLED in response.body:
-        response.body = titled_page(response.body.decode(), title).encode()
+        page = titled_page(response.body.decode(), title)
+        response.body = (page.replace("</head>", f"<script>{script}</script></head>", 1) if script else page).encode()
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
     return response

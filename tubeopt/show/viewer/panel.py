@@ -12,11 +12,12 @@ from ...files.units import TO_MM, parse_number
 from ...robots.eccentric import EccentricRobot
 from .designs import Knob, knobs
 from .given import BODIES
+from .hand import KEYS
 from .push_panel import PushPanel
 from .session import Session, joint_names, space_of
 from .view import View
 from .wishes import MIRROR, Wishes
-from .words import log_words, message_words, readout
+from .words import hand_words, legend, log_words, message_words, readout
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
@@ -55,6 +56,7 @@ class Panel:
         gui.main_panel.set_width(390)
         self._readout = gui.add_html("")
         self._message = gui.add_html(message_words(""))
+        self._keys = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
             self._sliders = [self._slider(k, name) for k, name in enumerate(joint_names(robot))]
@@ -93,6 +95,10 @@ class Panel:
     def say(self, text: str, *, bad: bool = False) -> None:
         """One sentence below the readout."""
         self._message.content = message_words(text, bad=bad)
+
+    def lend(self, word: str | None) -> None:
+        """Let the page's script lead the tip, or no longer."""
+        self._keys.content = "" if word is None else hand_words(word, KEYS)
 
     def show(self, session: Session, certificate: float | None, torsion: str | None) -> None:
         """The readout and the log; with the plot of torsion where it is given."""
@@ -264,6 +270,7 @@ class Panel:
             self._tab.show("target", bool(event.target.value))
 
         drag.on_update(shown)
+        self._check("lead the tip by keys, gamepad or 3-D mouse", False, lambda on: self._tab.show("hand", on))
         boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 
         def lead() -> None:
@@ -285,6 +292,7 @@ class Panel:
         self._button("Play / pause", self._tab.play)
         self._upload("Load a trajectory (CSV)", "trajectory", "text/csv")
         self._check("record what the robot passes", False, self._tab.record)
+        self._button("Replay the recording", self._tab.replay)
         return time
 
     def _upload(self, label: str, what: str, mime_type: str) -> None:
@@ -338,6 +346,14 @@ class Panel:
         self._upload("Load bodies (YAML, mesh, image)", "obstacles", BODIES)
         self._upload("Put another robot beside (YAML)", "beside", YAML)
         self._check("dark", False, self._dark)
+        for label, side in (
+            ("From x", "side"),
+            ("From y", "front"),
+            ("From above", "above"),
+            ("As it began", "corner"),
+        ):
+            self._button(label, lambda side=side: self._tab.look(side))
+        self._gui.add_html(legend())
 
     def _dark(self, on: bool) -> None:
         self._gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=on)

@@ -76,6 +76,20 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     return found
 
 
+def recorded(session: Session) -> Waypoints:
+    """What a session has recorded, as waypoints that are passed at the speeds of a file without times.
+
+    Raises:
+        InputError: nothing was recorded, or the robot did not move.
+    """
+    rows = np.array(session.recording or ())
+    moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0) if len(rows) else np.zeros(0, dtype=bool)
+    if np.count_nonzero(moved) < 2:
+        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
+    rotations, translations = np.split(rows[moved], 2, axis=1)
+    return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
+
+
 def paced(rotations: Array, translations: Array) -> Array:
     """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
     turn = np.abs(np.diff(rotations, axis=0)).max(1, initial=0.0) / TURN_SPEED

@@ -229,6 +229,24 @@ def camera(equilibrium: Equilibrium) -> tuple[Array, Array]:
     return np.array([0.85, -0.85, 0.75]) * length, np.array([0.0, 0.0, 0.45]) * length
 
 
+SIDES = {
+    "side": (1.4, 0.0, 0.45),
+    "front": (0.0, -1.4, 0.45),
+    "above": (0.0, -1e-3, 1.9),
+    "corner": (0.85, -0.85, 0.75),
+}
+"""Where the camera stands, over the length of the arm: it sees the plane of y and z, of x and z, of x and y; and where
+it begins."""
+
+
+def look_from(seen: Any, equilibrium: Equilibrium, side: str) -> None:
+    """Put a camera of viser's to one of `SIDES`, upright, so that it sees the whole robot."""
+    _, look_at = camera(equilibrium)
+    length = look_at[2] / 0.45
+    seen.up_direction = (0.0, 0.0, 1.0)
+    seen.position, seen.look_at = tuple(np.array(SIDES[side]) * length), tuple(look_at)
+
+
 def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
     """Show snaps one after the other."""
     for snap in snaps:

@@ -10,7 +10,8 @@ from types import FrameType
 from typing import Any
 
 from .export import page_title
-from .host import LOCAL, address_of, quiet_server
+from .hand import PATH, Hands, script
+from .host import LOCAL, Beside, address_of, quiet_server
 from .scene import camera
 from .session import Session
 from .tab import Tab
@@ -42,11 +43,13 @@ def serve(
     over = stop or threading.Event()
     tabs: dict[int, Tab] = {}
     lock = threading.Lock()
-    with _signals(over), quiet_server(host, port, page_title(first)) as server:
+    hands = Hands()
+    beside = Beside(script(), PATH, hands.attend)
+    with _signals(over), quiet_server(host, port, page_title(first), beside) as server:
         _frame_camera(server, first)
 
         def came(client: Any) -> None:
-            tab = Tab(client, view)
+            tab = Tab(client, view, hands)
             with lock:
                 if client.client_id in server.get_clients():
                     tabs[client.client_id] = tab

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,24 +11,25 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, SolveError
-from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.mirror import mirror_rotations
 from ...robots.file import load_robot
 from ...robots.load import Load
 from ...workspaces import workspace
-from . import export
 from .arrow import ForceArrow
 from .beside import Beside, session_beside
 from .designs import Knob, with_knob
+from .export import saved
 from .given import Given, load_bodies
+from .hand import Hand, Hands
 from .insights import Insights
 from .mark import Mark
 from .panel import Panel
-from .playback import Playback, load_waypoints, make_playback, play_to
+from .playback import load_waypoints
+from .player import Player
 from .plots import torsion_plot
 from .pushing import push_on
-from .scene import Scene, animate, ghost_parts, obstacle_parts, swept_part
+from .scene import Scene, animate, ghost_parts, look_from, obstacle_parts, swept_part
 from .servo import pull
 from .session import Session, clear_trail, go_home, move, move_joint, other_equilibria, record, redesign
 from .swept import swept_volume
@@ -37,9 +37,6 @@ from .view import View
 from .wishes import MIRROR, Wishes
 from .words import others_words
 from .worker import Worker
-
-TICK = 0.04
-"""Time between pictures of a trajectory, s."""
 
 CLOUD = 4000
 """Samples of the workspace layer."""
@@ -53,18 +50,16 @@ ADVISED = "this tab has a robot of its own"
 class Tab(Wishes):
     """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
 
-    def __init__(self, client: Any, view: View) -> None:
-        self._client, self._view = client, view
+    def __init__(self, client: Any, view: View, hands: Hands) -> None:
+        self._client, self._view, self._hands = client, view, hands
+        self._hand, self._word = Hand(), hands.admit(self.drive)
         self.session = view.session()
         self.scene = Scene(client.scene)
-        self._playback: Playback | None = None
-        self._time = 0.0
-        self._playing: float | None = None
         self._trail = True
         self._obstacles = view.obstacles
         self._beside: Beside | None = None
         self._given = Given()
-        self._pulling = self._pushing = False
+        self._pulling = self._pushing = self._driving = False
         self._stale = False
         self._past: deque[Session] = deque(maxlen=UNDONE)
         self._mark: int | str | None = None
@@ -75,6 +70,7 @@ class Tab(Wishes):
         )
         self._arrow = ForceArrow(self.scene, self.panel.push, view, self.push)
         self._insights = Insights(self.panel, lambda: self.session, lambda: self._worker.waiting)
+        self._player = Player(self.panel, lambda: self.session, self._change, self._do)
         self._worker = Worker(
             self._insights.chores, lambda error: self._say(f"something went wrong: {error}", bad=True)
         )
@@ -137,6 +133,20 @@ class Tab(Wishes):
 
         self._by_hand(go, key=None if done else "lead")
 
+    def drive(self, velocity: np.ndarray) -> None:
+        def go() -> None:
+            words = ""
+
+            def verb(session: Session) -> Session:
+                nonlocal words
+                led, words = self._hand.lead(session, velocity, self.panel.least_margin, self._obstacles)
+                return led
+
+            self._driving = bool(velocity.any())
+            self._change(verb, lambda: words)
+
+        self._by_hand(go, key="drive")
+
     def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
         def go() -> None:
             self._pushing = not done
@@ -166,16 +176,23 @@ class Tab(Wishes):
         self._do(lambda: self._load(what, name, content))
 
     def play(self) -> None:
-        self._do(self._toggle_play)
+        self._do(self._player.toggle)
 
     def scrub(self, seconds: float) -> None:
-        self._by_hand(lambda: self._to_time(seconds, log=False), key="scrub")
+        self._by_hand(lambda: self._player.to(seconds), key="scrub")
 
     def save(self, what: str) -> None:
         self._do(lambda: self._save(what))
 
+    def replay(self) -> None:
+        self._do(lambda: self._say(self._player.replay()))
+
+    def look(self, side: str) -> None:
+        self._do(lambda: look_from(self._client.camera, self.session.equilibrium, side))
+
     def close(self) -> None:
         """The tab is gone."""
+        self._hands.dismiss(self._word)
         self._worker.close()
         self._given.close()
 
@@ -198,7 +215,7 @@ class Tab(Wishes):
         """Have something done to the robot; a trajectory that is being played pauses for it."""
 
         def go() -> None:
-            self._playing = None
+            self._player.pause()
             job()
 
         self._do(go, key=key)
@@ -210,12 +227,11 @@ class Tab(Wishes):
         if self._view.waypoints is not None:
             self._say("following the trajectory …")
             try:
-                self._playback = make_playback(self.session.robot, self._view.waypoints)
+                self._player.take(self._view.waypoints)
             except (InputError, SolveError) as error:
                 self._say(f"the trajectory cannot be followed: {error}", bad=True)
                 self._refresh()
                 return
-            self.panel.offer_playback(self._playback.duration)
         self._say(ADVISED)
         self._refresh()
 
@@ -233,7 +249,8 @@ class Tab(Wishes):
         moved = self.session is not before
         if moved:
             # What one hand does without letting go is one change.
-            held = "lead" if self._pulling else "push" if self._pushing else None
+            hands = {"lead": self._pulling, "push": self._pushing, "drive": self._driving}
+            held = next((name for name, on in hands.items() if on), None)
             mark = dragged if dragged is not None else held
             if mark is None or mark != self._mark:
                 self._past.append(before)
@@ -283,6 +300,8 @@ class Tab(Wishes):
             self._insights.want_map(on)
         elif layer == "target":
             self._target.put(self.session.equilibrium.tip_position, self.session.robot, on)
+        elif layer == "hand":
+            self.panel.lend(self._word if on else None)
         elif layer == "force":
             self._arrow.mark(self.session.equilibrium, on)
         elif layer == "beside":
@@ -307,11 +326,11 @@ class Tab(Wishes):
             self._sweep()
 
     def _sweep(self) -> None:
-        if self._playback is None:
+        if self._player.playback is None:
             self._say("there is no trajectory whose swept volume could be shown", bad=True)
             return
         self._say("joining shapes …")
-        swept = swept_volume(self._playback)
+        swept = swept_volume(self._player.playback)
         self.scene.layer("swept", [swept_part(swept.surface)])
         self._say(f"the arm sweeps {swept.volume * 1e6:.2f} cm3 (hulls between {swept.shapes} shapes; snaps left out)")
 
@@ -323,12 +342,7 @@ class Tab(Wishes):
             self._say(self._given.words(error), bad=True)
 
     def _take_trajectory(self, path: Path) -> str:
-        self._playback = make_playback(self.session.robot, load_waypoints(path, self.session.robot))
-        self.scene.clear("swept")
-        self.panel.offer_playback(self._playback.duration)
-        self._to_time(0.0, log=False)
-        followed = self._playback.path
-        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
+        return self._player.offer(load_waypoints(path, self.session.robot))
 
     def _take_obstacles(self, path: Path) -> str:
         self._obstacles, words = load_bodies(path)
@@ -344,54 +358,12 @@ class Tab(Wishes):
         self.panel.tick("beside")
         return "stands beside, at the same joint values"
 
-    def _toggle_play(self) -> None:
-        if self._playback is None:
-            self._say("there is no trajectory to be played", bad=True)
-            return
-        if self._playing is not None:
-            self._playing = None
-            return
-        if self._time >= self._playback.duration:
-            self._time = 0.0
-        self._to_time(self._time, log=False)
-        self._playing = time.monotonic() - self._time
-        self._do(self._tick)
-
-    def _tick(self) -> None:
-        if self._playing is None or self._playback is None:
-            return
-        began = time.monotonic()
-        now = began - self._playing
-        self._to_time(now, log=True)
-        if now >= self._playback.duration:
-            self._playing = None
-            return
-        time.sleep(max(0.0, TICK - (time.monotonic() - began)))
-        self._do(self._tick)
-
-    def _to_time(self, seconds: float, *, log: bool) -> None:
-        playback = self._playback
-        if playback is None:
-            return
-        if self.session.robot != playback.path.equilibria[0].robot:
-            self._say("the trajectory is of other tubes than these: go back to those, or load it again", bad=True)
-            self._playing = None
-            return
-        since = self._time if log else None
-        self._time = min(max(seconds, 0.0), playback.duration)
-        self._change(lambda session: play_to(session, playback, self._time, since=since))
-        self.panel.at_time(self._time)
-
     def _save(self, what: str) -> None:
+        if what == "picture":
+            self._say("taking the picture …")
         try:
-            if what == "picture":
-                self._say("taking the picture …")
-            name, content = export.exported(what, self.session, self.scene, self._client, trail=self._trail)
-            if self._view.out is not None:
-                with atomic_write(self._view.out / name) as temporary:
-                    temporary.write_bytes(content)
+            words = saved(what, self.session, self.scene, self._client, trail=self._trail, out=self._view.out)
         except (InputError, SolveError, RuntimeError, OSError) as error:
             self._say(str(error), bad=True)
             return
-        self._client.send_file_download(name, content, save_immediately=True)
-        self._say(f"saved {name}")
+        self._say(words)

@@ -34,6 +34,9 @@ class Wishes(Protocol):
     def lead(self, target: np.ndarray, margin: float, *, done: bool) -> None:
         """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
 
+    def drive(self, velocity: np.ndarray) -> None:
+        """Move the tip with a velocity (3,), a share of the greatest, for as long as messages keep coming."""
+
     def push(self, force: np.ndarray, gravity: tuple[float, float, float] | None, *, done: bool) -> None:
         """Let a force act on the tip, N, and gravity, m/s^2; `done` puts the arrow's mark back onto its head."""
 
@@ -47,7 +50,7 @@ class Wishes(Protocol):
         """Show all other equilibria, or hide them."""
 
     def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer: trail, workspace, obstacles, swept, target, force, map, beside."""
+        """Show or hide a layer: trail, workspace, obstacles, swept, target, hand, force, map, beside."""
 
     def forget_trail(self) -> None:
         """Begin the trail anew."""
@@ -60,6 +63,12 @@ class Wishes(Protocol):
 
     def play(self) -> None:
         """Play, or pause."""
+
+    def replay(self) -> None:
+        """Play what was recorded."""
+
+    def look(self, side: str) -> None:
+        """Look from a side: side, front, above, corner."""
 
     def scrub(self, seconds: float) -> None:
         """Go to a time of the trajectory."""

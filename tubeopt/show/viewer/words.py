@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from ...equilibrium.result import Equilibrium
+from ..plots.style import tube_colour
 from ..quantities import Quantity, record
 from .session import Event, Session
 from .surfaces import margin_colour
@@ -44,9 +45,18 @@ def readout(session: Session, certificate: float | None) -> str:
     return (
         f'<div style="{BOX}" data-testid="readout">'
         f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
-        f"{lines} {bar}"
+        f"{tube_colours(e.robot.n_tubes)}<br>{lines} {bar}"
         f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
     )
+
+
+def tube_colours(n_tubes: int) -> str:
+    """Which tube has which colour, the innermost first."""
+    marks = (
+        f'<span style="color:{tube_colour(i)}">\N{BLACK CIRCLE}</span>\N{NO-BREAK SPACE}tube\N{NO-BREAK SPACE}{i + 1}'
+        for i in range(n_tubes)
+    )
+    return f'<span data-testid="tubes">{" ".join(marks)}</span>'
 
 
 def certificate_words(certificate: float | None) -> str:
@@ -92,3 +102,31 @@ def others_words(others: Sequence[Equilibrium]) -> str:
     many = f"{len(others)} other equilibria" if len(others) != 1 else "1 other equilibrium"
     kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
     return f"{many} at these joint values{kinds}"
+
+
+LEGEND = (
+    ("rgb(200,30,30)", "the plate's x axis, 5 cm long"),
+    ("rgb(30,150,60)", "its y axis"),
+    ("rgb(40,80,200)", "its z axis, along which the arm leaves"),
+    ("linear-gradient(90deg,{0},{1},{2})", "margin: 0, a snap, to 1"),
+    ("rgb(70,110,190)", "other stable equilibria"),
+    ("rgb(205,60,60)", "unstable ones"),
+    ("#8888", "squares of the floor: 1 cm, and bold 10 cm"),
+)
+"""Colours of the scene, and what they mean."""
+
+
+def legend() -> str:
+    """What the colours mean, and how long the axes and the squares of the floor are."""
+    scale = ["rgb({},{},{})".format(*margin_colour(margin)) for margin in (0.0, 0.5, 1.0)]
+    rows = (
+        f'<div><span style="display:inline-block;width:34px;height:9px;border-radius:3px;margin-right:8px;'
+        f'background:{colour.format(*scale)}"></span>{escape(words)}</div>'
+        for colour, words in LEGEND
+    )
+    return f'<div style="{BOX}" data-testid="legend">{"".join(rows)}</div>'
+
+
+def hand_words(word: str, keys: str) -> str:
+    """That keys lead the tip, and for the page's script, which robot is its own."""
+    return f'<div style="{BOX}" data-testid="hand" data-hand="{escape(word)}">{escape(keys)}</div>'

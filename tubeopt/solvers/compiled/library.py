@@ -11,12 +11,11 @@ import hashlib
 import logging
 import os
 import platform
-import re
 import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -41,8 +40,7 @@ from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..settings import NEWTON
 from .packaged import Kind, packaged_kernel
-
-HERE = Path(__file__).parent
+from .text import HERE, c_tables, c_text
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
 """Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
@@ -165,20 +163,6 @@ def kernel_text(n: int, eccentric: bool = False, general: bool = False) -> str:
     return tables + c_text(constants, generator, "kernel.c")
 
 
-def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
-    """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
-    constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
-
-
-def with_included(file: Path) -> str:
-    """A C text with those that it includes from its folder in it."""
-    text = file.read_text()
-    while part := re.search(r'#include "(\w+\.c)"\n', text):
-        text = text.replace(part[0], (file.parent / part[1]).read_text())
-    return text
-
-
 def compiler() -> list[str] | None:
     """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
@@ -283,21 +267,15 @@ def _general_constants() -> str:
         "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
         "TWIST_PER_PIECE": TWIST_PER_PIECE,
     }
-    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + _c_tables(tables)
+    return "".join(f"#define {name} {value!r}\n" for name, value in numbers.items()) + c_tables(tables)
 
 
 def _slope_constants() -> str:
     """Tables of `slopes.c`: at the points, the Lagrange basis integrated twice, and shape points with their slopes."""
     fine = tableau("gauss", DEGREE)
-    return _c_tables(
+    return c_tables(
         {"TWICE_INSIDE": fine.lagrange(fine.nodes, integrals=2), "POSE_INSIDE": hermite(fine.family, fine.degree)}
     )
-
-
-def _c_tables(tables: Mapping[str, Array]) -> str:
-    """Tables as constants of C."""
-    rows = ((name, ", ".join(repr(float(v)) for v in np.ravel(table))) for name, table in tables.items())
-    return "".join(f"static const double {name}[] = {{{values}}};\n" for name, values in rows)
 
 
 def _answer(n: int, general: bool) -> np.dtype[np.void]:

@@ -26,7 +26,8 @@ from ...physics.torsion import section_functions
 from ...typing import Array, Mask
 from ..loaded import LoadedAnswer
 from ..settings import CONTINUATION, NEWTON
-from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, c_text, kernel_path, load_library
+from .library import CHORD_STEP, EIGENVALUE_ERROR, LANCZOS, SOFTENING_ERROR, kernel_path, load_library
+from .text import c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
 """Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
@@ -47,7 +48,11 @@ SOLVED = 0
 
 def loaded_source(n: int) -> str:
     """The C text of the kernel for n concentric tubes under load."""
-    generator = ca.CodeGenerator("mechanics.c")
+    return loaded_text(n, ca.CodeGenerator("mechanics.c"), "loaded.c")
+
+
+def loaded_text(n: int, generator: ca.CodeGenerator, file: str) -> str:
+    """A C text that begins with the kernel's functions of the cross-section, beside those that a generator has."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
     defines = {
@@ -78,11 +83,12 @@ def loaded_source(n: int) -> str:
         "HARDLY_SOFTENED": CONTINUATION.hardly_softened,
     }
     tables = {"TANGENT": tangent_forms(), "TURN": world_turns()}
+    braces = str.maketrans("[]", "{}")
     arrays = "".join(
-        f"static const double {name}[3][4][4] = {{{', '.join(repr(float(v)) for v in table.ravel())}}};\n"
+        f"static const double {name}[3][4][4] = {str(table.tolist()).translate(braces)};\n"
         for name, table in tables.items()
     )
-    return arrays + c_text(defines, generator, "loaded.c")
+    return arrays + c_text(defines, generator, file)
 
 
 _POINTERS = (

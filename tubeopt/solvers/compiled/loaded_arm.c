@@ -101,7 +101,7 @@ static void lay_point(const Stage *s, const State *state, const Torsion *torsion
 
 /* Everything along the arm, energy, work and the wrench at the plate. */
 static void lay_arm(const Stage *s, const State *state, const double *alpha, Answer *out) {
-    static _Thread_local Torsion torsion;
+    Torsion torsion;
     const Problem *p = s->problem;
     double begun[3] = {0};
     out->residual = residual_of(s, state, alpha, 1, &torsion);

@@ -123,7 +123,7 @@ static double residual_of(const Stage *s, const State *state, const double *alph
 /* Newton steps from `state`; the factors of a step that is small serve for the next. Not at ease, and so declined, where
    successive steps do not shrink to `ratio` of one another. */
 static int newton(Stage *s, State *state, const double *alpha, double factor, double ratio, Step *step, Answer *out) {
-    static _Thread_local Torsion torsion;
+    Torsion torsion;
     double last = INFINITY;
     int fresh = 1;
     evaluate(s, state, factor);

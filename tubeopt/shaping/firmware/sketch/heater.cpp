@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "hardware.h"
@@ -43,6 +44,10 @@ uint8_t count = 0;
 uint32_t started = 0, next_tick = 0;
 uint8_t ticks = 0; // Of this slot.
 
+// What a computer wants of the next slots, in counts, and how many are left of them.
+float lead = 0, lead_step = 0;
+uint8_t led = 0;
+
 float reading = 0, volt = 0, ampere = 0, leaking = 0;
 bool electrics = false;
 float stuck_at = 0;
@@ -73,16 +78,16 @@ const char *fixed(char *text, float value, uint8_t digits) {
 }
 
 void tell_status() {
-  char line[192], a[16], b[16], c[16], d[16], e[16];
+  char line[208], a[16], b[16], c[16], d[16], e[16];
   const float time = state == IDLE ? 0 : (hardware_milliseconds() - started) / 1000.0f;
   snprintf(line, sizeof line,
            "{\"event\":\"status\",\"state\":\"%s\",\"time_s\":%s,\"temperature_degC\":%s,\"reference_degC\":%s,"
            "\"count\":%u,",
            STATES[state], fixed(a, time, 1), fixed(b, reading, 2), fixed(c, reference_at(place), 1), count);
   hardware_write(line);
-  snprintf(line, sizeof line, "\"place\":%u,\"voltage_V\":%s,\"current_A\":%s,\"reason\":\"%s\",\"dry\":%s}\n", place,
+  snprintf(line, sizeof line, "\"place\":%u,\"voltage_V\":%s,\"current_A\":%s,\"reason\":\"%s\",\"dry\":%s,\"led\":%s}\n", place,
            electrics ? fixed(d, volt, 2) : "null", electrics ? fixed(e, ampere, 1) : "null", STOPS[reason],
-           dry ? "true" : "false");
+           dry ? "true" : "false", led ? "true" : "false");
   hardware_write(line);
 }
 
@@ -93,10 +98,11 @@ void tell_error(const char *text) {
 }
 
 void tell_hello() {
-  char line[112];
+  char line[160];
   snprintf(line, sizeof line,
-           "{\"event\":\"hello\",\"firmware\":\"tubeopt heater\",\"schedule\":\"%s\",\"slots\":%u,\"slot_ms\":%u}\n",
-           SCHEDULE_ID, SLOTS, SLOT_MS);
+           "{\"event\":\"hello\",\"firmware\":\"tubeopt heater\",\"schedule\":\"%s\",\"slots\":%u,\"slot_ms\":%u,"
+           "\"window_degC\":[%d,%d]}\n",
+           SCHEDULE_ID, SLOTS, SLOT_MS, WINDOW_LOW, WINDOW_HIGH);
   hardware_write(line);
 }
 
@@ -127,7 +133,7 @@ void start(bool without_current) {
   if (electrics && volt < LOWEST_VOLT && !without_current) return tell_error("the battery is low");
   table = electrics ? table_for(volt) : 0;
   dry = without_current;
-  place = 0, total = 0, owed = 0, waited = 0, ticks = 0, bad_readings = 0, bad_currents = 0;
+  place = 0, total = 0, owed = 0, waited = 0, ticks = 0, led = 0, bad_readings = 0, bad_currents = 0;
   started = stuck_since = next_tick = hardware_milliseconds();
   stuck_at = reading;
   missed_rise = 0;
@@ -147,8 +153,18 @@ void decide() {
   if (waits) waited += SLOT_MS;
   if (waited > PATIENCE_MS) return stop(BEHIND_SCHEDULE);
   total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * error, -SHARE, SHARE);
-  const float share = clip(PROPORTIONAL * error + total, -SHARE, SHARE);
-  const float wanted = planned_at(table, place) * (1 + share);
+  float share = clip(PROPORTIONAL * error + total, -SHARE, SHARE);
+  const float planned = planned_at(table, place);
+  if (led) {
+    // As far as the share allows; the sum becomes the one that would have said the same, and goes on from there.
+    if (planned > 0) {
+      share = clip(lead / planned - 1, -SHARE, SHARE);
+      total = clip(share - PROPORTIONAL * error, -SHARE, SHARE);
+    }
+    lead += lead_step;
+    --led;
+  }
+  const float wanted = planned * (1 + share);
   const float due = wanted + owed;
   count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, 255) : 0;
   const float given = count > LOST ? count - LOST : 0;
@@ -201,11 +217,28 @@ Stop danger() {
 
 // --- commands -----------------------------------------------------------------------------------------------------------
 
+// The number after a key; less than 0 where there is none.
+long number(const char *line, const char *key) {
+  const char *at = strstr(line, key);
+  return at ? atol(at + strlen(key)) : -1;
+}
+
+// What the next slots shall be given, in a line from one hundredth of a count to another. Whatever it says stays within
+// the share of the schedule; where no other comes in time, the law goes on alone.
+void follow(const char *line) {
+  const long slots = number(line, "\"slots\":"), from = number(line, "\"from\":"), to = number(line, "\"to\":");
+  if (slots < 1 || slots > 20 || from < 0 || to < 0 || from > 25500 || to > 25500) return tell_error("a lead is wrong");
+  led = (uint8_t)slots;
+  lead = from / 100.0f;
+  lead_step = slots > 1 ? (to - from) / 100.0f / (slots - 1) : 0;
+}
+
 void obey(const char *line) {
   if (strstr(line, "\"stop\"")) {
     if (state == HEATING || state == HOLDING) stop(BY_COMMAND);
     else tell_status();
-  } else if (strstr(line, "\"start\"")) start(strstr(line, "\"dry\":true") != nullptr);
+  } else if (strstr(line, "\"lead\"")) follow(line);
+  else if (strstr(line, "\"start\"")) start(strstr(line, "\"dry\":true") != nullptr);
   else if (strstr(line, "\"status\"")) tell_status();
   else if (strstr(line, "\"hello\"")) tell_hello();
   else tell_error("a line is {\\\"do\\\":\\\"start\\\"}, or stop, status, hello in place of start");

@@ -1,0 +1,109 @@
+"""Processor time of a heating plan, whatever becomes of it: rigs, robots, slots, holds, and what cannot be held.
+
+    python -m benchmarks.heating [--only WORD] [--json]
+
+Every case is planned once, after one plan that warms up (CasADi's functions and the program are built once a process).
+Times are of the processor, on one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from tubeopt import HeatingSpec, Rig, Tube, load_rig, load_robot, plan_heating
+
+from .timing import ROOT, clock, show, table
+
+MOLDS = ("calcium_silicate", "mdf", "steel")
+ROBOTS = ("thesis_ctr", "grassmann_ctr", "timc_ctr")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A tube on a rig, and what is asked."""
+
+    name: str
+    tube: Tube
+    rig: Rig
+    spec: HeatingSpec
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a case took, s, and what became of it."""
+
+    case: str
+    seconds: float
+    verdict: str
+    hold_start: float
+    lowest: float
+    highest: float
+
+
+def _rig(mold: str) -> Rig:
+    return load_rig(ROOT / "configs" / "rigs" / f"thesis_{mold}.yaml")
+
+
+def cases() -> Iterator[Case]:
+    """What is measured."""
+    rig = _rig("calcium_silicate")
+    tube = rig.tube
+    assert tube is not None
+    quick: dict[str, Any] = {"slot": 0.05}
+    for slot in (0.5, 0.05):
+        for hold in (2.0, 60.0, 300.0):
+            yield Case(f"slot {slot:g} s, hold {hold:g} s", tube, rig, HeatingSpec(slot=slot, hold_time=hold))
+    long = HeatingSpec(**quick, hold_time=300.0)
+    for mold in MOLDS[1:]:
+        yield Case(f"{mold}, as the last", tube, replace(_rig(mold), tube=tube), long)
+    double = tuple((charge, 2 * volt) for charge, volt in rig.battery.open_circuit)
+    yield Case("24 V", tube, replace(rig, battery=replace(rig.battery, open_circuit=double)), long)
+    yield Case("lead of 4 mm", tube, replace(rig, mold=replace(rig.mold, lead=4e-3)), long)
+    yield Case("battery at 20 %", tube, rig.with_charge(0.2), long)
+    weak = replace(rig, circuit=replace(rig.circuit, current_limit=2.0))
+    yield Case("2 A on average", tube, weak, long)
+    yield Case("window of 10 K", tube, rig, replace(long, window_degC=(520.0, 530.0), limit_degC=None))
+    yield Case("window of 900 degC", tube, rig, replace(long, window_degC=(880.0, 900.0), limit_degC=None))
+    for objective in ("energy", "margin"):
+        yield Case(f"objective {objective}", tube, rig, replace(long, objective=objective))
+    yield Case("lead and vents free", tube, rig, replace(long, free=("lead", "vents")))
+    for name in ROBOTS:
+        robot = load_robot(ROOT / "configs" / "robots" / f"{name}.yaml")
+        for k, other in enumerate(robot.tubes, start=1):
+            if other.curved_length > 0 and other.material.thermal is not None:
+                yield Case(f"{name}, tube {k}", other, rig, long)
+
+
+def measure(case: Case) -> Found:
+    """Plan it."""
+    seconds, plan = clock(lambda: plan_heating(case.tube, case.rig, case.spec))
+    print(f"{case.name}: {seconds:.2f} s, {plan.verdict}", file=sys.stderr, flush=True)
+    return Found(case.name, seconds, plan.verdict, plan.hold_start, plan.lowest, plan.highest)
+
+
+def main() -> None:
+    """Measure and tell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="cases whose name holds this word")
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args()
+    measure(replace(next(cases()), spec=HeatingSpec(hold_time=2.0, objective="energy")))
+    measure(next(cases()))
+    found = [measure(case) for case in cases() if asked.only in case.name]
+    if asked.json:
+        print(json.dumps([asdict(one) for one in found]))
+        return
+    rows = [
+        (f.case, f"{f.seconds:.2f}", f"{f.hold_start:.1f}", f"{f.lowest:.0f}-{f.highest:.0f}", f.verdict) for f in found
+    ]
+    columns = ("case", "processor, s", "hold from, s", "degC", "verdict")
+    show([table("heating plans", columns, rows)], [])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""The tip of the CRL robot led to a place behind a valley of its margin, by steps alone and by looking ahead.
+
+One learns: a servo that makes the best of every step comes to rest where the margin reaches its floor, since every step
+closer would be one towards a snap; where the way is known as a whole, the robot goes around.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import tubeopt
+from tubeopt.control.ahead import PredictiveServo
+from tubeopt.control.command import Command, ServoOptions
+from tubeopt.control.servo import Servo
+from tubeopt.show.plots.style import new_figure, picture, tube_colour
+from tubeopt.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+
+SEED = ([-1.862, 0.452, -1.255], [0.0341, -0.0361, -0.0505])
+TARGET = (0.004, -0.0184, 0.1496)
+OPTIONS = ServoOptions(speed=0.2, min_margin=0.2)
+DT, STEPS = 0.02, 150
+
+
+def main(out: Path) -> list[Path]:
+    """Lead the tip in both ways, print what came of it, save the picture into `out`, and return its path."""
+    robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
+    seed = tubeopt.forward_kinematics(robot, *SEED)
+    tables = []
+    for name, servo in (
+        ("one step after another", Servo(robot, seed, options=OPTIONS)),
+        ("looking ahead", PredictiveServo(robot, seed, options=OPTIONS)),
+    ):
+        steps = [servo.step(Command(position=TARGET), DT) for _ in range(STEPS)]
+        arms = [step.equilibrium for step in steps]
+        way = tubeopt.follow(robot, [e.rotations for e in arms], [e.translations for e in arms], start=arms[0])
+        left = np.array([np.linalg.norm(e.tip_position - TARGET) for e in arms])
+        tables.append((name, left, np.array([e.margin for e in arms])))
+        words = steps[-1].why.words if left[-1] > 1e-5 else "there"
+        print(f"{name}: {left[-1] * 1e3:.2f} mm from the target, {len(way.snaps)} snaps; {words}")
+    path = out / "control_valley.png"
+    plot_ways(tables, path)
+    return [path]
+
+
+@picture
+def plot_ways(tables: list[tuple[str, Array, Array]]) -> Figure:
+    """Distance from the target, m, and margin over time, of both."""
+    figure = new_figure(6.4, 2.8)
+    left, right = figure.subplots(1, 2)
+    for k, (name, away, margin) in enumerate(tables):
+        time = DT * np.arange(1, len(away) + 1)
+        left.plot(time, away * 1e3, color=tube_colour(k), label=name)
+        right.plot(time, margin, color=tube_colour(k))
+    right.axhline(OPTIONS.min_margin, color="0.5", linewidth=0.8, linestyle="--")
+    right.text(DT * STEPS, OPTIONS.min_margin, "floor", ha="right", va="top", color="0.5")
+    left.set(xlabel="time (s)", ylabel="tip from its target (mm)", ylim=(0, None))
+    right.set(xlabel="time (s)", ylabel="margin", ylim=(0, 1.02))
+    left.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")

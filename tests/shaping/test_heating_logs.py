@@ -1,0 +1,181 @@
+"""Logs that lie, several thermometers, cameras, colours of the oxide, ageing: what calibration makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from tubeopt import InputError
+from tubeopt.runs.rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
+from tubeopt.shaping.heating.ageing import ageing, ageing_words
+from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
+from tubeopt.shaping.heating.colours import NITINOL_COLOURS, Colour, ColourTable
+from tubeopt.shaping.heating.logged import HeatingLog, believable, unexplained
+from tubeopt.shaping.heating.simulation import simulate
+from tubeopt.shaping.heating.thermal import FINE, thermal_model
+from tubeopt.shaping.heating.trials import Trial, calibrate_from_trials
+from tubeopt.typing import Array
+
+from .heating_reference import CONFIGS, TUBE, thesis_plan, thesis_rig
+
+TIME = np.arange(0.0, 60.0, 4.0)
+DUTY = np.interp(TIME, [0, 24, 28, 60], [3, 16, 11, 9]).round()
+PLACES = np.array([0.0, 0.03, 0.046])
+RNG = np.random.default_rng(5)
+
+
+def seen(clamps: float = 1.0, loss: float = 1.1) -> Array:
+    """(T, 3) what thermometers at PLACES show, by the fine model."""
+    rig = FACTORS["clamps"](FACTORS["loss"](thesis_rig(), loss), clamps)
+    model = thermal_model(TUBE, rig, FINE)
+    history = simulate(model, 4.0, np.append(DUTY[:-1] / 255, 0.0))
+    tube = history.tube[: len(TIME), 0]
+    return np.column_stack([[np.interp(model.half_length - x, model.position, row) for row in tube] for x in PLACES])
+
+
+TRUE = seen()
+EXPECTED = {"temperature": TRUE[:, 0]}
+
+
+def test_a_dead_thermometer_is_refused() -> None:
+    dead = HeatingLog(TIME, DUTY, np.full(len(TIME), 298.15))
+    with pytest.raises(InputError, match=r"25.0 degC in all of its 15 readings.*the thermometer is dead"):
+        believable(dead, thesis_rig(), EXPECTED)
+    cold = HeatingLog(TIME, 0 * DUTY, np.full(len(TIME), 298.15))
+    assert believable(cold, thesis_rig(), {"temperature": np.full(len(TIME), 298.15)})[1] == ()
+
+
+def test_a_saturated_thermometer_is_left_out_where_it_is() -> None:
+    log, words = believable(HeatingLog(TIME, DUTY, np.minimum(TRUE[:, 0], 600.0)), thesis_rig(), EXPECTED)
+    high = TRUE[:, 0] > 600.0
+    assert (np.isnan(log.channels["temperature"]) == high).all()
+    assert f"stays at 326.9 degC for {high.sum()} readings" in words[0]
+
+
+def test_a_shifted_thermometer_is_told_and_its_bias_found() -> None:
+    noisy = TRUE[:, 0] + RNG.normal(0, 1.0, len(TIME))
+    log = HeatingLog(TIME, DUTY, noisy + 12.0)
+    found = calibrate(TUBE, thesis_rig(), log, ["loss", "bias"], noise={"temperature": 1.5})
+    assert any("above the rig's ambient temperature" in words for words in found.remarks)
+    loss, bias = found.estimates
+    assert bias.name == "bias of temperature"
+    assert bias.low - 1.5 < 12.0 < bias.high + 1.5
+    assert loss.factor == pytest.approx(1.1, abs=0.03)
+
+
+def test_residuals_are_held_to_the_noise_that_was_stated() -> None:
+    noise = RNG.normal(0, 2.0, 200)
+    assert unexplained("temperature", noise, 2.0, 2.0) == ()
+    assert unexplained("temperature", noise, None, 2.0) == ()
+    assert "times the stated noise of 1 K" in unexplained("temperature", noise, 1.0, 2.0)[0]
+    wave = 3 * np.sin(np.linspace(0, 12, 200))
+    told = unexplained("voltage", wave, None, 2.0)
+    assert len(told) == 1
+    assert "change sign 4 times in 200 readings" in told[0]
+
+
+def test_false_alarms_are_rare() -> None:
+    alarms = sum(len(unexplained("current", RNG.normal(0, 1, 60), 1.0, 0.0)) for _ in range(1000))
+    assert alarms <= 2
+
+
+def test_thermometers_along_the_tube_tell_how_the_clamps_cool() -> None:
+    table = seen(clamps=0.5, loss=1.0) + RNG.normal(0, 1.0, (len(TIME), 3))
+    places = np.array([0.0, 0.03, 0.062])
+    rig = FACTORS["clamps"](thesis_rig(), 0.5)
+    model = thermal_model(TUBE, rig, FINE)
+    tube = simulate(model, 4.0, np.append(DUTY[:-1] / 255, 0.0)).tube[: len(TIME), 0]
+    table[:, 2] = [np.interp(model.half_length - places[2], model.position, row) for row in tube]
+    found = calibrate(TUBE, thesis_rig(), HeatingLog(TIME, DUTY, table, position=places), ["loss", "clamps"])
+    values = {e.name: e for e in found.estimates}
+    assert not values["clamps"].held
+    assert values["clamps"].factor == pytest.approx(0.5, rel=0.25)
+    assert set(found.noise) == {"temperature 1 at 0 mm", "temperature 2 at 30 mm", "temperature 3 at 62 mm"}
+
+
+def test_a_camera_has_times_of_its_own() -> None:
+    log = HeatingLog(TIME, DUTY, voltage=np.full(len(TIME), 12.0))
+    times = np.array([-1.0, 2.0, 4.0, 6.0, 99.0])
+    both = log.with_camera(times, PLACES, np.arange(15.0).reshape(5, 3) + 300.0)
+    assert both.time.tolist() == sorted({*TIME.tolist(), 2.0, 6.0})
+    assert both.duty[both.time == 2.0] == DUTY[0]
+    assert both.duty[both.time == 6.0] == DUTY[1]
+    assert both.temperature is not None
+    assert both.temperature[both.time == 4.0][0].tolist() == [306.0, 307.0, 308.0]
+    assert np.isnan(both.temperature[both.time == 8.0]).all()
+    assert both.voltage is not None
+    assert np.isnan(both.voltage[both.time == 2.0]).all()
+    one = predict(TUBE, [thesis_rig()], HeatingLog(TIME, DUTY, voltage=TIME))["voltage"][:, 0]
+    two = predict(TUBE, [thesis_rig()], both)["voltage"][:, 0]
+    assert two[np.isin(both.time, TIME)] == pytest.approx(one, abs=1e-3)
+
+
+def test_files_of_cameras_and_of_several_thermometers(tmp_path: Path) -> None:
+    camera = tmp_path / "camera.csv"
+    camera.write_text("time_s,-40,0,12.5\n0,25,26,\n1,30,40,35\n")
+    time, places, table = load_camera(camera)
+    assert time.tolist() == [0.0, 1.0]
+    assert places.tolist() == [-0.04, 0.0, 0.0125]
+    assert table[1].tolist() == [303.15, 313.15, 308.15]
+    assert np.isnan(table[0, 2])
+    camera.write_text("time_s,middle\n0,25\n")
+    with pytest.raises(InputError, match="column middle is not known; it must be time_s or a place in mm"):
+        load_camera(camera)
+    log = tmp_path / "log.csv"
+    log.write_text("time_s,duty,temperature_-20_mm_degC,temperature_0_mm_degC\n0,1,25,25\n1,1,26,27\n2,1,27,\n")
+    read = load_heating_log(log)
+    assert read.positions.tolist() == [0.02, 0.0]
+    assert read.channels["temperature 2 at 0 mm"][1] == pytest.approx(300.15)
+
+
+def test_colours_speak_for_temperatures() -> None:
+    table = ColourTable("a test", (Colour("straw", 673.15, 723.15, 60.0), Colour("blue", 823.15, 873.15)), 10.0)
+    at = np.array([350.0, 425.0, 500.0])
+    below, above = (norm.cdf((at - edge) / 10.0) for edge in (400.0, 450.0))
+    assert table.chance("straw", at, 60.0) == pytest.approx(below - above)
+    with pytest.raises(InputError, match="knows straw after 60 s; a trial took 200 s"):
+        table.chance("straw", at, 200.0)
+    with pytest.raises(InputError, match="colour of a trial is 'green'; it must be one of straw"):
+        table.chance("green", at, 60.0)
+    with pytest.raises(InputError, match="must say its source"):
+        ColourTable("", table.colours)
+    with pytest.raises(InputError, match="its least temperature must be below its greatest"):
+        Colour("straw", 500.0, 400.0)
+    assert "wgnietai" in NITINOL_COLOURS.source
+
+
+def test_a_colour_narrows_the_loss_like_the_temperature_it_stands_for(tmp_path: Path) -> None:
+    """A sharp colour around what the rig of 1.2 times the loss gets to."""
+    rig = FACTORS["loss"](thesis_rig(), 1.2)
+    duty, slots = 9, 120
+    ramp = np.minimum((np.arange(slots) + 0.5) / slots * 60 / 20, 1.0)
+    end = simulate(thermal_model(TUBE, rig, FINE), 0.5, duty / 255 * ramp).tube[-1, 0, -1]
+    sharp = ColourTable("a test", (Colour("so", float(end) - 4.0, float(end) + 4.0),), 4.0)
+    found = calibrate_from_trials(TUBE, thesis_rig(), [Trial(duty, 60.0, "", 20.0, "so")], colours=sharp)
+    assert found.low < 1.2 < found.high
+    assert found.high - found.low < 0.15
+    told = load_colours(CONFIGS / "colours" / "example.yaml")
+    assert [colour.name for colour in told.colours] == ["straw", "purple and yellow", "blue"]
+    assert told.colours[0].low == pytest.approx(703.15)
+    path = tmp_path / "trials.csv"
+    path.write_text("duty,time_s,colour,result\n9,60,blue,\n9,60,,good\n9,60,straw,under\n")
+    trials = [(trial.result, trial.colour) for trial in load_heating_trials(path)]
+    assert trials == [("", "blue"), ("good", None), ("under", "straw")]
+
+
+def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:
+    plan = thesis_plan()
+    length, longest = ageing(plan)
+    half = len(plan.position) // 2
+    hot = plan.temperature[:, :half].max(0)
+    inside = (hot > 400) & (hot < 500) & ~plan.curved[:half]
+    assert length == pytest.approx(np.ptp(plan.position[:half][inside]), abs=5e-3)
+    assert 10 < longest < plan.hold_end
+    assert "BIOMED2007" in ageing_words(plan)[0]
+    assert f"for {longest:.0f} s at most" in ageing_words(plan)[0]
+    cold = replace(plan, course=replace(plan.course, temperature=np.full_like(plan.temperature, 25.0)))
+    assert ageing_words(cold) == ()

@@ -1,0 +1,166 @@
+"""The tip led by keys, gamepads and 3-D mice: what the page makes of them, what the server does, what it refuses."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import subprocess
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import InputError, Load
+from tubeopt.show.viewer import hand
+from tubeopt.show.viewer.hand import LONGEST, SPEED, Hand, Hands, read
+from tubeopt.show.viewer.playback import make_playback, recorded
+from tubeopt.show.viewer.pushing import push_on
+from tubeopt.show.viewer.session import Session, open_session, record
+from tubeopt.typing import Array
+
+from .browser import Tab
+
+SCRIPT = Path(hand.__file__).with_name("hand.js")
+SOME = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+
+
+def pad(name: str, *axes: float) -> dict[str, Any]:
+    return {"id": name, "axes": axes}
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="NOT TESTED: the page's script needs Node")
+def test_keys_sticks_and_caps_mean_a_velocity() -> None:
+    cases: list[tuple[list[str], list[Any], list[float]]] = [
+        ([], [], [0, 0, 0]),
+        (["KeyL"], [], [1, 0, 0]),
+        (["KeyI", "KeyK"], [], [0, 0, 0]),
+        (["KeyU", "ShiftLeft"], [], [0, 0, 0.2]),
+        (["KeyL", "KeyI"], [], [0.5**0.5, 0.5**0.5, 0]),
+        (["KeyW"], [], [0, 0, 0]),  # the camera's
+        ([], [None, pad("Xbox", 0.1, -0.1, 0, 0.11)], [0, 0, 0]),  # let go
+        ([], [pad("Xbox", 0, -1, 0, 0)], [0, 1, 0]),  # left stick pushed
+        ([], [pad("Xbox", 0, 0, 0, -0.56)], [0, 0, 0.5]),  # right stick pushed half way
+        ([], [pad("3Dconnexion SpaceMouse", 0, 0, 1, 0, 0, 0)], [0, 0, -1]),  # pressed down
+        ([], [pad("Wheel", 1)], [1, 0, 0]),
+    ]
+    program = (
+        f"const {{ motion }} = require({json.dumps(str(SCRIPT))});"
+        f"const cases = {json.dumps([case[:2] for case in cases])};"
+        "console.log(JSON.stringify(cases.map(([keys, pads]) => motion(new Set(keys), pads))));"
+    )
+    done = subprocess.run(["node", "-e", program], capture_output=True, text=True, check=True, timeout=30)
+    np.testing.assert_allclose(json.loads(done.stdout), [case[2] for case in cases], atol=1e-12)
+
+
+def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out() -> None:
+    hands, told = Hands(), list[Array]()
+    word = hands.admit(told.append)
+    good = json.dumps({"tab": word, "velocity": [0, 3, 4]})
+    bad: list[str | bytes] = [
+        "",
+        "[]",
+        "{",
+        json.dumps({"tab": word}),
+        json.dumps({"tab": [word], "velocity": [1, 0, 0]}),
+        b"\xff",
+    ]
+    bad += [json.dumps({"tab": word, "velocity": v}) for v in ([1, 0], "x", [1, None, 0], [1, 0, float("nan")])]
+
+    async def messages() -> AsyncIterator[str | bytes]:
+        for each in (*bad, json.dumps({"tab": "guessed", "velocity": [1, 0, 0]}), good):
+            yield each
+
+    asyncio.run(hands.attend(messages()))
+    assert len(told) == 1
+    np.testing.assert_allclose(told[0], [0, 0.6, 0.8])  # no faster than the greatest speed
+    for each in bad:
+        with pytest.raises(InputError):
+            read(each)
+    hands.dismiss(word)
+    asyncio.run(hands.attend(messages()))
+    assert len(told) == 1
+
+
+def led(session: Session, velocity: tuple[float, float, float], messages: int, margin: float) -> tuple[Session, str]:
+    own, words = Hand(), ""
+    for _ in range(messages):
+        session, words = own.lead(session, np.array(velocity), margin)
+    return session, words
+
+
+def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 0.05, 0.1, 60.0, 60.05])
+    monkeypatch.setattr("tubeopt.show.viewer.hand.time.monotonic", lambda: next(clock))
+    session = begun = record(open_session(THESIS, *SOME), True)
+    own, way = Hand(), []
+    for _ in range(5):
+        before = session.equilibrium.tip_position
+        session, words = own.lead(session, np.array([0.5, 0.0, 0.0]), 0.05)
+        assert words in ("", "a joint moves as fast as it may")
+        way.append(session.equilibrium.tip_position - before)
+    # The first and the fourth, after a silence of a minute, are of the longest time.
+    expected = 0.5 * SPEED * np.array([LONGEST, 0.05, 0.05, LONGEST, 0.05])
+    np.testing.assert_allclose([step[0] for step in way], expected, rtol=0.05)
+    assert np.abs(np.array(way)[:, 1:]).max() < 0.1 * expected[1]
+    # What was recorded on the way leads there again.
+    again = make_playback(THESIS, recorded(session)).path.equilibria
+    np.testing.assert_allclose(again[0].tip_position, begun.equilibrium.tip_position, atol=1e-9)
+    np.testing.assert_allclose(again[-1].tip_position, session.equilibrium.tip_position, atol=1e-9)
+
+
+def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter(np.arange(0.0, 1e3, LONGEST))
+    monkeypatch.setattr("tubeopt.show.viewer.hand.time.monotonic", lambda: next(times))
+    session, words = led(open_session(THESIS, [np.radians(200), 0, 0]), (1.0, 0.0, 0.0), 1, 0.05)
+    floor = session.equilibrium.margin - 0.05
+    session, words = led(session, (-0.3, -1.0, 0.0), 40, floor)
+    session, back = led(session, (0.3, 1.0, 0.0), 40, floor)
+    assert "margin is held at its floor" in words + back
+    assert session.equilibrium.margin >= floor
+    assert not session.log
+
+
+def test_it_leads_without_load_and_replays_what_was_recorded_only() -> None:
+    session = open_session(THESIS, *SOME)
+    with pytest.raises(InputError, match="led without load"):
+        Hand().lead(push_on(session, Load((0.01, 0.0, 0.0))), np.array([1.0, 0, 0]), 0.05)
+    for each in (session, record(session, True)):
+        with pytest.raises(InputError, match="nothing was recorded"):
+            recorded(each)
+
+
+def test_keys_lead_the_tip_on_the_page_and_the_recording_is_played_again(tab: Tab) -> None:
+    begin = tab.tip
+    tab.tab("Play")
+    tab.press("Replay the recording")
+    tab.wait_for("message", "nothing was recorded")
+    tab.box("record what the robot passes").click()
+    tab.page.keyboard.press("KeyL")  # not ticked yet
+    tab.tab("Tip")
+    tab.box("lead the tip by keys").click()
+    tab.wait_for("hand", "along x, y, z")
+    assert np.array_equal(tab.tip, begin)
+    tab.page.get_by_text("What happened").focus()
+    tab.page.keyboard.down("KeyU")
+    tab.page.wait_for_function(
+        "z => Math.abs(parseFloat(document.querySelector('[data-testid=tip]').innerText.split(',')[2]) - z) > 3",
+        arg=float(begin[2] * 1e3),
+        polling=50,
+    )
+    tab.page.keyboard.up("KeyU")
+    tab.page.wait_for_timeout(600)
+    end = tab.tip
+    assert end[2] > begin[2] + 2e-3
+    assert np.abs(end - begin)[:2].max() < 0.2 * (end - begin)[2]
+    tab.tab("Play")
+    tab.press("Replay the recording")
+    time = tab.box("time (s)").element_handle()
+    tab.page.wait_for_function("box => parseFloat(box.value) > 0.1 && parseFloat(box.value) < 3.9", arg=time)
+    tab.wait_for_tip(end)
+    tab.tab("Layers")
+    tab.press("From x")
+    assert "margin: 0, a snap, to 1" in tab.read("legend")

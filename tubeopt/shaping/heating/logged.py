@@ -1,0 +1,227 @@
+"""Logged heatings: what was measured when, and which of it can be believed.
+
+A thermometer that shows the same all the time although the tube is heated is dead; one that stays at its greatest
+reading is saturated there; one that does not begin where the tube does is shifted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ...errors import InputError, finite
+from ...typing import Array
+from .rig import COUNTS, Rig
+
+NOISE = {"temperature": 5.0, "voltage": 0.05, "current": 0.5}
+"""Noise of the channels to begin with, K, V, A."""
+
+LEAST_NOISE = {"temperature": 0.05, "voltage": 1e-3, "current": 1e-2}
+"""No instrument is better."""
+
+UNITS = {"temperature": "K", "voltage": "V", "current": "A"}
+
+FLAT = 3
+"""Readings in a row at a channel's greatest value that are more than chance."""
+
+HEATED = 30.0
+"""Rise, K, that the rig's file must expect of a thermometer before it is called dead or saturated."""
+
+SHIFTED = 5.0
+"""What a thermometer may be off the ambient temperature before heating, K, before that is remarked."""
+
+RARE = 1e-4
+"""Probability below which what is seen is no accident of noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatingLog:
+    """A logged heating, (T,) each; NaN where nothing was read.
+
+    Attributes:
+        time: s, increasing. duty: counts 0-255, held from each row to the next.
+        temperature: of the tube, K; (T, S) of several thermometers, or of the pixels of a camera.
+        voltage, current: at the battery while the MOSFET conducts, V and A.
+        position: of the thermometer from the middle of the curved part, m; (S,) of several.
+
+    Raises:
+        InputError: fewer than 3 rows, times that do not increase, duties out of range, or nothing that was measured.
+    """
+
+    time: Array
+    duty: Array
+    temperature: Array | None = None
+    voltage: Array | None = None
+    current: Array | None = None
+    position: float | Sequence[float] | Array = 0.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is not None and f.name != "position":
+                object.__setattr__(self, f.name, _column(f.name, value))
+        count = len(self.time)
+        if count < 3:
+            raise InputError(f"the log has {count} rows; it must have at least 3")
+        for name in ("duty", *NOISE):
+            value = getattr(self, name)
+            if value is not None and value.shape[:1] != (count,):
+                raise InputError(
+                    f"{name} of the log has shape {value.shape}; it must have {count} numbers, one per time"
+                )
+        if not (np.diff(self.time) > 0).all():
+            raise InputError("time of the log must increase from row to row")
+        if not ((self.duty >= 0) & (self.duty <= COUNTS)).all():
+            raise InputError("duty of the log must be from 0 to 255")
+        places = np.abs([finite("position", x) for x in np.atleast_1d(np.asarray(self.position, dtype=float))])
+        seen = 1 if self.temperature is None or self.temperature.ndim == 1 else self.temperature.shape[1]
+        if len(places) != seen:
+            raise InputError(f"position of the log has {len(places)} numbers; it must have {seen}, one per thermometer")
+        object.__setattr__(self, "position", float(places[0]) if seen == 1 else places)
+        if not any(np.isfinite(values).any() for values in self.channels.values()):
+            raise InputError("the log holds neither temperature nor voltage nor current; it must hold one of them")
+
+    @property
+    def positions(self) -> Array:
+        """(S,) distances of the thermometers from the middle of the curved part, m."""
+        return np.atleast_1d(np.asarray(self.position, dtype=float))
+
+    @property
+    def thermometers(self) -> tuple[str, ...]:
+        """Names of the channels of temperature: of several with their places."""
+        if len(self.positions) == 1:
+            return ("temperature",)
+        return tuple(f"temperature {k} at {1e3 * x:g} mm" for k, x in enumerate(self.positions, start=1))
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """The measured channels by name."""
+        found: dict[str, Array] = {}
+        if self.temperature is not None:
+            columns = self.temperature.reshape(len(self.time), -1).T
+            found |= dict(zip(self.thermometers, columns, strict=True))
+        return found | {name: getattr(self, name) for name in ("voltage", "current") if getattr(self, name) is not None}
+
+    def with_camera(self, time: Array, positions: Array, temperature: Array) -> HeatingLog:
+        """With what a camera saw, at times of its own, (C,), at places (P,), m: temperatures (C, P), K.
+
+        Duties are those of this log; where one has no reading, the other's times have none.
+
+        Raises:
+            InputError: as of the class, or a camera that saw nothing while the log lasts.
+        """
+        inside = (time >= self.time[0]) & (time <= self.time[-1])
+        if not inside.any():
+            raise InputError(
+                f"the camera saw the tube from {time.min():g} to {time.max():g} s; the log goes from {self.time[0]:g} "
+                f"to {self.time[-1]:g} s"
+            )
+        both = np.union1d(self.time, time[inside])
+        own, seen = np.searchsorted(both, self.time), np.searchsorted(both, time[inside])
+        before = [] if self.temperature is None else [self.temperature.reshape(len(self.time), -1)]
+        table = np.full((len(both), sum(part.shape[1] for part in before) + len(positions)), np.nan)
+        if before:
+            table[own, : before[0].shape[1]] = before[0]
+        table[seen, -len(positions) :] = temperature[inside]
+        spread = {name: getattr(self, name) for name in ("voltage", "current") if getattr(self, name) is not None}
+        for name, values in spread.items():
+            spread[name] = np.full(len(both), np.nan)
+            spread[name][own] = values
+        duty = self.duty[np.searchsorted(self.time, both, side="right") - 1]
+        places = np.concatenate([self.positions if before else np.zeros(0), positions])
+        return HeatingLog(both, duty, temperature=table, position=places, **spread)
+
+    def kept(self, channels: dict[str, Array]) -> HeatingLog:
+        """With other readings in the channels of temperature."""
+        columns = [channels[name] for name in self.thermometers]
+        table = columns[0] if len(columns) == 1 else np.column_stack(columns)
+        return replace(self, temperature=table)
+
+
+def _column(name: str, value: Any) -> Array:
+    try:
+        column = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} of the log is {value!r}; it must be a list of numbers") from None
+    if column.ndim != 1 and not (name == "temperature" and column.ndim == 2):
+        raise InputError(f"{name} of the log has shape {column.shape}; it must be one number per row")
+    return column
+
+
+def kind_of(channel: str) -> str:
+    """Temperature, voltage or current."""
+    return channel.split()[0]
+
+
+def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[HeatingLog, tuple[str, ...]]:
+    """The log without readings of a saturated thermometer, and what to know of its thermometers.
+
+    Args:
+        expected: channels (T,) as the rig's file predicts them.
+
+    Raises:
+        InputError: a thermometer that is dead.
+    """
+    if log.temperature is None:
+        return log, ()
+    channels, words = dict(log.channels), []
+    for name in log.thermometers:
+        read = np.flatnonzero(np.isfinite(channels[name]))
+        if len(read) < 2 * FLAT:
+            continue
+        values, rise = channels[name][read], float(np.ptp(expected[name][read]))
+        if rise > HEATED and np.ptp(values) == 0:
+            raise InputError(
+                f"{name} of the log is {values[0] - 273.15:.1f} degC in all of its {len(values)} readings, while the "
+                f"rig's file expects a rise of {rise:.0f} K: the thermometer is dead; leave it out"
+            )
+        top = np.flatnonzero(values == values.max())
+        stays = len(top) >= FLAT and len(top) == top[-1] - top[0] + 1
+        if stays and float(np.ptp(expected[name][read[top]])) > 0.2 * HEATED and rise > HEATED:
+            channels[name] = channels[name].copy()
+            channels[name][read[top]] = np.nan
+            words.append(
+                f"{name} stays at {values.max() - 273.15:.1f} degC for {len(top)} readings, as a saturated thermometer "
+                "does: they are left out"
+            )
+        off = float(values[0] - rig.ambient)
+        if log.time[read[0]] == log.time[0] and abs(off) > SHIFTED:
+            words.append(
+                f"{name} begins {abs(off):.1f} K {'above' if off > 0 else 'below'} the rig's ambient temperature: the "
+                "thermometer is shifted, or the tube was not cold; fit bias tells by how much"
+            )
+    return log.kept(channels), tuple(words)
+
+
+def unexplained(channel: str, residual: Array, stated: float | None, unknowns: float) -> tuple[str, ...]:
+    """What residuals (N,), in time, say against the model: more than the stated noise, or in long waves.
+
+    The first by the chi-square test, the second by the mean number of runs of one sign (Wald and Wolfowitz).
+
+    Args:
+        unknowns: that were fitted to this channel.
+    """
+    words, unit = [], UNITS[kind_of(channel)]
+    count = len(residual)
+    spread = float(np.sqrt((residual**2).sum() / max(count - unknowns, 1.0)))
+    if stated is not None and scipy.stats.chi2.sf((residual**2).sum() / stated**2, max(count - unknowns, 1.0)) < RARE:
+        words.append(
+            f"residuals of {channel} are {spread:.3g} {unit}, {spread / stated:.1f} times the stated noise of "
+            f"{stated:g} {unit}: the model does not explain the log, and intervals are too narrow"
+        )
+    signs = residual > 0
+    above, below = int(signs.sum()), int((~signs).sum())
+    if min(above, below) >= 5:
+        runs = 1 + int((signs[1:] != signs[:-1]).sum())
+        mean = 1 + 2 * above * below / count
+        deviation = np.sqrt((mean - 1) * (mean - 2) / (count - 1))
+        if scipy.stats.norm.cdf((runs - mean) / deviation) < RARE:
+            words.append(
+                f"residuals of {channel} change sign {runs - 1} times in {count} readings, noise would {mean - 1:.0f} "
+                "times: the model misses something, and intervals are too narrow"
+            )
+    return tuple(words)

@@ -1,0 +1,152 @@
+"""Planning the rest of a heating anew, on a computer beside the rig, from what its sensor reads.
+
+An observer carries a coarse thermal model along with the counts that were given. What it predicts wrongly corrects the
+tube's temperatures and a share by which the heating is stronger than the model says: a disturbance at the input, with
+which no error stays (Pannocchia and Rawlings, AIChE J. 49 (2003)). From that state the duties are planned with which
+the sensor reads what the law wants, to the end of the hold; the board gets the first of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ...typing import Array
+from .counts import most_count
+from .gains import Response, response
+from .law import HeatingLaw
+from .plan import HeatingPlan
+from .rates import State, at_rest
+from .rig import COUNTS
+from .sensors import Sensor
+from .simulation import advance
+from .thermal import PROGRAM, ThermalModel, thermal_model
+
+STRENGTH, DRIFT, ROUGH = 0.01, 1.0, 2.0
+"""What the observer expects of a slot: change of the share, drift of the temperature, K, and what the model gets wrong
+of a reading, K, beside the sensor's noise."""
+
+MOST_SHARE = 0.5
+"""Greatest share by which the heating may be stronger or weaker than the model says."""
+
+PROBE = 0.05
+"""Part of a planned duty by which it is raised to see what the reading does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """What is planned with: the plan, the law that its board has, the sensor, a coarse model of one member, and the
+    gains of the observer: K of temperature, and share of strength, per K of error."""
+
+    plan: HeatingPlan
+    law: HeatingLaw
+    sensor: Sensor
+    model: ThermalModel
+    gains: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What is thought of a rig.
+
+    Attributes:
+        state: temperatures and what else the model remembers. target, lagged: (1,) degC that the sensor would read at
+            once, and with its lag.
+        strength: share by which the heating is stronger than the model says.
+    """
+
+    state: State
+    target: Array
+    lagged: Array
+    strength: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """The rest of a heating, planned anew: (N,) mean counts of effect from a slot of the schedule to its end, and what
+    the sensor should read as each ends, degC."""
+
+    place: int
+    planned: Array
+    reading: Array
+
+
+def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
+    """The planner for a rig that a law leads."""
+    model = thermal_model(plan.tube, plan.rig, PROGRAM)
+    found = response(model, sensor, law.slot, (law.planned + law.lost * (law.planned > 0)) / COUNTS, law.hold)
+    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise))
+
+
+def observer_gains(found: Response, slot: float, noise: float) -> tuple[float, float]:
+    """Gains of the Kalman filter in the long run, of temperature and strength."""
+    kept = float(np.exp(-slot / found.time_constant))
+    A = np.array([[kept, found.gain * (1 - kept)], [0.0, 1.0]])
+    C = np.array([[1.0, 0.0]])
+    P = scipy.linalg.solve_discrete_are(A.T, C.T, np.diag([DRIFT**2, STRENGTH**2]), [[noise**2 + ROUGH**2]])
+    gain = P @ C.T / (C @ P @ C.T + noise**2 + ROUGH**2)
+    return float(gain[0, 0]), float(gain[1, 0])
+
+
+def first_estimate(planner: Planner) -> Estimate:
+    """Everything at rest."""
+    state = at_rest(planner.model)
+    target = planner.sensor.target(planner.model, state)
+    return Estimate(state, target, target)
+
+
+def observed(planner: Planner, before: Estimate, reading: float, count: float, span: float) -> Estimate:
+    """The estimate after `span` seconds, s, at a count, from the reading (degC) with which they began."""
+    error = float(np.clip(reading - before.lagged[0], -50.0, 50.0))
+    ambient, tube = planner.model.ambient, before.state.cells[0, :, 0]
+    # Where the tube is hotter than its surroundings it is so by a factor; a cold tube is left alone.
+    rise = np.maximum(tube - ambient, 0.0) / max(float(tube.max()) - ambient, 50.0)
+    change = planner.gains[0] * error
+    cells = before.state.cells.copy()
+    cells[0, :, 0] += change * rise
+    strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -MOST_SHARE, MOST_SHARE))
+    part = float(rise.max()) * change
+    now = replace(
+        before,
+        state=State(cells, before.state.lumped),
+        target=before.target + part,
+        lagged=before.lagged + part,
+        strength=strength,
+    )
+    return _after(planner, now, max(count - planner.law.lost, 0.0), span)
+
+
+def _after(planner: Planner, now: Estimate, planned: float, span: float) -> Estimate:
+    """The estimate `span` seconds later, at a mean count of effect."""
+    duty = planned * (1 + now.strength) + planner.law.lost * (planned > 0)
+    state = advance(planner.model, now.state, min(duty / COUNTS, 1.0), span)
+    target = planner.sensor.target(planner.model, state)
+    return replace(
+        now, state=state, target=target, lagged=planner.sensor.followed(now.lagged, now.target, target, span)
+    )
+
+
+def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
+    """The rest of the heating from a slot of the schedule on: counts with which the sensor reads what the law wants as
+    each slot ends, within what the law may change and what ramp and current allow."""
+    law, share = planner.law, planner.law.share
+    planned, reading = [], []
+    for k in range(place, len(law.planned)):
+        ends, begins = (float(law.reference[min(at, len(law.reference) - 1)]) for at in (k + 1, k))
+        # The reference is that of a reading that lags behind.
+        wanted = ends + planner.sensor.lag * (ends - begins) / law.slot
+        usual = float(law.planned[k])
+        low, high = usual * (1 - share), usual * (1 + share)
+        probes = usual, usual * (1 + PROBE)
+        first, second = (float(_after(planner, now, level, law.slot).target[0]) for level in probes)
+        slope = (second - first) / max(PROBE * usual, 1e-9)
+        level = float(np.clip(usual + (wanted - first) / max(slope, 1e-6), low, high))
+        if k < law.hold[0]:
+            most = most_count(planner.model, now.state, planner.plan.spec, planner.plan.rig)
+            level = max(min(level, (most - law.lost) / (1 + now.strength)), low)
+        now = _after(planner, now, level, law.slot)
+        planned.append(level)
+        reading.append(float(now.lagged[0]))
+    return Rest(place, np.array(planned), np.array(reading))

@@ -1,0 +1,46 @@
+"""C texts: constants, tables, what CasADi generates, and files of this folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+HERE = Path(__file__).parent
+
+
+def c_text(defines: Mapping[str, object], generator: ca.CodeGenerator, file: str) -> str:
+    """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
+    constants = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    return f"{constants}{(HERE / 'sine.c').read_text()}\n{generator.dump()}\n{with_included(HERE / file)}"
+
+
+def with_included(file: Path) -> str:
+    """A C text with those that it includes from its folder in it."""
+    text = file.read_text()
+    while part := re.search(r'#include "(\w+\.c)"\n', text):
+        text = text.replace(part[0], (file.parent / part[1]).read_text())
+    return text
+
+
+def numbers(values: ArrayLike) -> str:
+    """Literals of C, by rows, that are read back to the last bit."""
+
+    def literal(value: float) -> str:
+        return repr(value) if np.isfinite(value) else "-INFINITY" if value < 0 else "INFINITY"
+
+    return ", ".join(literal(float(value)) for value in np.ravel(np.asarray(values, dtype=float)))
+
+
+def static_table(name: str, values: ArrayLike) -> str:
+    """A constant of C."""
+    return f"static const double {name}[] = {{{numbers(values)}}};"
+
+
+def c_tables(tables: Mapping[str, ArrayLike]) -> str:
+    """Tables as constants of C."""
+    return "".join(f"{static_table(name, table)}\n" for name, table in tables.items())
