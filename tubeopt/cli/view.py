@@ -12,11 +12,12 @@ import typer
 from pydantic import Field
 
 from ..errors import InputError
-from ..files.checked import Entry, Whole, in_file
+from ..files.checked import Whole, in_file
 from ..robots.path_file import Waypoints as Way
 from ..runs.base import RobotPath, Study, metres, radians
 from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
+from ..runs.load_file import Pushed
 from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
 from ..runs.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
@@ -35,7 +36,7 @@ def _named_study(path: str | PathLike[str]) -> tuple[str, Study]:
     return str(path), load_study(path)
 
 
-class ViewEntry(Entry):
+class ViewEntry(Pushed):
     """A robot to be shown, with what it begins with."""
 
     robot: RobotPath
@@ -69,9 +70,12 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
     if asked.study is not None:
         shown = _with_study(shown, robot, *asked.study)
+    if asked.pushing() is not None:
+        shown = replace(shown, load=asked.pushing())
     if asked.trajectory is not None:
         shown = replace(shown, waypoints=asked.trajectory)
     can_be_saved(output.out)
+    shown.session()  # what cannot be shown is refused here, in place of in every tab
     if asked.host not in LOCAL_NAMES:
         LOGGER.warning(
             f"everyone who can reach {asked.host} can move this robot and see what is shown; there is no password and "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, PlainValidator, ValidationInfo
 
-from ..files.checked import Number, check
+from ..files.checked import Entry, Number, check
 from ..files.fields import Part, asking, described, entry_of, extended, values
 from ..files.units import UNITS, to_si
 from ..files.yaml_file import load_yaml
@@ -64,8 +64,8 @@ PUSHES = {one.key: one for one in described(Load) if one.name in ("force", "mome
 
 
 @extended({key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in PUSHES.items()})
-class LoadedStudy(Study):
-    """A study of a robot on which something may push; the keys of its own replace what the load says."""
+class Pushed(Entry):
+    """A robot on which something may push; the keys of its own replace what the load says."""
 
     load: Annotated[
         LoadEntry | None,
@@ -79,3 +79,7 @@ class LoadedStudy(Study):
         if self.load is None and not own:
             return None
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
+
+
+class LoadedStudy(Pushed, Study):
+    """A study of a robot on which something may push."""

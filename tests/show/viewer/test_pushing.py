@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import InputError, Load, find_load_limit, follow
+from tubeopt import InputError, Load, find_load_limit, follow, forward_kinematics
+from tubeopt.show.viewer import View
 from tubeopt.show.viewer.pushing import bearing_of, bearing_words, gravity_of, head_of, newtons_per_metre, push_on
 from tubeopt.show.viewer.servo import pull
 from tubeopt.show.viewer.session import Session, go_home, move_joint, open_session, other_equilibria, redesign
@@ -39,6 +40,16 @@ def test_a_growing_force_snaps_the_robot_where_its_limit_is() -> None:
     back = push_on(past, Load())
     assert back.equilibrium.load is None
     assert np.linalg.norm(back.equilibrium.tip_position - session.equilibrium.tip_position) > 0.05
+
+
+def test_a_view_begins_under_the_load_that_is_given() -> None:
+    load = Load((-0.01, 0.0, 0.0), gravity=(0.0, 3.0, -9.0))
+    begun = View(THESIS, rotations=TURNED, load=load).session().equilibrium
+    assert begun.load == load
+    same = forward_kinematics(THESIS, TURNED, load=load)
+    assert begun.tip_position == pytest.approx(same.tip_position, abs=1e-9)
+    with pytest.raises(InputError, match="more than a force on the tip and gravity"):
+        View(THESIS, load=Load(moment=(1e-3, 0.0, 0.0))).session()
 
 
 def test_joints_move_under_the_load() -> None:

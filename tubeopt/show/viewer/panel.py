@@ -68,7 +68,7 @@ class Panel:
         self.push: PushPanel | None = None
         if not robot.assembly(robot.home_translations).eccentric:
             with tabs.add_tab("Load"):
-                self.push = PushPanel(gui, tab, self._numbers, self._button)
+                self.push = PushPanel(gui, tab, self._numbers, self._button, view.load)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):

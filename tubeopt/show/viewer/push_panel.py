@@ -13,6 +13,8 @@ from ...robots.load import Load
 from .pushing import DIRECTIONS, gravity_of
 from .wishes import Wishes
 
+GIVEN = "as given"
+
 WORDS = '<div data-testid="bears" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
 
 
@@ -24,6 +26,7 @@ class PushPanel:
         tab: told of what is wanted.
         numbers: reads number boxes; None, with a sentence, where one holds no number.
         button: makes a button.
+        given: that acts from the beginning, if any: its gravity is among the choices.
     """
 
     def __init__(
@@ -32,12 +35,15 @@ class PushPanel:
         tab: Wishes,
         numbers: Callable[[list[Any]], np.ndarray | None],
         button: Callable[[str, Callable[[], None]], Any],
+        given: Load | None = None,
     ) -> None:
+        self._given = None if given is None else given.gravity
         self._words = gui.add_html(WORDS.format(""))
         self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
         drag = gui.add_checkbox("drag a force", False, hint="Arrows at the head of the force on the tip lead it.")
         self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
-        self._gravity = gui.add_dropdown("gravity", tuple(DIRECTIONS), initial_value="none")
+        self._gravity = gui.add_dropdown("gravity", (*DIRECTIONS, GIVEN)[: None if self._given else -1])
+        self._gravity.value = GIVEN if self._given else "none"
 
         def put_on() -> None:
             force = numbers(self._boxes)
@@ -58,7 +64,7 @@ class PushPanel:
     @property
     def gravity(self) -> tuple[float, float, float] | None:
         """The acceleration that is chosen, m/s^2."""
-        return gravity_of(self._gravity.value)
+        return self._given if self._gravity.value == GIVEN else gravity_of(self._gravity.value)
 
     def show(self, load: Load | None) -> None:
         """The force that acts, in the boxes, unless it is what they were last told."""
