@@ -143,7 +143,8 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     between = 2 * (plan["lead_mm"] + plan["clearance_mm"]) + plan["curved_length_mm"]
     assert groove["free_length_mm"] == pytest.approx(between, abs=0.01)
     assert [groove["lead_in_mm"], groove["lead_out_mm"]] == pytest.approx([plan["lead_mm"]] * 2, abs=0.01)
-    assert (groove["width_mm"] - 1.92) / 2 == pytest.approx(1e-3 * plan["gap_um"])
+    assert (groove["width_mm"] - 1.92) / 2 == pytest.approx(1e-3 * plan["side_clearance_um"])
+    assert plan["gap_um"] > plan["side_clearance_um"]
     for name in ("growth_mm", "extra_length_mm"):
         assert groove[name] == pytest.approx(plan[name], abs=0.01)
     assert groove["cold_length_mm"] == pytest.approx(plan["cold_end_mm"], abs=0.01)
