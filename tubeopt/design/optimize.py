@@ -11,6 +11,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice
 from ..robots.concentric import ConcentricRobot
+from ..solvers.parallel.blas import small
 from ..stability import snap_free_certificate
 from ..typing import Array, Sentence
 from .checks import whole
@@ -117,6 +118,7 @@ class DesignSolution(Displayed):
         return self.ranking.designs[0]
 
 
+@small
 def optimize_design(
     task: DesignTask,
     *,

@@ -11,6 +11,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.concentric import ConcentricRobot
+from ..solvers.parallel.blas import small
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .checks import whole
@@ -62,6 +63,7 @@ class Verification:
         return "; ".join(f"{check.what}: {check.found}" for check in self.checks if not check.kept)
 
 
+@small
 def count_snaps(
     robot: ConcentricRobot, turns: int, seed: int = 0, translations: Array | None = None
 ) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.loaded import LoadedAnswer, LoadedResult, loaded_margin, loaded_newton, turn_of
 from ..solvers.loaded_ipopt import solve_loaded_ipopt
+from ..solvers.parallel.blas import small
 from ..solvers.settings import Ipopt
 from ..typing import Array, Mask
 from .continuation import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, JointPath, largest_twist
@@ -135,6 +136,7 @@ def to_tolerance(
     raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}", to_loaded(robot, point, load, d, how))
 
 
+@small
 def loaded_kinematics(
     robot: Robot,
     start: Equilibrium,

@@ -17,6 +17,7 @@ from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, newton
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .folds import Fold, polish_fold
 
@@ -41,6 +42,7 @@ class Branch(Displayed):
     folds: tuple[Equilibrium, ...]
 
 
+@small
 def trace_branch(
     robot: Robot,
     start: ArrayLike,

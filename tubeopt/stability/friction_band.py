@@ -25,6 +25,7 @@ from ..display import Displayed
 from ..equilibrium.friction import Held, check_rubbing, shaken
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..robots.friction import Friction
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import convexity
 
@@ -57,6 +58,7 @@ class FrictionBand(Displayed):
         return float(self.guaranteed[-1])
 
 
+@small
 def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """How far friction can hold a concentric robot from an equilibrium without friction, whatever its history.
 

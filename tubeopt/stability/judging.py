@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
+from ..solvers.parallel.blas import small
 from .certificate import certify
 from .eccentric_verdict import judge_eccentric
 from .search import search_snap
@@ -17,6 +18,7 @@ from .verdict import Verdict
 from .worst import worst_margin
 
 
+@small
 def judge(
     robot: Robot,
     translations: ArrayLike | None = None,

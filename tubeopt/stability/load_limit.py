@@ -19,6 +19,7 @@ from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
+from ..solvers.parallel.blas import small
 from ..typing import Sentence
 from .loaded_events import fall, lose
 
@@ -74,6 +75,7 @@ class LoadLimit(Displayed):
         return self.before.statistics
 
 
+@small
 def find_load_limit(
     robot: Robot,
     rotations: ArrayLike,

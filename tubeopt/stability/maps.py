@@ -18,6 +18,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_problem
 from ..errors import InputError, vector
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .equilibria import find_equilibria
 from .following import Event, walk
@@ -38,6 +39,7 @@ class EnergyMap(Displayed):
     equilibria: tuple[Equilibrium, ...]
 
 
+@small
 def energy_map(
     robot: Robot,
     rotations: ArrayLike,
@@ -183,6 +185,7 @@ class StabilityMap(Displayed):
     boundary: Array
 
 
+@small
 def stability_map(
     robot: Robot,
     translations: ArrayLike | None = None,

@@ -15,10 +15,12 @@ from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..robots.load import Load, between
+from ..solvers.parallel.blas import small
 from .following import Path, Snap, snap_between
 from .loaded_following import walk_loaded
 
 
+@small
 def push(equilibrium: Equilibrium, load: Load) -> Path:
     """What a robot does while the load on it turns evenly into another one: the equilibria at both ends, and the snaps
     between, at fractions of the way.

@@ -12,10 +12,12 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from .load_limit import LoadLimit, find_load_limit
 from .loaded_certificate import bundle_of
 
 
+@small
 def find_stroke_force(
     robot: Robot,
     rotations: ArrayLike,

@@ -16,6 +16,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_prob
 from ..errors import InputError, SolveError, vector
 from ..robots.robot import Robot
 from ..solvers.newton import newton
+from ..solvers.parallel.blas import small
 from ..typing import Array, Index
 from .certificate import Certificate, certify, snap_free_certificate
 from .eccentric_worst import least_margin
@@ -49,6 +50,7 @@ class WorstMargin(Displayed):
     unstable: Array
 
 
+@small
 def worst_margin(robot: Robot, translations: ArrayLike | None = None) -> WorstMargin:
     """Search for the rotations with the least margin, over all equilibria, stable or not.
 
@@ -141,6 +143,7 @@ class WorstCertificate(Displayed):
     evaluations: int
 
 
+@small
 def worst_certificate(robot: Robot, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> WorstCertificate:
     """Least certificate over a box of translations.
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .errors import ErrorGroup, ErrorSummary, group_errors
 from .folds import Parity, parity, passes
@@ -75,6 +76,7 @@ class Validation(Displayed):
         return group_errors(self.measurements.separation, self.errors)
 
 
+@small
 def validate(
     robot: Robot,
     measurements: Measurements,

@@ -17,6 +17,7 @@ import scipy
 from ..display import Displayed
 from ..errors import InputError, choice, positive
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array, Index, Sentence
 from .comparison import Progress, Validation, check_tubes, compare_at, distances
 from .descent import ITERATIONS, LOSSES, Descent, Weights, descend, normal_equations
@@ -165,6 +166,7 @@ class Fit(Displayed):
         return None if self.held_out_errors is None else ErrorSummary.of(self.held_out_errors)
 
 
+@small
 def fit(
     robot: Robot,
     measurements: Measurements,

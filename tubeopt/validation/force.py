@@ -17,6 +17,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array, Sentence
 from .measurements import SAME_PLACE, Measurements
 
@@ -127,6 +128,7 @@ class ForceRecord(Displayed):
         return np.array(rows)
 
 
+@small
 def estimate_forces(
     robot: Robot,
     measurements: Measurements,
@@ -213,6 +215,7 @@ class _Trial:
     jacobian: Array
 
 
+@small
 def estimate_force(
     robot: Robot,
     rotations: ArrayLike,

@@ -18,6 +18,7 @@ from ..errors import InputError, SolveError, positive
 from ..inverse.joints import joint_space
 from ..robots.readings import to_readings
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..stability import follow
 from ..typing import Array, Mask
 from .effects import EFFECTS
@@ -68,6 +69,7 @@ class Placement(Displayed):
     noise: float
 
 
+@small
 def where_to_measure(
     robot: Robot,
     parameters: Sequence[str],

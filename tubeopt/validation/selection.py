@@ -16,6 +16,7 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError, nearest
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array
 from .comparison import Progress, check_tubes, distances
 from .descent import Descent, Weights, descend
@@ -101,6 +102,7 @@ class Comparison(Displayed):
         return tuple(name for step in self.steps for name in step.parameters)
 
 
+@small
 def compare_effects(
     robot: Robot,
     measurements: Measurements,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from threading import Thread
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from tests.examples import THESIS
-from tubeopt import IkSession, forward_kinematics
+from tubeopt import IkSession, Load, find_load_limit, forward_kinematics, judge, stability_map, worst_margin
 from tubeopt.inverse import session as sessions
 from tubeopt.inverse.least_squares import LeastSquares
 from tubeopt.solvers.parallel.blas import _libraries, one_blas_thread
@@ -68,4 +68,30 @@ def test_a_servo_step_runs_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
     IkSession(THESIS, seed=here).solve(here.tip_position + 1e-4)
     assert seen
     assert set().union(*seen) == {1}
+    assert counts() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_searches_and_fits_run_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every question that solves many small problems, by what it first does with its robot."""
+
+    class SeenError(Exception):
+        """The number of threads was looked at."""
+
+    def look(*_: object) -> None:
+        assert counts() == {1}
+        raise SeenError
+
+    start = forward_kinematics(THESIS, [0.0, 0.0, 0.0])
+    monkeypatch.setattr(type(THESIS), "assembly", look)
+    monkeypatch.setattr(type(THESIS), "n_tubes", property(look))
+    questions: tuple[Callable[[], object], ...] = (
+        lambda: judge(THESIS),
+        lambda: worst_margin(THESIS),
+        lambda: stability_map(THESIS),
+        lambda: find_load_limit(THESIS, start.rotations, None, Load((0.01, 0.0, 0.0)), equilibrium=start),
+    )
+    for ask in questions:
+        with pytest.raises(SeenError):
+            ask()
     assert counts() == {2}

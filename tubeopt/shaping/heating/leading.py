@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import InputError, instance
+from ...solvers.parallel.blas import small
 from ...typing import Array
 from .feedback import Contribution, Feedback
 from .gains import readings, regulator, response
@@ -33,6 +34,7 @@ TUNING = 48
 """Rigs on which gains and set-point are chosen; others tell how well they do."""
 
 
+@small
 def lead_by(
     plan: HeatingPlan,
     sensor: Sensor,

@@ -19,6 +19,7 @@ import numpy as np
 from ...errors import InputError, instance
 from ...robots.materials import ZERO_CELSIUS
 from ...robots.tubes import Tube
+from ...solvers.parallel.blas import small
 from ...typing import Array
 from .counts import count_rate, guarded_counts
 from .cures import Programmed, Search, find_cures
@@ -84,6 +85,7 @@ class Schedule:
         return self.outcome.kept
 
 
+@small
 def plan_heating(tube: Tube, rig: Rig, spec: HeatingSpec | None = None, *, sensor: Sensor | None = None) -> HeatingPlan:
     """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
     ramp and currents within theirs.
