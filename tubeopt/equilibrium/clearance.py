@@ -32,8 +32,9 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.assembly import Assembly, where
-from ..robots.concentric import ConcentricRobot, per_pair
+from ..robots.concentric import ConcentricRobot
 from ..robots.fit import drawn_clearance
+from ..robots.friction import per_pair
 from ..typing import Array
 from .result import Equilibrium
 
@@ -50,8 +51,8 @@ class Leaving(Displayed):
         mismatch: by how much both would be bent differently if left alone, 1/m.
         contact: length over which the inner tubes cross from one wall to the other, m.
         turn: (3,) rotation vector, rad, by which all beyond is turned, and shift (3,), m, by which it is moved.
-        most_turn, most_shift: bounds of their sizes, rad and m, proved for tubes that are bent in one plane and pushed
-            by nothing but each other.
+        most_turn, most_shift: estimates of the largest that they can be, rad and m; bounds for tubes that are bent in
+            one plane and pushed by nothing but each other.
     """
 
     tube: int
@@ -73,7 +74,8 @@ class ClearanceCorrection(Displayed):
         equilibrium: of tubes on one centreline.   leavings: where tubes are left, base to tip.
         position: (M, 3) of the points of the arm, m.   tip_position: (3,).
         turn: (3, 3) by which the frame of the tip is turned.   tip_rotation: (3, 3) that frame.
-        radius: (M,) m, how far points can be from where they are without clearance, by the bounds of `leavings`.
+        radius: (M,) m, estimate of how far points can be from where they are without clearance, at worst: a bound to
+            first order where the tubes are bent in one plane.
     """
 
     equilibrium: Equilibrium
@@ -94,7 +96,7 @@ class ClearanceCorrection(Displayed):
 
     @property
     def tip_radius(self) -> float:
-        """How far the tip can be from where it is without clearance, m."""
+        """Estimate of how far the tip can be from where it is without clearance, at worst, m."""
         return float(self.radius[-1])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
@@ -10,11 +9,11 @@ from os import PathLike
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, numbers, positive
+from ..errors import InputError
 from ..typing import Array, late
 from .assembly import Assembly, assemble
 from .calibration import Calibration, check_calibration, limits_of
-from .friction import Friction, check_friction
+from .friction import Friction, check_friction, per_pair
 from .limits import JointLimits
 from .robot import Robot
 from .tubes import Tube
@@ -102,18 +101,6 @@ class ConcentricRobot(Displayed):
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
         late("tubeopt.robots.file.save_robot")(self, path)
-
-
-def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
-    """A number, 0 or more, for every pair of neighbours, of one for each or one for all; raises InputError."""
-    values = tuple(positive(name, x, zero=True) for x in numbers(name, given))
-    values = values * (n_tubes - 1) if len(values) == 1 else values
-    if len(values) != n_tubes - 1:
-        raise InputError(
-            f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {n_tubes - 1}, one for "
-            "every pair of neighbours, or 1"
-        )
-    return values
 
 
 def friction_of(robot: Robot) -> Friction | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..display import Displayed
@@ -68,14 +69,20 @@ class Friction(Displayed):
         return not any(any(self.of(name)) for name in PAIRWISE)
 
 
+def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
+    """A number, 0 or more, for every pair of neighbours, of one for each or one for all; raises InputError."""
+    values = tuple(positive(name, x, zero=True) for x in numbers(name, given))
+    if len(values) not in (1, n_tubes - 1):
+        raise InputError(
+            f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {n_tubes - 1}, one for "
+            "every pair of neighbours, or 1"
+        )
+    return values * (n_tubes - 1) if len(values) == 1 else values
+
+
 def check_friction(friction: Friction | None, n_tubes: int) -> None:
     """Raise InputError where a friction is for another number of tubes."""
     if friction is None:
         return
     for name in PAIRWISE:
-        given = len(friction.of(name))
-        if given not in (1, n_tubes - 1):
-            raise InputError(
-                f"{name} of friction is {given} numbers; the robot has {n_tubes} tubes, so it must be "
-                f"{n_tubes - 1}, one for every pair of neighbours, or 1"
-            )
+        per_pair(f"{name} of friction", friction.of(name), n_tubes)

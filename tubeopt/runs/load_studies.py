@@ -62,7 +62,7 @@ class LoadLimitStudy(LoadedStudy):
         if self.pushing() is None and not self.axial:
             raise ValueError("no load is given; give tip_force_mN, gravity_m_per_s2, load or axial")
         if self.pushing() is not None and self.axial:
-            raise ValueError("axial is given beside a load; it is one")
+            raise ValueError("axial is given beside a load; it is a load of its own, so give one of them")
         return self
 
     def run(self, progress: Progress | None = None) -> Bearing:

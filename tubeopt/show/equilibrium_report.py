@@ -39,7 +39,8 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     line("friction holds it", lambda e: _held_within(e)),
     Quantity("tip_by_clearance_mm", "tip position where the room between the tubes lets it tilt to, to first order; "
              "absent without clearance", lambda e: _tilted(e, "tip_position"), optional=True),
-    Quantity("tip_clearance_radius_mm", "how far that can be from the tip position at most; absent without clearance",
+    Quantity("tip_clearance_radius_mm", "estimate of how far that can be from the tip position at worst, "
+             "a bound to first order where the tubes are bent in one plane; absent without clearance",
              lambda e: _tilted(e, "tip_radius"), optional=True),
     line("clearance", lambda e: _loose(e)),
     Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
@@ -84,7 +85,7 @@ def _loose(e: Equilibrium) -> str | None:
     if place is None:
         return None
     moved = millimetres(place - e.tip_position, ".3f")
-    return f"tilts the tip by {moved}, at most {_tilted(e, 'tip_radius') * TO_MM:.3f} mm"
+    return f"tilts the tip by {moved} to first order, at worst some {_tilted(e, 'tip_radius') * TO_MM:.3f} mm"
 
 
 def _how(e: Equilibrium) -> str:
