@@ -15,7 +15,7 @@ from .counts import count_rate, full_current
 from .ideal import Ideal, Shift, solve_ideal
 from .outcome import Outcome
 from .rig import Rig
-from .spec import HeatingSpec
+from .spec import LONGEST, HeatingSpec
 
 ENOUGH = 0.05
 """A window missed by less than this, K, by the program is worth a schedule of counts to see whether it is held."""
@@ -178,9 +178,16 @@ def _candidates(rig: Rig, spec: HeatingSpec, ideal: Ideal, shift: Shift | None) 
     last = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1])
     if last.max() < low:
         return _for_power(rig, spec)
+    # A mold that had no time to get warm is told by a heating as long as it may be.
+    soon = [_more_time(rig, spec)] if ideal.heating > (1 - WORTH) * spec.longest_heating else []
     if last.max() - last.min() > 0.5 * (high - low):
-        return _for_ends(rig, spec)
-    return _for_narrow_window(rig, spec)
+        return soon + _for_ends(rig, spec)
+    return soon + _for_narrow_window(rig, spec)
+
+
+def _more_time(rig: Rig, spec: HeatingSpec) -> Change:
+    longer = replace(spec, longest_heating=min(MORE_TIME * spec.longest_heating, LONGEST))
+    return f"a heating of up to {longer.longest_heating:g} s", rig, longer
 
 
 def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
@@ -194,9 +201,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
     found.append((words, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
         found.append(("a full battery", rig.with_charge(1.0), spec))
-    longer = replace(spec, longest_heating=MORE_TIME * spec.longest_heating)
-    found.append((f"a heating of up to {longer.longest_heating:g} s", rig, longer))
-    return found
+    return [*found, _more_time(rig, spec)]
 
 
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
