@@ -122,6 +122,26 @@ class Piece(Displayed):
         """How many times as much as without slots it is strained at most, in a tube of bending stiffness `whole`."""
         return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(whole)))
 
+    def stretched(self, factor: float) -> Piece:
+        """The piece `factor` times as long; what varies along it is stretched."""
+
+        def longer(quantity: Any) -> Any:
+            return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
+
+        return replace(
+            self,
+            length=self.length * factor,
+            precurvature=tuple(longer(part) for part in self.precurvature),
+            bending_stiffness=longer(self.bending_stiffness),
+            torsional_stiffness=longer(self.torsional_stiffness),
+        )
+
+    def stiffened(self, factor: float) -> Piece:
+        """The piece with what stiffnesses of its own it has `factor` times as large."""
+        own = self.bending_stiffness, self.torsional_stiffness
+        bending, torsional = (None if value is None else times(value, factor) for value in own)
+        return replace(self, bending_stiffness=bending, torsional_stiffness=torsional)
+
     def scaled(self, factor: float) -> Piece:
         """The piece bent `factor` times as much, with the same natural twist."""
         x, y, z = self.precurvature
