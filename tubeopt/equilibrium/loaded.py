@@ -163,9 +163,10 @@ def loaded_kinematics(
         here, t = _by_parts(family, start, tolerance, began)
         if t == 1.0:
             return here
-        close = start.load is not None and t == 0.0
-        point = _close(start, loaded_problem(robot, shift, load, d), rotations, shift) if close else None
-        point = _along(family, here, t) if point is None else point
+        close = None
+        if start.load is not None and t == 0.0:
+            close = _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
+        point = _along(family, here, t) if close is None else close
     return to_tolerance(robot, point, load, d, tolerance, (word, began))
 
 
