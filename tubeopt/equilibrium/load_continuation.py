@@ -69,7 +69,6 @@ class JointFamily:
         problem = loaded_problem(self.path.robot, shift, load, self.path.discretisation)
         return Member(problem, rotations, shift, factor)
 
-
     def load_at(self, t: float) -> Load:
         """The load at t."""
         if self.before is None:
