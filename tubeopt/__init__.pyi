@@ -58,7 +58,7 @@ from .robots.friction import Friction
 from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
-from .robots.pieces import Piece
+from .robots.pieces import Piece, Slots
 from .robots.tubes import Tube
 from .runs.rig_file import load_rig, save_rig
 from .runs.sweeping import Sweep, sweep
@@ -166,6 +166,7 @@ __all__ = [
     "Rig",
     "Roadmap",
     "SegmentedEccentricRobot",
+    "Slots",
     "Snap",
     "SnappingLoss",
     "SolveError",
