@@ -224,12 +224,16 @@ def _unknown_bounds(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> t
     least_miss = -1e3 if spec.objective == "margin" else 0.0
     tail = [np.array([pair[side] for pair in pairs]) / LENGTH for side in (0, 1)]
     intervals, longest = s.mesh.heating, spec.longest_heating
+    # The points of a long heating look at the ramp too late; at rest nothing is lost yet, and it bounds the drive.
+    drives = np.full(n_u, np.inf)
+    now = full_current(tube, rig, leaking=False)
+    drives[0] = spec.ramp / (COUNTS * count_rate(tube, rig)) * now**2 / DRIVE
     lower = [
         cold.ravel(), np.zeros(2 * s.points), np.zeros(n_u), np.full(intervals, 0.5 / DURATION),
         np.full(s.points, least_miss), tail[0], vent_low,
     ]  # fmt: skip
     upper = [
-        hot.ravel(), np.full(2 * s.points, np.inf), np.full(n_u, np.inf), np.full(intervals, longest / DURATION),
+        hot.ravel(), np.full(2 * s.points, np.inf), drives, np.full(intervals, longest / DURATION),
         np.full(s.points, MOST_MISS), tail[1], vent_high,
     ]  # fmt: skip
     return np.concatenate(lower), np.concatenate(upper)
