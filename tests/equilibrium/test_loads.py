@@ -402,6 +402,24 @@ def test_a_guess_is_followed_to_other_joints_and_loads(thesis: ConcentricRobot) 
     assert np.allclose(moved.tip_position, cold.tip_position, rtol=0, atol=1e-12)
 
 
+def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, alpha, shift, load, _ = random_case(4)
+    here = forward_kinematics(robot, alpha, shift, load=load)
+    elsewhere = forward_kinematics(robot, alpha + 0.4, shift)
+    turned = alpha + np.linspace(1, -0.5, len(alpha))
+    ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere)
+    ends = [forward_kinematics(robot, a, shift, load=q, guess=g) for a, q, g in ways]
+    with monkeypatch.context() as patch:
+        patch.setattr("tubeopt.equilibrium.loaded.compiled", lambda *arguments: None)
+        for end, (a, q, g) in zip(ends, ways, strict=True):
+            general = forward_kinematics(robot, a, shift, load=q, guess=g)
+            assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)
+            assert end.margin == pytest.approx(general.margin, abs=1e-9)
+    monkeypatch.setattr("tubeopt.equilibrium.loaded.to_tolerance", None)  # the kernel goes all of the way
+    for a, q, g in ways:
+        forward_kinematics(robot, a, shift, load=q, guess=g)
+
+
 def test_the_branch_that_snaps_is_not_left(thesis: ConcentricRobot) -> None:
     turned = follow(thesis, np.radians([[0, 0, 0], [200, 0, 0]])).equilibria[-1]
     assert turned.margin == pytest.approx(0.875, abs=1e-3)
