@@ -8,63 +8,94 @@ from enum import Enum
 import numpy as np
 import pytest
 
-from tests.examples import TWO_TUBE
+from tests.examples import THESIS, TWO_TUBE
 from tubeopt import (
+    Certificate,
     DesignSolution,
     Equilibrium,
+    EquilibriumBatch,
     ForceEstimate,
     HeatingPlan,
     InverseSolution,
     Ipopt,
     LoadLimit,
+    Mold,
     Newton,
+    Path,
     Problem,
     ProblemSolution,
     Proof,
+    Snap,
+    StabilityMap,
     Trajectory,
+    Verdict,
     Workspace,
+    certify,
+    follow,
     forward_kinematics,
+    forward_kinematics_batch,
     inverse_kinematics,
+    judge,
+    plan_mold,
+    stability_map,
     workspace,
 )
 from tubeopt.design.optimize import DesignStatus
+from tubeopt.equilibrium.batch import BatchStatus
 from tubeopt.equilibrium.result import Status
 from tubeopt.errors import InputError
 from tubeopt.inverse.answer import InverseStatus
 from tubeopt.planning.proof import ProofStatus
 from tubeopt.shaping.heating.plan import HeatingStatus
+from tubeopt.shaping.mold.mold import MoldStatus
 from tubeopt.solvers.problem_status import ProblemStatus
+from tubeopt.stability.certificate import CertificateStatus
+from tubeopt.stability.following import PathStatus, SnapStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
+from tubeopt.stability.maps import MapStatus
+from tubeopt.stability.verdict import VerdictStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
 from tubeopt.validation.force import ForceStatus
-from tubeopt.workspaces.table import WorkspaceStatus
 
 ANSWERS = (
+    Certificate,
     DesignSolution,
     Equilibrium,
+    EquilibriumBatch,
     Fit,
     ForceEstimate,
     HeatingPlan,
     InverseSolution,
     LoadLimit,
+    Mold,
+    Path,
     ProblemSolution,
     Proof,
+    Snap,
+    StabilityMap,
     Trajectory,
+    Verdict,
     Workspace,
 )
 
 STATUSES = (
+    BatchStatus,
+    CertificateStatus,
     DesignStatus,
     FitStatus,
     ForceStatus,
     HeatingStatus,
     InverseStatus,
     LoadLimitStatus,
+    MapStatus,
+    MoldStatus,
+    PathStatus,
     ProblemStatus,
     ProofStatus,
+    SnapStatus,
     Status,
-    WorkspaceStatus,
+    VerdictStatus,
 )
 
 
@@ -110,6 +141,39 @@ def test_answers_of_solvers_and_questions() -> None:
         assert each.statistics.seconds >= 0
         assert str(each.status)
     np.testing.assert_array_equal(answers[0].value, near.tip_position)
+
+
+def test_answers_about_stability() -> None:
+    """Turned once around, the robot of the thesis snaps once; two weakly curved tubes cannot."""
+    way = follow(THESIS, np.radians([[0, 0, 0], [270, 0, 0]]))
+    answers: tuple[Result, ...] = (way, way.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), judge(TWO_TUBE))
+    assert [str(each.status) for each in answers] == [
+        "the robot came to all waypoints, and snapped on the way",
+        "the equilibrium was lost, and the robot landed in another one",
+        "it is proved that the robot cannot snap at any rotation",
+        "the robot can snap",
+    ]
+    assert way.value.shape == (2, 3)
+    assert (way.statistics.waypoints, way.statistics.snaps) == (2, 1)
+    assert answers[1].value == pytest.approx(214.2224 / 270, abs=1e-5)
+    assert answers[2].value > 0
+    assert answers[2].statistics.pairs == 1
+    assert answers[3].value is True
+    chart = stability_map(THESIS, samples=3, directions=4, workers=1)
+    assert chart.value.shape == (3, 3)
+    assert (chart.statistics.ways, chart.statistics.directions) == (9, 4)
+    assert (str(chart.status) == "the robot snaps on none of the ways") == (not chart.snaps.any())
+
+
+def test_answers_for_many_joint_values_and_of_molds() -> None:
+    many = forward_kinematics_batch(TWO_TUBE, [[0.0, 0.0], [0.0, 1.0]])
+    mold = plan_mold(THESIS.tubes[0])
+    answers: tuple[Result, ...] = (many, mold)
+    assert all(isinstance(each, Result) for each in answers)
+    assert str(many.status) == "a stable equilibrium was found at all joint values"
+    assert (many.statistics.samples, many.statistics.failures) == (2, 0)
+    assert mold.value == mold.grooves
+    assert mold.statistics.grooves == 1
 
 
 def test_solvers_are_chosen_by_name_or_by_their_settings() -> None:

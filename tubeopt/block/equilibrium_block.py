@@ -45,7 +45,8 @@ class EquilibriumBlock(ComposedBlock[N]):
             (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
             `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
         load: what pushes on concentric tubes: force and moment at the tip, weight, a constant force per length; None is
-            that of `near`. Margin and certificate are then no expressions; `equilibrium` tells the margin.
+            that of `near`. The certificate is then no expression, nor is the margin under moments and what turns
+            with the tip, which have no energy.
         side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
         refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
             stiffnesses are free.
@@ -85,11 +86,11 @@ class EquilibriumBlock(ComposedBlock[N]):
         that is maximised; below 1.
 
         By Jacobi's condition on softened tubes, whose determinants are smooth where an eigenvalue is not; for eccentric
-        robots on their own equations. Collocated as the torsion is; `equilibrium` gives the margin itself, and says so
-        where the condition holds on another branch of it.
+        robots on their own equations, under a dead load with the bending that it makes. Collocated as the torsion is;
+        `equilibrium` gives the margin itself, and says so where the condition holds on another branch of it.
 
         Raises:
-            InputError: a number that is not below 1.
+            InputError: a number that is not below 1, or a load without an energy.
         """
         add_margin(self, margin)
 
@@ -98,8 +99,8 @@ class EquilibriumBlock(ComposedBlock[N]):
         with 0 the robot cannot snap at any rotations. Concentric robots.
 
         Raises:
-            InputError: a number that is not below 1, an eccentric robot, or pieces of tubes that vary along their
-                length otherwise than by a natural twist.
+            InputError: a number that is not below 1, a load, an eccentric robot, or pieces of tubes that vary along
+                their length otherwise than by a natural twist.
         """
         add_certificate(self, margin)
 

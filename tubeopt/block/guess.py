@@ -12,6 +12,7 @@ from .near import Near
 from .pushed import bending_of, torsion_under_load
 from .transcription import arm as arms
 from .transcription import functions
+from .transcription.loaded_fields import rows, size
 from .transcription.model import Model
 
 Shape = tuple[Array, ...]
@@ -80,23 +81,23 @@ def poses_of(model: Model) -> tuple[Array, Array]:
 def fields_of(model: Model, margin: float) -> tuple[Array, Array, Array]:
     """Jacobi fields of tubes softened by `margin`, every piece from y = 1 where it ends: v / y (n n (P - 1),) where the
     pieces but the first begin, and y (n n K P,) at the points, by columns."""
-    n, degree = model.theta.shape[0], model.grid.degree
+    n, m, degree = size(model.grid), rows(model.grid), model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
     softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
     out, points, ahead = [], [], []
     for k in reversed(range(model.n_pieces)):
         given = [model.lengths[k], *(part[k] for part in softness)]
-        forced = np.array(step(fields, np.zeros((n, degree * n)), *given)[1])
-        columns = forced.reshape(n, n, degree).transpose(2, 0, 1).reshape(degree * n, n)
+        forced = np.array(step(fields, np.zeros((m, degree * n)), *given)[1])
+        columns = forced.reshape(m, n, degree).transpose(2, 0, 1).reshape(degree * m, n)
         own = -np.linalg.solve(np.array(matrix(*given)), columns)
-        inner = own.reshape(degree, n, n).transpose(1, 2, 0).reshape(n, n * degree)
+        inner = own.reshape(degree, m, n).transpose(1, 2, 0).reshape(m, n * degree)
         y, v = np.split(np.array(step(fields, inner, *given)[0]), 2)
         ahead.append(y.ravel(order="F"))
         ratio = v @ np.linalg.pinv(y)
         fields = np.concatenate([np.eye(n), ratio])
         out.append(ratio.ravel(order="F"))
         points.append(inner.ravel(order="F"))
-    held = y - model.transmission[:, None] * v
+    held = y - np.array(model.held_at_the_plate).reshape(-1, 1) * v
     ratios = np.concatenate([*reversed(out[:-1]), np.zeros(0)])
     return ratios, np.concatenate([*reversed(points)]), np.concatenate([*reversed(ahead), held.ravel(order="F")])

@@ -16,13 +16,28 @@ from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
-from ..typing import Array, Mask
+from ..typing import Array, Mask, Sentence
 from .kinematics import check_turn, forward_kinematics, measure
 from .loaded import grow_many
 from .result import Equilibrium
 
 CHUNK = 2048
 """Configurations that one worker takes at a time: enough that its start costs nothing, few enough to share out."""
+
+
+class BatchStatus(Sentence):
+    """What became of many joint values; every value reads as a sentence."""
+
+    SOLVED = "a stable equilibrium was found at all joint values"
+    GAPS = "at some joint values no stable equilibrium was found"
+
+
+@dataclass(frozen=True)
+class BatchStatistics:
+    """Joint values that were solved for, and how many of them have no stable equilibrium that was found."""
+
+    samples: int
+    failures: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +73,21 @@ class EquilibriumBatch(Displayed):
 
     def __len__(self) -> int:
         return len(self.rotations)
+
+    @property
+    def value(self) -> Array:
+        """(N, 3) the tips, m."""
+        return self.tip_position
+
+    @property
+    def status(self) -> BatchStatus:
+        """Whether an equilibrium was found everywhere."""
+        return BatchStatus.SOLVED if self.converged.all() else BatchStatus.GAPS
+
+    @property
+    def statistics(self) -> BatchStatistics:
+        """What it took."""
+        return BatchStatistics(len(self), int((~self.converged).sum()))
 
     @property
     def stable(self) -> Mask:

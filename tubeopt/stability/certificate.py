@@ -16,13 +16,29 @@ from ..physics.certificate import PARAMETERS, Pattern, certificate_function, wor
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
 from .pair_certificate import least_margin_of_pair, margins, pair_of
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
+
+
+class CertificateStatus(Sentence):
+    """What a certificate says; every value reads as a sentence."""
+
+    SNAP_FREE = "it is proved that the robot cannot snap at any rotation"
+    OPEN = "it is not proved that the robot cannot snap"
+    NONE = "there is no proof for tubes that lie beside one another so"
+
+
+@dataclass(frozen=True)
+class CertificateStatistics:
+    """Tubes of the robot, and pairs of them that are coupled."""
+
+    tubes: int
+    pairs: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +63,23 @@ class Certificate(Displayed):
     pair: tuple[int, int] | None
     section: tuple[float, float] | None
     share: Array
+
+    @property
+    def value(self) -> float:
+        """The margin."""
+        return self.margin
+
+    @property
+    def status(self) -> CertificateStatus:
+        """What it says."""
+        if np.isneginf(self.margin):
+            return CertificateStatus.NONE
+        return CertificateStatus.SNAP_FREE if self.snap_free else CertificateStatus.OPEN
+
+    @property
+    def statistics(self) -> CertificateStatistics:
+        """What it is about."""
+        return CertificateStatistics(len(self.translations), int((np.triu(self.share, 1) > 0).sum()))
 
     @property
     def snap_free(self) -> bool:

@@ -13,14 +13,14 @@ from ..display import Displayed
 from ..equilibrium.continuation import JointPath, Point, follow_to, solve_at
 from ..equilibrium.friction import to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import Equilibrium, Statistics
 from ..equilibrium.solving import Solution, polish, to_equilibrium
 from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Sentence
 from .folds import Fold, polish_fold
 from .landing import distance, land
 from .loaded_following import LoadedSnap, loaded_legs
@@ -35,6 +35,28 @@ LEAST_TURN = 1e-3
 
 PAST = 1e-4
 """Fraction of a segment by which a smooth change of branch is left behind, where both branches are one."""
+
+
+class SnapStatus(Sentence):
+    """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
+
+    LANDED = "the equilibrium was lost, and the robot landed in another one"
+
+
+class PathStatus(Sentence):
+    """What a robot did on its way; every value reads as a sentence."""
+
+    SMOOTH = "the robot came to all waypoints without a snap"
+    SNAPPED = "the robot came to all waypoints, and snapped on the way"
+
+
+@dataclass(frozen=True)
+class PathStatistics:
+    """Waypoints, snaps between them, and iterations of Newton's method that their equilibria took."""
+
+    waypoints: int
+    snaps: int
+    iterations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +78,21 @@ class Snap(Displayed):
     energy_released: float
     tip_jump: float
 
+    @property
+    def value(self) -> float:
+        """The fraction of the way."""
+        return self.fraction
+
+    @property
+    def status(self) -> SnapStatus:
+        """How it ends."""
+        return SnapStatus.LANDED
+
+    @property
+    def statistics(self) -> Statistics:
+        """What the equilibrium that vanishes took."""
+        return self.before.statistics
+
 
 @dataclass(frozen=True, eq=False)
 class Path(Displayed):
@@ -63,6 +100,22 @@ class Path(Displayed):
 
     equilibria: tuple[Equilibrium, ...]
     snaps: tuple[Snap, ...]
+
+    @property
+    def value(self) -> Array:
+        """(T, 3) the tips at the waypoints, m."""
+        return np.array([each.tip_position for each in self.equilibria])
+
+    @property
+    def status(self) -> PathStatus:
+        """Whether the robot snapped."""
+        return PathStatus.SNAPPED if self.snaps else PathStatus.SMOOTH
+
+    @property
+    def statistics(self) -> PathStatistics:
+        """What it took."""
+        spent = sum(each.statistics.iterations for each in self.equilibria)
+        return PathStatistics(len(self.equilibria), len(self.snaps), spent)
 
 
 @dataclass(frozen=True, eq=False)

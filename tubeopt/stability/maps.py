@@ -19,7 +19,7 @@ from ..equilibrium.solving import DEFAULT_DISCRETISATION, polish, reduced_proble
 from ..errors import InputError, vector
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array
+from ..typing import Array, Sentence
 from .equilibria import find_equilibria
 from .following import Event, walk
 from .snapping import find_snap
@@ -169,6 +169,22 @@ def _held_minimum(
     return z, energy
 
 
+class MapStatus(Sentence):
+    """What a robot did on the ways of a map; every value reads as a sentence."""
+
+    SMOOTH = "the robot snaps on none of the ways"
+    SNAPPED = "the robot snaps on some of the ways"
+
+
+@dataclass(frozen=True)
+class MapStatistics:
+    """Ways to the points of the map, directions of its boundary, and snaps on the ways to the points."""
+
+    ways: int
+    directions: int
+    snaps: int
+
+
 @dataclass(frozen=True, eq=False)
 class StabilityMap(Displayed):
     """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations.
@@ -183,6 +199,22 @@ class StabilityMap(Displayed):
     margin: Array
     snaps: Array
     boundary: Array
+
+    @property
+    def value(self) -> Array:
+        """(N, N) the margins."""
+        return self.margin
+
+    @property
+    def status(self) -> MapStatus:
+        """Whether the robot snapped on any way."""
+        snapped = (self.snaps > 0).any() or np.isfinite(self.boundary).any()
+        return MapStatus.SNAPPED if snapped else MapStatus.SMOOTH
+
+    @property
+    def statistics(self) -> MapStatistics:
+        """What it took."""
+        return MapStatistics(self.margin.size, len(self.boundary), int(self.snaps.sum()))
 
 
 @small

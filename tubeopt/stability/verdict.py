@@ -28,6 +28,22 @@ class Finding(Sentence):
     OPEN = "it is not proved that the robot cannot snap, and search found no snap"
 
 
+class VerdictStatus(Sentence):
+    """A finding as a sentence by itself."""
+
+    SNAP_FREE = f"the robot {Finding.SNAP_FREE.value}"
+    CAN_SNAP = f"the robot {Finding.CAN_SNAP.value}"
+    OPEN = Finding.OPEN.value
+
+
+@dataclass(frozen=True)
+class VerdictStatistics:
+    """Ways that were tried for a snap, and on how many of them the equilibria were lost."""
+
+    ways: int
+    failed: int
+
+
 @dataclass(frozen=True, eq=False)
 class Verdict(Displayed):
     """Whether a robot can snap at given translations.
@@ -54,6 +70,21 @@ class Verdict(Displayed):
     failed: int = 0
     followed: bool = True
     decided: bool = False
+
+    @property
+    def value(self) -> bool | None:
+        """Whether the robot can snap; None where neither is known."""
+        return None if self.finding is Finding.OPEN else self.finding is Finding.CAN_SNAP
+
+    @property
+    def status(self) -> VerdictStatus:
+        """The finding, as a sentence."""
+        return VerdictStatus[self.finding.name]
+
+    @property
+    def statistics(self) -> VerdictStatistics:
+        """What it took."""
+        return VerdictStatistics(self.ways, self.failed)
 
     @property
     def finding(self) -> Finding:

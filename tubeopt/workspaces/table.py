@@ -8,27 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..display import Displayed
+from ..equilibrium.batch import BatchStatistics, BatchStatus
 from ..errors import InputError
 from ..robots.robot import Robot
-from ..typing import Array, Mask, Sentence
+from ..typing import Array, Mask
 
 CHUNK = 1 << 14
 """Rows that are looked at together, so that a table on disk never is in memory as a whole."""
-
-
-class WorkspaceStatus(Sentence):
-    """What became of the joint values of a workspace; every value reads as a sentence."""
-
-    SOLVED = "a stable equilibrium was found at all joint values"
-    GAPS = "at some joint values no stable equilibrium was found"
-
-
-@dataclass(frozen=True)
-class WorkspaceStatistics:
-    """Joint values that were solved for, and how many of them have no stable equilibrium that was found."""
-
-    samples: int
-    failures: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +46,14 @@ class Workspace(Displayed):
         return self.tip_position
 
     @property
-    def status(self) -> WorkspaceStatus:
+    def status(self) -> BatchStatus:
         """Whether an equilibrium was found everywhere."""
-        return WorkspaceStatus.GAPS if self.failures else WorkspaceStatus.SOLVED
+        return BatchStatus.GAPS if self.failures else BatchStatus.SOLVED
 
     @property
-    def statistics(self) -> WorkspaceStatistics:
+    def statistics(self) -> BatchStatistics:
         """What it took."""
-        return WorkspaceStatistics(len(self), len(self.failures))
+        return BatchStatistics(len(self), len(self.failures))
 
     @property
     def rotations(self) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 from ...physics.shape import rotation_matrix
 from ...typing import Array
 from .collocated import Grid
+from .loaded_fields import FRAME
 from .model import Equation, Model, equation, model_of, places_in_words
 
 UNKNOWNS = ("bending moment", "bending moment inside")
@@ -65,6 +66,16 @@ class LoadedModel(Model):
     def data(self) -> list[Any]:
         """What is given of the pieces to their functions, side by side."""
         return [*super().data, self.bend, self.bent, self.push]
+
+    def softness(self, margin: Any) -> tuple[Any, ...]:
+        """What the Jacobi fields need: (2 N, 2 N K P) rates at all points."""
+        given = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.typical)]
+        return (self.mapped("rates")(*given, *self.arguments),)
+
+    @property
+    def held_at_the_plate(self) -> Any:
+        """(N,) by how much of its rate a Jacobi field is away from 0 at the plate: the frame is held there."""
+        return ca.vertcat(self.transmission, ca.DM.zeros(FRAME))
 
     def equations(self, rotations: Any, reach: float) -> list[Equation]:
         """Those of torsion and shape, and of the bending moment."""

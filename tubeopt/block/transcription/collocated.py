@@ -223,19 +223,24 @@ def bending_of(torsion: Torsion) -> tuple[Any, Any]:
     """
     piece, t = torsion.piece, torsion.piece.grid.tableau
     assert isinstance(piece, LoadedPiece)
-    turn, before, rates = ca.SX([1, 0, 0, 0]), 0.0, []
+    felt = [(here.curvature, torque, nu) for here, torque, nu in felt_of(torsion)]
+    rates = [ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]) for u, torque, nu in felt]
+    rate = piece.length * ca.horzcat(*rates)
+    defect = piece.bent - ca.repmat(piece.bend, 1, len(rates)) - rate @ t.matrix.T
+    return defect, piece.bend + rate @ t.weights
+
+
+def felt_of(torsion: Torsion) -> list[tuple[CrossSection, Any, Any]]:
+    """At the points of a piece that bears a load: cross-section, torque of all tubes, force (3,) in the frame there."""
+    piece, t = torsion.piece, torsion.piece.grid.tableau
+    assert isinstance(piece, LoadedPiece)
+    turn, before, felt = ca.SX([1, 0, 0, 0]), 0.0, []
     for k, x in enumerate(t.nodes.tolist()):
         u = torsion.curvature(before + (x - before) * GAUSS_POINTS)
         turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, piece.length * (x - before))
         before, nu = x, rotation_matrix(turn).T @ piece.push[:, k]
-        u, torque = (
-            piece.section(piece.inner[:, k], x).curvature,
-            ca.dot(piece.torsional_stiffness, torsion.twist[:, k]),
-        )
-        rates.append(ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]))
-    rate = piece.length * ca.horzcat(*rates)
-    defect = piece.bent - ca.repmat(piece.bend, 1, len(rates)) - rate @ t.matrix.T
-    return defect, piece.bend + rate @ t.weights
+        felt.append((piece.section(piece.inner[:, k], x), ca.dot(piece.torsional_stiffness, torsion.twist[:, k]), nu))
+    return felt
 
 
 def energy_of(torsion: Torsion) -> Any:

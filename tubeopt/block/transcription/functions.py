@@ -10,6 +10,7 @@ import casadi as ca
 from ...physics.matrix import determinant
 from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
+from . import loaded_fields
 from .collocated import Grid, bending_of, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
 
 OPTIONS = {"cse": True}
@@ -122,27 +123,44 @@ def softness_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def fields_function(grid: Grid) -> ca.Function:
-    """(n Jacobi fields (2n, n) at the end, (n, K n) at the points, field by field, length, softness) of a piece ->
-    fields (2n, n) at its beginning, defect (n, K n). Every field is the same function, of few operations: of nine tubes
-    the second derivatives of all at once would take minutes to write out."""
-    n, count = grid.n_tubes, grid.degree
-    end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", n, count), ca.SX.sym("h")
+    """(N Jacobi fields (2N, N) at the end, (R, K N) at the points, field by field, length, softness) of a piece ->
+    fields (2N, N) at its beginning, defect (R, K N), with N and R as in `loaded_fields`. Every field is the same
+    function, of few operations: of nine tubes the second derivatives of all at once would take minutes to write out."""
+    n, rows = loaded_fields.size(grid), loaded_fields.rows(grid)
+    end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", rows, grid.degree), ca.SX.sym("h")
     softness = _softness(grid)
-    one = ca.Function("field", [end, inner, h, *softness], list(softened_fields(grid, h, softness, end, inner)))
+    one = ca.Function("field", [end, inner, h, *softness], list(_field(grid, h, softness, end, inner)))
     return one.map("fields", "serial", n, list(range(2, one.n_in())), [])
+
+
+def _field(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
+    if grid.loaded:
+        return loaded_fields.marched(grid, length, softness[0], end, inner)
+    return softened_fields(grid, length, softness, end, inner)
 
 
 @lru_cache(maxsize=64)
 def field_matrix_function(grid: Grid) -> ca.Function:
-    """(length, softness) of a piece -> (K n, K n) matrix of the defect of one field by its values at the points."""
-    inner, h, softness = ca.SX.sym("inside", grid.n_tubes, grid.degree), ca.SX.sym("h"), _softness(grid)
-    defect = softened_fields(grid, h, softness, ca.SX.zeros(2 * grid.n_tubes), inner)[1]
+    """(length, softness) of a piece -> (K R, K R) matrix of the defect of one field by its values at the points."""
+    inner, h, softness = ca.SX.sym("inside", loaded_fields.rows(grid), grid.degree), ca.SX.sym("h"), _softness(grid)
+    defect = _field(grid, h, softness, ca.SX.zeros(2 * loaded_fields.size(grid)), inner)[1]
     matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
     return ca.Function("field_matrix", [h, *softness], [matrix], OPTIONS)
 
 
+@lru_cache(maxsize=64)
+def rates_function(grid: Grid) -> ca.Function:
+    """(margin, a typical stiffness, arguments of a piece that bears a load) -> `loaded_fields.rates_of` its points."""
+    torsion, margin, typical = torsion_of(symbols(grid)), ca.SX.sym("margin"), ca.SX.sym("typical")
+    rates = loaded_fields.rates_of(torsion, margin, typical)
+    return ca.Function("rates", [margin, typical, *torsion.piece.arguments], [rates], OPTIONS)
+
+
 def _softness(grid: Grid) -> tuple[Any, ...]:
     n, count = grid.n_tubes, grid.degree
+    if grid.loaded:
+        whole = 2 * loaded_fields.size(grid)
+        return (ca.SX.sym("A", whole, whole * count),)
     gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
     return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
 

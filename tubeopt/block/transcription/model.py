@@ -106,6 +106,11 @@ class TorsionModel:
         return tuple(out)
 
     @property
+    def held_at_the_plate(self) -> Any:
+        """(n,) by how much of its rate a Jacobi field of each tube is away from 0 at the plate."""
+        return self.transmission
+
+    @property
     def energy(self) -> Any:
         """Elastic energy of the arm and of the transmissions, J."""
         bending = ca.sum2(self.mapped("energy")(*self.arguments))

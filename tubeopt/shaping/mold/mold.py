@@ -15,7 +15,7 @@ import numpy as np
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...typing import Array
+from ...typing import Array, Sentence
 from .arcs import bend_of
 from .checks import (
     Check,
@@ -32,9 +32,8 @@ from .groove import Arc, Centreline, Point, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
 from .holes import Hole, place_fasteners, place_vents
 from .nesting import Blank, nest
-from .setting import bend_direction, tube_from_mold, tube_in_mold
+from .setting import bend_direction, tube_in_mold
 from .spec import ENDS, EndMill, MoldSpec
-from .springback import Springback
 
 TRAVEL_STEP = 0.5e-3
 """The travel of the sliding clamp is rounded up to a multiple of it, m."""
@@ -172,6 +171,23 @@ class Groove:
         return (self.width - self.tube.outer_diameter) / 2 * abs(self.curvature)
 
 
+class MoldStatus(Sentence):
+    """How a mold was planned; every value reads as a sentence. One that fails a check is refused."""
+
+    CHECKED = "the mold passes all checks"
+    REMARKED = "the mold passes all checks, with remarks to keep in mind"
+
+
+@dataclass(frozen=True)
+class MoldStatistics:
+    """Grooves, holes through both plates, checks that were made, and remarks."""
+
+    grooves: int
+    holes: int
+    checks: int
+    remarks: int
+
+
 @dataclass(frozen=True)
 class Mold(Displayed):
     """Two plates with the grooves of one or several tubes.
@@ -191,6 +207,21 @@ class Mold(Displayed):
     holes: tuple[Hole, ...]
     checks: tuple[Check, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def value(self) -> tuple[Groove, ...]:
+        """The grooves."""
+        return self.grooves
+
+    @property
+    def status(self) -> MoldStatus:
+        """How it was planned."""
+        return MoldStatus.REMARKED if self.remarks else MoldStatus.CHECKED
+
+    @property
+    def statistics(self) -> MoldStatistics:
+        """What it has."""
+        return MoldStatistics(len(self.grooves), len(self.holes), len(self.checks), len(self.remarks))
 
     @property
     def vents(self) -> tuple[Hole, ...]:
@@ -260,41 +291,6 @@ def plan_mold(
     ]
     remarks = *_remarks(placed, spec), *machining_remarks(layout.size, [groove.width for groove in placed], spec)
     return Mold(spec, layout.size, tuple(placed), holes, tuple(checks), remarks)
-
-
-def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback | None = None) -> Tube:
-    """The tube that comes out of a groove: the reverse of `plan_mold`.
-
-    Args:
-        mold: the mold.
-        index: of the groove, from 0; needed where there are several.
-        springback: another than the mold was planned with.
-
-    Raises:
-        InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.
-
-    Examples:
-        >>> import tubeopt
-        >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
-        >>> mold = tubeopt.plan_mold(robot.tubes[0])
-        >>> round(tubeopt.predict_tube(mold).curvature, 6)
-        10.0
-    """
-    instance("mold", mold, Mold)
-    count = len(mold.grooves)
-    if index is not None and not isinstance(index, (int, np.integer)):
-        raise InputError(f"index is {index!r}; it must be a whole number")
-    if index is None and count > 1:
-        raise InputError(f"the mold has {count} grooves; index must say which, 0 to {count - 1}")
-    if index is not None and not 0 <= index < count:
-        raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
-    groove = mold.grooves[index or 0]
-    return tube_from_mold(groove.held, springback or mold.spec.springback)
-
-
-def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[Tube, ...]:
-    """The tubes that come out of all grooves, as `predict_tube`."""
-    return tuple(predict_tube(mold, k, springback=springback) for k in range(len(mold.grooves)))
 
 
 def groove_area(groove: Groove, size: Point) -> float:
