@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from tests.design.tasks import THESIS, two_tubes
-from tubeopt import ConcentricRobot, DesignTask, JointLimits, Tube, follow, forward_kinematics, optimize_design
+from tubeopt import (
+    ConcentricRobot,
+    DesignTask,
+    InputError,
+    JointLimits,
+    Tube,
+    find_stroke_force,
+    follow,
+    forward_kinematics,
+    optimize_design,
+)
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
@@ -23,6 +33,7 @@ from tubeopt.design import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     Target,
 )
 from tubeopt.design.bending import pose_strain
@@ -196,3 +207,36 @@ def test_strain_is_found_again_from_equilibria() -> None:
     inside = [max(pose_strain(state, k, i)[0] for k in range(2)) for i in range(3)]
     poses = tuple(forward_kinematics(THESIS, *pair) for pair in zip(rotations, translations, strict=True))
     assert largest_strain(strain, THESIS, poses) == pytest.approx(inside, rel=0.02)
+
+
+HOME = Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))
+
+
+def test_a_stroke_force_is_made_as_large_as_bounds_allow() -> None:
+    """At home the arm buckles out of its plane the later the less its inner tube bends."""
+    free = (Free("curvature", (0,), 6.0, 12.0),)
+    design = optimize_design(DesignTask(THESIS, free, (HOME,), Objective("stroke_force")))
+    assert design.robot.tubes[0].curvature == pytest.approx(6.0, rel=1e-4)
+    limit = find_stroke_force(design.robot, (0, 0, 0))
+    assert limit is not None
+    assert design.objective == pytest.approx(limit.factor, rel=1e-6)
+
+
+def test_the_least_change_that_bears_a_stroke_force() -> None:
+    free = (Free("curvature", (0, 1, 2), 0.5, 15.0),)
+    design = optimize_design(DesignTask(THESIS, free, (HOME, StrokeForce(0.14)), Objective("change")))
+    limit = find_stroke_force(design.robot, (0, 0, 0))
+    assert limit is not None
+    assert limit.factor == pytest.approx(0.14, abs=1e-6)
+    assert any(check.what == "stroke force at the task poses" for check in design.verification.checks)
+    assert "stroke force" in design.sensitivities[0].sentence
+
+
+def test_stroke_forces_are_of_given_poses() -> None:
+    free, reach = (Free("curvature", (0,), 6.0, 12.0),), Reach((Target((0.0, 0.0, 0.1)),))
+    with pytest.raises(InputError, match="objective stroke_force speaks of task poses with given joint values"):
+        DesignTask(THESIS, free, (reach, HOME), Objective("stroke_force"))
+    with pytest.raises(InputError, match="requirement StrokeForce speaks of task poses with given joint values"):
+        DesignTask(THESIS, free, (StrokeForce(0.1),), Objective("change"))
+    with pytest.raises(InputError, match="it must be at most 10 N"):
+        StrokeForce(11.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -33,6 +35,7 @@ from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.loaded import loaded_margin
 from tubeopt.stability.loaded_certificate import bundle_of, cells_of, largest_eigenvalue
 from tubeopt.stability.loaded_events import slide
+from tubeopt.stability.stroke import stroke_slopes
 from tubeopt.typing import Array
 
 UNIT = 1e-3 / 0.2**2
@@ -315,3 +318,41 @@ def test_the_stroke_force_of_a_curved_arm_is_a_load_limit() -> None:
     assert np.linalg.norm(limit.before.load.force) == pytest.approx(limit.factor, rel=1e-9)
     with pytest.raises(InputError, match="it must be unloaded and stable"):
         find_stroke_force(THESIS, (0, 0, 0), equilibrium=limit.before)
+
+
+def bent(robot: ConcentricRobot, name: str, i: int, step: float) -> ConcentricRobot:
+    """The robot with one dimension of a tube moved."""
+    tubes = list(robot.tubes)
+    tubes[i] = dataclasses.replace(tubes[i], **{name: getattr(tubes[i], name) + step})
+    return dataclasses.replace(robot, tubes=tuple(tubes))
+
+
+@pytest.mark.parametrize(("inner", "kind"), [(0.0, "bifurcation"), (np.pi, "fold")])
+def test_the_change_of_a_stroke_force_is_that_of_differences(inner: float, kind: str) -> None:
+    joints, names = (inner, 0.0, 0.0), ("curvature", "bending_stiffness")
+    first, limit = forward_kinematics(THESIS, joints), find_stroke_force(THESIS, joints)
+    assert limit is not None
+    assert limit.kind == kind
+    found = stroke_slopes(first, names)
+    assert found is not None
+    assert found[0] == pytest.approx(limit.factor, rel=1e-12)
+    for k, (name, i) in enumerate((("curvature", 2), ("bending_stiffness", 0))):
+        step = 1e-4 * getattr(THESIS.tubes[i], name)
+        ahead, back = (find_stroke_force(bent(THESIS, name, i, sign * step), joints) for sign in (1, -1))
+        assert ahead is not None
+        assert back is not None
+        assert found[1][3 * k + i] == pytest.approx((ahead.factor - back.factor) / (2 * step), rel=1e-6)
+
+
+def test_the_stroke_force_of_a_column_grows_with_its_stiffness() -> None:
+    column = rod(0.2, 1e-3)
+    found = stroke_slopes(forward_kinematics(column, [0.7]), ["bending_stiffness", "curved_length"])
+    assert found is not None
+    value, change = found
+    assert change[0] == pytest.approx(value / column.tubes[0].bending_stiffness, rel=1e-7)
+    assert change[1] == pytest.approx(-2 * value / 0.2, rel=1e-6)
+
+
+def test_a_stroke_force_has_no_change_with_what_leaves_the_plane() -> None:
+    with pytest.raises(SolveError, match="breaks the symmetry"):
+        stroke_slopes(forward_kinematics(THESIS, (0, 0, 0)), ["rotations"])

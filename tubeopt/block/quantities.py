@@ -41,6 +41,7 @@ SIZES = {
     "straightened_strain": 1,
     "clearance": CLEARANCES,
     "deflection": 3,
+    "stroke_force": 1,
     "certificate": 1,
 }
 """Numbers that a quantity has; the others have one per tube."""
@@ -140,6 +141,12 @@ class PoseQuantities:
     def deflection(self, force: Any) -> Any:
         """(3,) m, how far a force (3,), N, which keeps its direction, moves the tip. For designs only."""
         return self._of("deflection", *vector("force", force, 3, "x, y, z").tolist())
+
+    @property
+    def stroke_force(self) -> Any:
+        """Largest force, N, with which the tip can push along itself before the arm buckles or snaps; 10 N where it
+        bears that. Of poses with given joint values, in designs only."""
+        return self._of("stroke_force")
 
 
 def _fraction(value: float) -> float:

@@ -19,6 +19,7 @@ from .requirements import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     Target,
     Wall,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "StockTube",
     "Strain",
     "Stroke",
+    "StrokeForce",
     "Target",
     "ToleranceAnalysis",
     "Tolerances",

@@ -61,6 +61,8 @@ def _(
                 return ca.vertcat(
                     *(ca.sumsqr(force) / ca.dot(force, q.poses[k].deflection(one.tip_force)) for k in poses)
                 )
+            case "stroke_force":
+                return ca.vertcat(*(q.poses[k].stroke_force for k in poses))
             case "length":
                 return q.tubes["straight_length"] + q.tubes["curved_length"]
             case "reach_radius":

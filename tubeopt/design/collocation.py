@@ -38,6 +38,13 @@ from .task import DesignTask
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
 """Requirements that the program takes."""
 
+INSIDE = {
+    "clearance": "clearance from a body",
+    "deflection": "deflection under a force",
+    "stroke_force": "stroke force",
+}
+"""Quantities that only a program has in which equilibria are solved inside."""
+
 HELD = (3e-7, 3e-6)
 """Part of a step by which limits are held inside, for what blocks and the reduced program differ; the second where the
 first is not enough."""
@@ -165,8 +172,8 @@ class _Collocated:
         match one.name:
             case "strain":
                 return ca.mmax(block.strain(one.at[0]))
-            case "clearance" | "deflection":
-                what = "clearance from a body" if one.name == "clearance" else "deflection under a force"
+            case "clearance" | "deflection" | "stroke_force":
+                what = INSIDE[one.name]
                 raise InputError(f"method 'collocation' does not take the {what}; method 'reduced' does")
             case "tip_direction":
                 return block.tip_rotation[:, 2]

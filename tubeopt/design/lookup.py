@@ -35,6 +35,8 @@ def at_state(state: State) -> Linear:
             return _row(pose_strain(state, one.pose, one.at[0]))
         if one.name == "deflection":
             return state.deflection(one.pose, one.at)
+        if one.name == "stroke_force":
+            return _row(state.stroke_force(one.pose))
         if one.name == "clearance":
             return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)

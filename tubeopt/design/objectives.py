@@ -19,6 +19,7 @@ KINDS = {
     "margin": ("least margin", "", 1.0, -1),
     "tip_deflection": ("tip deflection", "mm", 1e3, 1),
     "tip_stiffness": ("tip stiffness", "N/m", 1.0, -1),
+    "stroke_force": ("stroke force", "mN", 1e3, -1),
     "change": ("change of the robot", "", 1.0, 1),
 }
 """Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
@@ -40,6 +41,8 @@ class Objective:
         "margin": the least certificate where a certificate is required, else the least margin of the task poses.
         "tip_deflection": how far `tip_force` moves the tip, the farthest of all task poses; "tip_stiffness": its size
             over how far it moves the tip along itself, the least of all task poses.
+        "stroke_force": the largest force with which the tip can push along itself before the arm buckles or snaps, the
+            least of all task poses, whose joint values are given; 10 N where all bear that.
         "change": sum of squares of the changes from the start, each relative to its size.
     weight: where there are several objectives, what they are multiplied by before they are added, in SI.
     """

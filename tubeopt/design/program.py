@@ -40,6 +40,7 @@ BOUNDED = {
     "margin": (-100.0, 1.0, 0.1),
     "tip_deflection": (0.0, 1.0, 1e-3),
     "tip_stiffness": (0.0, 1e6, 1.0),
+    "stroke_force": (0.0, 10.0, 1e-2),
 }
 """Objectives whose worst number is bounded by an unknown of its own: its bounds and its size."""
 
@@ -169,7 +170,7 @@ def _recorded(
                 stated.append(statements(one, pieces, posed, certified))
     aims = {}
     for wanted in task.objectives:
-        on_the_way = isinstance(wanted, Objective) and wanted.tip_force is None
+        on_the_way = isinstance(wanted, Objective) and wanted.kind == "margin"
         found = aim(wanted, pieces, passed if on_the_way else posed, certified, depth_pose)
         if found is not None:
             aims[wanted] = found

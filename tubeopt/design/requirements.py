@@ -140,6 +140,18 @@ class Stroke:
 
 
 @dataclass(frozen=True)
+class StrokeForce:
+    """At every task pose, all of which have given joint values, the tip can push along itself with this force, N,
+    before the arm buckles or snaps."""
+
+    limit: float
+
+    def __post_init__(self) -> None:
+        if positive("stroke force", self.limit) > 10:
+            raise InputError(f"stroke force is {self.limit:g} N; it must be at most 10 N")
+
+
+@dataclass(frozen=True)
 class Target:
     """Where the tip must get, and along which direction it must point there."""
 
@@ -253,6 +265,7 @@ Requirement = (
     | Wall
     | Length
     | Stroke
+    | StrokeForce
     | Reach
     | Coverage
     | Poses

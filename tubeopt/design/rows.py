@@ -24,6 +24,7 @@ from .requirements import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     Wall,
 )
 from .state import FreePose, State
@@ -86,6 +87,8 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             return replace(requirement, limit=requirement.limit + (-amount if requirement.least else amount))
         case Stroke():
             return replace(requirement, limit=requirement.limit + amount)
+        case StrokeForce():
+            return replace(requirement, limit=requirement.limit - amount)
         case Reach(targets=targets):
             k, field = reach_parts(requirement)[part]
             eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})

@@ -13,7 +13,7 @@ from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..typing import Array
-from .deflection import tip_deflection
+from .deflection import stroke_force, tip_deflection
 from .parameters import DesignSpace
 from .piece_pose import PiecePose
 from .pieces import change_of, given_of
@@ -107,6 +107,7 @@ class State:
         self._guesses = {} if guesses is None else guesses
         self._poses: dict[int, Pose | PiecePose] = {}
         self._deflected: dict[tuple[int, tuple[float, float, float]], tuple[Array, Array]] = {}
+        self._strokes: dict[int, tuple[float, Array]] = {}
         self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
 
     @cached_property
@@ -202,6 +203,13 @@ class State:
             robot = ConcentricRobot(self.tubes)
             self._deflected[key] = tip_deflection(pose, robot, shift, force, self.chain(index))
         return self._deflected[key]
+
+    def stroke_force(self, index: int) -> tuple[float, Array]:
+        """The stroke force of a pose, N, and its change (X,)."""
+        if index not in self._strokes:
+            pose, shift = self.shaped(index, "stroke force"), self.joint_values(index)[1]
+            self._strokes[index] = stroke_force(pose, ConcentricRobot(self.tubes), shift, self.chain(index))
+        return self._strokes[index]
 
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""

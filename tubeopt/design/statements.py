@@ -25,6 +25,7 @@ from .requirements import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     Wall,
 )
 
@@ -176,6 +177,16 @@ def _(requirement: Stroke, n: int, poses: Poses, points: Points) -> Stated:
         return requirement.limit - ca.vertcat(*moved)
 
     return [(limit, room, None)] if len(poses) > 1 else []
+
+
+@_stated.register
+def _(requirement: StrokeForce, n: int, poses: Poses, points: Points) -> Stated:
+    limit = Limit("stroke force", requirement.limit, False, "mN", 1e3, 1e-2)
+
+    def room(q: Quantities) -> Any:
+        return ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - requirement.limit
+
+    return [(limit, room, None)]
 
 
 @_stated.register

@@ -29,6 +29,7 @@ from .requirements import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     of_kind,
 )
 
@@ -157,13 +158,23 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(
                     f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
                 )
+            case StrokeForce():
+                _given_poses(task, "requirement StrokeForce")
             case OwnRequirement():
                 one.checked()
             case _:
                 pass
-    for kind in (SnapFree, SnapFreeInUse, Strain, Stroke):
+    for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, StrokeForce):
         if len(of_kind(task.requirements, kind)) > 1:
             raise InputError(f"{kind.__name__} is required twice; it must be given once")
+
+
+def _given_poses(task: DesignTask, what: str) -> None:
+    """A limit of buckling ends where joint values leave the plane in which the arm lies."""
+    if not of_kind(task.requirements, Poses) or of_kind(task.requirements, Reach) + of_kind(
+        task.requirements, Coverage
+    ):
+        raise InputError(f"{what} speaks of task poses with given joint values; all must be such (Poses)")
 
 
 def _check_pieces(task: DesignTask) -> None:
@@ -184,7 +195,7 @@ def _check_pieces(task: DesignTask) -> None:
             raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")
         if isinstance(wanted, Objective) and wanted.kind == "strain":
             _check_slots(task.space)
-        if isinstance(wanted, Objective) and wanted.kind in PUSHED:
+        if isinstance(wanted, Objective) and wanted.kind in (*PUSHED, "stroke_force"):
             raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
 
 
@@ -215,6 +226,8 @@ def _check_objectives(task: DesignTask) -> None:
             _advanced(task, one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
+        if one.kind == "stroke_force":
+            _given_poses(task, "objective stroke_force")
         if one.kind in PUSHED and not task.has_poses:
             raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..block.own import OwnRequirement
+from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
@@ -25,9 +26,10 @@ from .requirements import (
     Reach,
     SnapFree,
     SnapFreeInUse,
+    StrokeForce,
     of_kind,
 )
-from .verify_own import check_own
+from .verify_own import check_own, numbers_of
 from .verify_tubes import check_tubes, least_room
 
 SLACK = 1e-6
@@ -116,6 +118,8 @@ def verify(
             checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
             if one.paths and len(equilibria) > 1:
                 checks.append(_paths(program, robot, x, one))
+        elif isinstance(one, StrokeForce):
+            checks.append(_stroke_force(one, robot, equilibria))
         elif isinstance(one, Avoid):
             checks.append(_anatomy(one, robot, equilibria))
         elif isinstance(one, OwnRequirement):
@@ -163,6 +167,12 @@ def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUs
     least = min(float(motion.margin.min()) for motion in found)
     words = "margin on the joint paths between the task poses"
     return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
+
+
+def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
+    look = numbers_of(robot, equilibria)
+    least = min(float(look(Quantity("stroke_force", k))[0]) for k in range(len(equilibria)))
+    return Check("stroke force at the task poses", f"{least * 1e3:.4f} mN", least >= one.limit - SLACK)
 
 
 def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:

@@ -14,8 +14,9 @@ from ..equilibrium.verification import point_at
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..robots.tubes import piece_strain
-from ..stability import snap_free_certificate
+from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
+from .deflection import STRONGEST
 from .requirements import Strain
 from .verify_tubes import largest_strain, least_room
 
@@ -47,6 +48,11 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                 force = Load(one.at)
                 pushed = forward_kinematics(robot, found.rotations, found.translations, load=force, guess=found)
                 return pushed.tip_position - found.tip_position
+            case "stroke_force":
+                limit = find_stroke_force(
+                    robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST
+                )
+                return np.array([STRONGEST if limit is None else limit.factor])
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":

@@ -10,7 +10,7 @@ to one side is that of the parabola through three equilibria.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,10 +21,11 @@ from ..block.transcription.loaded import LoadedProblem, evaluate, tip_frame, tip
 from ..block.transcription.loaded_arm import loaded_arm
 from ..errors import InputError, SolveError
 from ..robots.breakpoints import DIMENSIONS
+from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .arm_change import PARAMETERS
-from .load_problem import loaded_problem
+from .load_problem import LOADED_DISCRETISATION, loaded_problem
 from .loaded import loaded_kinematics, loaded_point
 from .result import Equilibrium
 from .solving import discretisation_of
@@ -74,16 +75,16 @@ def loaded_columns(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> t
     columns = []
     for name in wrt:
         for i in range(len(equilibrium.rotations)):
-            sides = _sides(equilibrium, name, i)
-            if len(sides) < 2 or any(there.size != problem.size for there, _ in sides):
+            both = sides(equilibrium, name, i)
+            if len(both) < 2 or any(there.size != problem.size for there, _ in both):
                 columns.append(_to_one_side(equilibrium, name, i, side))
                 continue
-            step = STEP * _unit(equilibrium, name, i)
-            slopes = [evaluate(there, alpha, state.x).gradient for there, alpha in sides]
+            step = step_of(equilibrium, name, i)
+            slopes = [evaluate(there, alpha, state.x).gradient for there, alpha in both]
             change = np.linalg.solve(state.hessian, (slopes[1] - slopes[0]) / (2 * step))
             ahead, back = (
                 _outcome(there, alpha, state.x + sign * step * change)
-                for (there, alpha), sign in zip(sides, (1, -1), strict=True)
+                for (there, alpha), sign in zip(both, (1, -1), strict=True)
             )
             columns.append(_difference(ahead, back, 2 * step, equilibrium.tip_rotation, soft))
     return tuple(np.stack(part, axis=-1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
@@ -117,17 +118,26 @@ def _moved(e: Equilibrium, name: str, tube: int, step: float) -> tuple[Robot, Ar
     return robot, joints["rotations"], tuple(joints["translations"].tolist())
 
 
-def _sides(e: Equilibrium, name: str, tube: int) -> list[tuple[LoadedProblem, Array]]:
-    """Problems and rotations a step further, and a step back; without those of which there is no robot."""
-    assert e.load is not None
-    d, step, out = discretisation_of(e), STEP * _unit(e, name, tube), []
-    for sign in (1, -1):
+def sides(
+    e: Equilibrium, name: str, tube: int, load_at: Callable[[float], Load] | None = None
+) -> list[tuple[LoadedProblem, Array]]:
+    """Problems and rotations a step further, and a step back, without those of which there is no robot, under the load
+    of an equilibrium, or one by the step."""
+    out, d = [], LOADED_DISCRETISATION if e.load is None else discretisation_of(e)
+    for step in (step_of(e, name, tube), -step_of(e, name, tube)):
+        load = e.load if load_at is None else load_at(step)
+        assert load is not None
         try:
-            robot, alpha, shift = _moved(e, name, tube, sign * step)
-            out.append((loaded_problem(robot, shift, e.load, d), alpha))
+            robot, alpha, shift = _moved(e, name, tube, step)
+            out.append((loaded_problem(robot, shift, load, d), alpha))
         except InputError:
             continue
     return out
+
+
+def step_of(e: Equilibrium, name: str, tube: int) -> float:
+    """The step of a difference by a joint value or dimension, in its unit."""
+    return STEP * _unit(e, name, tube)
 
 
 def _softest(hessian: Array) -> Array | None:

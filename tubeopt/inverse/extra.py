@@ -99,8 +99,8 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
         """One quantity of the posture."""
         here = at.equilibrium
         match one.name:
-            case "strain" | "clearance" | "deflection":
-                raise InputError(f"the {one.name} of a pose is known in designs only")
+            case "strain" | "clearance" | "deflection" | "stroke_force":
+                raise InputError(f"the {one.name.replace('_', ' ')} of a pose is known in designs only")
             case "certificate":
                 return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])
             case "tip_direction":

@@ -23,6 +23,7 @@ from ..design import (
     SnapFreeInUse,
     Strain,
     Stroke,
+    StrokeForce,
     Target,
     Tolerances,
     Wall,
@@ -184,6 +185,7 @@ class Requirements(Part):
     clearance_mm: NotNegative | None = Field(None, description="least difference of diameters of nested tubes")
     wall_mm: Positive | None = Field(None, description="least wall thickness")
     lengths: list[LengthEntry] = Field([])
+    stroke_force_mN: Positive | None = Field(None, description="least push along the tip that poses bear")
     stroke_mm: Positive | None = Field(None, description="longest travel of a carriage between task poses")
     reach: list[TargetEntry] = Field([])
     coverage: CoverageEntry | None = None
@@ -198,6 +200,7 @@ class Requirements(Part):
             out += [] if entry is None else [entry.build()]
         singles = (Nesting, self.clearance_mm), (Wall, self.wall_mm), (Stroke, self.stroke_mm)
         out += [kind(to_si(number, MM)) for kind, number in singles if number is not None]
+        out += [] if self.stroke_force_mN is None else [StrokeForce(to_si(self.stroke_force_mN, UNITS["mN"]))]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += [] if self.coverage is None else [self.coverage.build()]
         if self.poses:

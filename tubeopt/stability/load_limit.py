@@ -21,7 +21,7 @@ from ..robots.robot import Robot
 from ..solvers.loaded import loaded_newton
 from ..solvers.parallel.blas import small
 from ..typing import Sentence
-from .loaded_events import fall, lose
+from .loaded_events import Loss, fall, lose
 
 PAST = 1e-4
 """Part of the factor by which a bifurcation is left behind: at the limit itself the robot has not yet moved."""
@@ -121,6 +121,18 @@ def find_load_limit(
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
     if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
         raise InputError("equilibrium is at other joint values; they must be the same")
+    found = find_loss(first, load, up_to)
+    return None if found is None else _described(first.robot, *found)
+
+
+def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[LoadFamily, Loss, float] | None:
+    """Where the branch that grows from a stable equilibrium without load is lost, in the family of the last stage of a
+    growing load, and the factor on the load that is 1 in it; None where it bears `up_to` times the load.
+
+    Raises:
+        SolveError: the branch is lost without a fold or bifurcation close by.
+    """
+    robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
         goal = min(up_to, STAGE * reached if reached else 1.0)
@@ -134,7 +146,13 @@ def find_load_limit(
         family = LoadFamily(problem, alpha, shift)
         point = reach(family, point, 1.0)
         if point.t < 1.0:
-            return _limit(robot, family, point, grown, goal)
+            loss = lose(family, point, 1.0)
+            if loss is not None:
+                return family, loss, goal
+            raise SolveError(
+                f"the branch is lost at {point.t * goal:.6g} times the load, but no fold or bifurcation is found there",
+                to_loaded(robot, point, grown.scaled(point.t), LOADED_DISCRETISATION),
+            )
         reached = goal
     return None
 
@@ -147,13 +165,8 @@ def _restart(point: LoadedPoint, there: Member) -> LoadedPoint:
     return solved(there, result)
 
 
-def _limit(robot: Robot, family: LoadFamily, last: LoadedPoint, load: Load, scale: float) -> LoadLimit:
-    loss = lose(family, last, 1.0)
-    if loss is None:
-        raise SolveError(
-            f"the branch is lost at {last.t * scale:.6g} times the load, but no fold or bifurcation is found there",
-            to_loaded(robot, last, load.scaled(last.t), LOADED_DISCRETISATION),
-        )
+def _described(robot: Robot, family: LoadFamily, loss: Loss, scale: float) -> LoadLimit:
+    load = family.problem.load
     before = to_loaded(robot, loss.point, load.scaled(loss.t), LOADED_DISCRETISATION)
     left = loss.point if loss.kind == "fold" else _restart(loss.point, family.member(loss.t * (1 + PAST)))
     landed = fall(left.member, left.state.x, loss.direction)

@@ -1,20 +1,26 @@
-"""How hard a robot can push with its tip before it buckles or snaps."""
+"""How hard a robot can push with its tip before it buckles or snaps, and what changes that."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.loaded_jacobian import STEP, sides, step_of
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, positive
+from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from .load_limit import LoadLimit, find_load_limit
+from ..typing import Array
+from .load_limit import LoadLimit, find_load_limit, find_loss
 from .loaded_certificate import bundle_of
+from .loaded_events import Loss
 
 
 @small
@@ -52,11 +58,79 @@ def find_stroke_force(
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, rotations, translations)
     if first.load is not None:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
-    arm = bundle_of(robot.assembly(first.translations))
-    # About the force that buckles the weakest part as a column of the whole length.
-    unit = min(up_to, float(arm.stiffness.min()) / arm.total_length**2)
-    x, y, z = (-unit * first.tip_rotation[:, 2]).tolist()
+    unit, load = _push(first, up_to)
     limit = find_load_limit(
-        robot, rotations, translations, Load((x, y, z)), equilibrium=first, up_to=float(np.divide(up_to, unit))
+        robot, rotations, translations, load, equilibrium=first, up_to=float(np.divide(up_to, unit))
     )
     return None if limit is None else replace(limit, factor=limit.factor * unit)
+
+
+def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
+    """A force against the tip, N, about that which buckles the weakest part as a column of the whole length."""
+    arm = bundle_of(first.robot.assembly(first.translations))
+    unit = min(up_to, 1.1 * float(arm.stiffness.min()) / arm.total_length**2)
+    return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
+
+
+BREAKS = 1e-6
+"""Part of a change of the equations along the direction of buckling above which it breaks the symmetry."""
+
+
+@small
+def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -> tuple[float, Array] | None:
+    """The stroke force of a stable equilibrium without load, N, and (Q,) its derivatives by joint values and
+    dimensions, n for each name of `wrt`, per their units; None as `find_stroke_force`.
+
+    With g the gradient of the energy, H its second variation and v the direction in which H is singular at the limit,
+    F the force and p what changes: at a fold v.(g_F dF + g_p dp) = 0; at a bifurcation v'Hv stays 0 along the branch,
+    on which H dx = -g_p dp - g_F dF. The push turns with the tip of `first`.
+
+    Raises:
+        InputError: as `Equilibrium.jacobian`.
+        SolveError: as `find_stroke_force`; or there is no derivative: what changes breaks the symmetry in which the arm
+            buckles, or moves a breakpoint past another one.
+    """
+    unit, load = _push(first, up_to)
+    found = find_loss(first, load, float(np.divide(up_to, unit)))
+    if found is None:
+        return None
+    family, loss, scale = found
+    member, force = loss.point.member, np.array(family.problem.load.force)
+    there = [(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
+    value = loss.t * scale * unit
+    by_force = _rate(loss, there, STEP * value)
+    turned = first.jacobian(wrt=wrt).rotation
+    out = []
+    for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
+        slope = np.cross(turned[:, k], force)
+        step = step_of(first, name, tube)
+        both = sides(first, name, tube, partial(_turned, force, slope))
+        if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
+            raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
+        rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
+        out.append(-rate / by_force)
+    return value, np.array(out)
+
+
+def _turned(force: Array, slope: Array, step: float) -> Load:
+    return Load(tuple((force + step * slope).tolist()))
+
+
+def _rate(loss: Loss, both: Sequence[tuple[LoadedProblem, Array, float]], step: float) -> float:
+    """The rate of what vanishes where stability is lost, by what differs by two steps between two problems, with their
+    rotations and factors on the load."""
+    x, soft, hessian = loss.point.state.x, loss.direction, loss.point.state.hessian
+    one, other = (evaluate(problem, alpha, x, factor).gradient for problem, alpha, factor in both)
+    pull = (one - other) / (2 * step)
+    along = float(soft @ pull) / float(np.linalg.norm(soft))
+    if loss.kind == "fold":
+        return along
+    if abs(along) > BREAKS * float(np.linalg.norm(pull)):
+        raise SolveError("a stroke force has no derivative by what breaks the symmetry in which the arm buckles")
+    bordered = np.block([[hessian, soft[:, None]], [soft, np.zeros(1)]])
+    change = np.linalg.solve(bordered, np.append(-pull, 0.0))[:-1]
+    further, back = (
+        float(soft @ evaluate(problem, alpha, x + sign * step * change, factor).hessian @ soft)
+        for (problem, alpha, factor), sign in zip(both, (1, -1), strict=True)
+    )
+    return (further - back) / (2 * step)
