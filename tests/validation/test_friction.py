@@ -13,6 +13,8 @@ from tubeopt import Friction, InputError, follow
 from tubeopt.robots.calibration import Calibration
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, fit, validate
+from tubeopt.validation.model import ArmModel, State
+from tubeopt.validation.parameters import choose_parameters
 
 TRUE = 0.012
 COUNT = 70
@@ -60,3 +62,18 @@ def test_wrong_input() -> None:
     timeless = Measurements(data.rotations, data.translations, data.sensors[:, 0], source="no times")
     with pytest.raises(InputError, match="needs the time of every row"):
         fit(robot(), timeless, ["friction_1"])
+
+
+def test_slopes_are_those_of_the_way_with_friction() -> None:
+    data = rubbing(0.0)
+    names = ["latency", "translation_2", "rotation_2", "rotation_gain_1", "friction_1", "torsional_stiffness_1"]
+    chosen = choose_parameters(robot(), data, names)
+    model = ArmModel(robot(), data, chosen)
+    here = State(np.array([0.02, 1 * MM, 0.03, 1.004, 0.9 * TRUE, 1.05]), model.start.registration)
+    slopes = model.jacobian(here)
+    for k, p in enumerate(chosen):
+        step = np.zeros(len(chosen))
+        step[k] = 1e-4 * p.scale
+        ahead, behind = (model.residuals(State(here.x + s * step, here.registration)) for s in (1, -1))
+        wrong = np.abs((ahead - behind) / (2 * step[k]) - slopes[..., k]).max(1)
+        assert np.quantile(wrong, 0.8) < 1e-5 * np.abs(slopes[..., k]).max()  # other rows stick or slip anew between

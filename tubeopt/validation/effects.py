@@ -262,11 +262,6 @@ EFFECTS: dict[str, Effect] = {
     "curved_length": Effect(
         "length added to the curved part of tube I", "m", "kind", _curved_span, _lengthen("curved_length")
     ),
-    "transmission_length": Effect(
-        "straight length behind the plate of an eccentric robot, or what is added to every tube, or to tube I: the "
-        "compliance of its transmission", "m", "kind",
-        _transmission_span, _transmission, common=True, sets=("transmission",),
-    ),
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
         _within(1.0, 0.9, 1.0, 0.2), _scale("bending_stiffness"), sets=("bending_stiffness",),
@@ -282,6 +277,11 @@ EFFECTS: dict[str, Effect] = {
     "nu": Effect(
         "Poisson's ratio of all tubes, or of tube I, EI kept", "", "kind",
         _nu_span, _nu, common=True, sets=("torsional_stiffness",), compared="never",
+    ),
+    "transmission_length": Effect(
+        "straight length behind the plate of an eccentric robot, or what is added to every tube, or to tube I: the "
+        "compliance of its transmission", "m", "kind",
+        _transmission_span, _transmission, common=True, sets=("transmission",),
     ),
     "plate_shift": Effect(
         "the plate stands off where the registration puts it", "m", "xyz",

@@ -2,9 +2,9 @@
 
 Every effect lowers the error of the fit; only one that is there lowers the error of what is held out. At each step the
 effects that are left are ranked by their held-out gain to first order, for which nothing is solved; the best few are
-fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again:
-one that came first may be what later ones explain better. Along a way with friction, where every solution costs that of
-all rows before, what is held out is told to first order around each fit.
+fitted and held out in full, and the best of these is kept if it pays. At last each that was kept is left out again, or
+changed for another: one that came first may be what others explain better. Along a way with friction, where fits are
+costly, what is held out is told to first order around each.
 """
 
 from __future__ import annotations
@@ -175,13 +175,13 @@ class _Search:
         self.refused: list[Step] = []
 
     def run(self) -> None:
-        """Forward until nothing pays, then leave out what the rest explain; again where something was left out."""
+        """Forward until nothing pays, then leave out or exchange what others explain; again where there was such."""
         for _ in range(ROUNDS):
             while (step := self._forward()) is not None:
                 self.steps.append(step)
             before = len(self.dropped)
             self._backward()
-            if len(self.dropped) == before:
+            if len(self.dropped) == before and not self._exchange():
                 break
         if self.dropped:
             self._retell()
@@ -274,8 +274,7 @@ class _Search:
     def _trial(self, kind: str, slopes: Array) -> _Trial:
         """A fit with one more effect, with slopes that are kept."""
         model, state = self._with(kind)
-        fit = self._chords(model, state, slopes)
-        return self._held_out((*self.now.effects, kind), model, fit, self.now.sigma)
+        return self._held_out((*self.now.effects, kind), model, self._chords(model, state, slopes), self.now.sigma)
 
     def _step(self, kind: str, residuals: Array) -> Step:
         gain, certainty = self._gain(self.now.losses, self._losses(residuals))
@@ -313,6 +312,32 @@ class _Search:
             self.dropped.append(kind)
             self.steps = [step for step in self.steps if step.effect != kind]
 
+    def _exchange(self) -> bool:
+        """Put an effect in the place of one that is kept, if it predicts better, or as well and stands before it in the
+        table: the first may be the shadow of several, which then pay no more one by one."""
+        order, left = list(self.known), [kind for kind in self.known if kind not in self.now.effects]
+        slopes = self._slopes(left)
+        linear = {(a, b): self._losses(self._instead(a, b, slopes[b])).sum() for a in self.now.effects for b in left}
+        for kind, other in sorted(linear, key=lambda pair: float(linear[pair]))[:TRIED]:
+            trial = self._some((*(k for k in self.now.effects if k != kind), other))
+            gain = self._gain(self.now.losses, trial.losses)[0]
+            if gain > PAYS or (gain > -PAYS and order.index(other) < order.index(kind)):
+                kept = replace(self._step(other, trial.residuals), kept=True)
+                self.steps = [*(step for step in self.steps if step.effect != kind), kept]
+                self.now, self.dropped = trial, [*self.dropped, kind]
+                return True
+        return False
+
+    def _instead(self, kind: str, other: str, slopes: Array) -> Array:
+        """(V, 3) residuals held out with one effect in the place of another, were all linear."""
+        model, state = self._with(other)
+        gone = np.array([p.kind == kind for p in model.parameters])
+        residuals = self.now.fit.residuals + slopes[..., : len(gone)] @ (gone * (model.start.x - state.x))
+        fewer = self.model.with_parameters([p for p in model.parameters if p.kind != kind])
+        rest = slopes[..., np.append(~gone, np.ones(model.freedoms, dtype=bool))]
+        near = Descent(State(state.x[~gone], state.registration), residuals, rest, True)
+        return predicted_held_out(fewer, weigh(fewer, self.options, self.now.sigma), near, self.fold)
+
     def _retell(self) -> None:
         """Put what was kept in the order in which it pays without what was left out again."""
         left, told = list(self.steps), list[Step]()
@@ -341,11 +366,11 @@ class _Search:
         now, kinds = self.now, tuple(k for k in self.now.effects if k != kind)
         if not now.model.costly(now.fit.state):
             return self._some(kinds)
-        kept = [k for k, p in enumerate(now.model.parameters) if p.kind != kind]
-        model = self.model.with_parameters([now.model.parameters[k] for k in kept])
-        slopes = now.fit.jacobian[..., [*kept, *range(len(now.model.parameters), now.fit.jacobian.shape[2])]]
-        fit = self._chords(model, State(now.fit.state.x[kept], now.fit.state.registration), slopes)
-        return self._held_out(kinds, model, fit, now.sigma)
+        kept = np.array([p.kind != kind for p in now.model.parameters])
+        model = self.model.with_parameters([p for p in now.model.parameters if p.kind != kind])
+        slopes = now.fit.jacobian[..., np.append(kept, np.ones(model.freedoms, dtype=bool))]
+        start = State(now.fit.state.x[kept], now.fit.state.registration)
+        return self._held_out(kinds, model, self._chords(model, start, slopes), now.sigma)
 
     def _chords(self, model: ArmModel, start: State, slopes: Array) -> Descent:
         """A fit with slopes that are kept."""
