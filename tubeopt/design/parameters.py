@@ -282,7 +282,8 @@ def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
     for one in free:
         if one.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only pieces are free"
+                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only pieces are free: an "
+                "equilibrium block has lengths of pieces as unknowns"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
         taken = {(other.field, place) for other, spot in found for place in spot.pieces}
