@@ -31,6 +31,9 @@ from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
 from .inverse import IkSession, InverseOptions, InverseSolution, InverseStatus, inverse_kinematics
 from .planning import (
+    ArmsPlan,
+    ArmsProof,
+    PlacedRobot,
     PlanOptions,
     Proof,
     RateLimits,
@@ -43,7 +46,9 @@ from .planning import (
     follow_the_leader,
     follow_tip_path,
     load_roadmap,
+    plan_arms,
     plan_trajectory,
+    verify_arms,
     verify_trajectory,
 )
 from .robots.concentric import ConcentricRobot
@@ -111,6 +116,8 @@ __version__: str
 
 __all__ = [
     "NITINOL",
+    "ArmsPlan",
+    "ArmsProof",
     "Branch",
     "Camera",
     "Certificate",
@@ -149,6 +156,7 @@ __all__ = [
     "OrderWarning",
     "Path",
     "Piece",
+    "PlacedRobot",
     "PlanOptions",
     "Problem",
     "ProblemSolution",
@@ -207,6 +215,7 @@ __all__ = [
     "load_robot",
     "load_workspace",
     "optimize_design",
+    "plan_arms",
     "plan_heating",
     "plan_mold",
     "plan_trajectory",
@@ -223,6 +232,7 @@ __all__ = [
     "to_dataframe",
     "to_xarray",
     "trace_branch",
+    "verify_arms",
     "verify_trajectory",
     "workspace",
     "worst_certificate",
