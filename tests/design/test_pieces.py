@@ -69,6 +69,7 @@ def chained() -> ConcentricRobot:
                 Free("piece_twist", (0,), -50.0, 50.0, pieces=(1,)),
                 Free("piece_bending_factor", (0, 1, 2), 0.2, 1.0, torsion_share=0.4, slots=Slots(0.4)),
                 Free("piece_torsion_factor", (1,), 0.2, 1.0, tie="equal"),
+                Free("straight_length", (0, 1), 0.05, 0.15),
             ],
         ),
         (THESIS, [Free("piece_shape", (0, 1), -20.0, 20.0, coefficients=3), Free("piece_plane", (1,), -2.0, 2.0)]),
@@ -84,7 +85,7 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
         space.lower,
         space.upper - 0.02 * space.scale,
     )
-    beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
+    beta = np.array(shift) - [tube.straight_length for tube in space.tubes(begin)]
     x = np.concatenate([begin, turned, beta])
     asked = [Quantity("tip_position", 0), Quantity("tip_direction", 1), Quantity("margin", 0), Quantity("margin", 1)]
     asked += [Quantity("certificate", at=shift), Quantity("curvature")]
@@ -203,10 +204,27 @@ def test_what_is_asked_too_much_is_relaxed_in_words() -> None:
         optimize_design(DesignTask(THESIS, free, [SnapFree(0.05)], Objective("change")))
 
 
+def test_an_s_is_held_as_near_as_its_margin_asks() -> None:
+    """Shorter transmissions are stiffer: the least that keeps the certificate, as a search on one length finds it."""
+    inner = Tube.of_pieces(1.0e-3, 0.7e-3, [Piece(0.04, 14.0), Piece(0.04, -10.0)], straight_length=0.20)
+    outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.03, 14.0), Piece(0.03, -10.0)], straight_length=0.08)
+    robot = ConcentricRobot((inner, outer))
+
+    def certificate(length: float) -> float:
+        return snap_free_certificate(ConcentricRobot((replace(inner, straight_length=length), outer)))
+
+    demanded = certificate(0.15)
+    task = DesignTask(robot, [Free("straight_length", (0,), 0.09, 0.3)], [SnapFree(demanded)], Objective("change"))
+    found = optimize_design(task, turns=0)
+    assert found.dimensions[0].after == pytest.approx(150.0, abs=1e-2)
+    assert found.dimensions[0].before == pytest.approx(200.0)
+    assert found.robot.tubes[0].pieces == inner.pieces
+
+
 @pytest.mark.parametrize(
     ("free", "rest", "words"),
     [
-        ([PATTERN, Free("curvature", (0,), 1, 2)], {}, "beside pieces only pieces are free"),
+        ([PATTERN, Free("curvature", (0,), 1, 2)], {}, "beside pieces only these and straight_length"),
         ([Free("piece_plane", (0,), 0, 1, pieces=(1,))], {}, "names piece 2 of tube 1; it has 1 pieces"),
         ([Free("piece_plane", (3,), 0, 1)], {}, "names tube 4; the robot has tubes 1 to 3"),
         ([PATTERN, PATTERN], {}, "free twice"),

@@ -60,7 +60,8 @@ class DesignTask(Displayed):
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
-        if not any(one.field in PIECE_FIELDS for one in self.free):
+        general = any(tube.general for tube in self.robot.tubes)
+        if not general and not any(one.field in PIECE_FIELDS for one in self.free):
             must_follow_section(self.robot.tubes, "a design whose pieces are not free (piece_curvature, ...)")
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):
