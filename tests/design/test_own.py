@@ -322,6 +322,24 @@ def aim_under(force: tuple[float, float, float]) -> Objective:
     return Objective("tip_deflection", tip_force=force)
 
 
+@dataclass(frozen=True)
+class Strained(OwnRequirement):
+    limit: float
+    words, unit, factor, size, most = "strain of all pieces", "%", 1e2, 1e-3, True
+
+    def expression(self, q: Quantities) -> Any:
+        return self.limit - ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))
+
+
+def test_strain_held_straight_is_a_quantity_of_own_requirements() -> None:
+    """r kappa / (1 - r kappa) <= e is kappa <= e / (r (1 + e))."""
+    free = Free("curvature", (0, 1), 0.5, 15.0)
+    found = optimize_design(DesignTask(two_tubes(), [free], [Strained(0.003)], Objective("change")), turns=0)
+    most = [0.003 / (tube.outer_diameter / 2 * 1.003) for tube in two_tubes().tubes]
+    assert [tube.curvature for tube in found.robot.tubes] == pytest.approx(most, rel=1e-6)
+    assert found.verification.kept
+
+
 def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> None:
     robot, force = two_tubes(), np.array([1e-3, -2e-3, 5e-4])
     e = forward_kinematics(robot, [0.0, 2.0], [-0.01, -0.005])

@@ -314,7 +314,7 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
         unit, factor = UNITS[field]
         gap = 1e-5 * space.scale[k]
         bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
-        if space.spots:
+        if space.spots and space.spots[k].pieces:
             out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
             continue
         for i in chosen:

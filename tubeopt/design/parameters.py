@@ -152,26 +152,26 @@ class DesignSpace:
     @property
     def names(self) -> tuple[str, ...]:
         """What each unknown is, in words."""
-        if self.spots:
-            return tuple(_piece_words(field, spot) for field, spot in self.of_pieces)
+        spots = self.spots or (Spot(()),) * len(self.unknowns)
         return tuple(
-            f"{'factor of ' if scaled else ''}{NAMES[field]} of tube{'s' * (len(tubes) > 1)} "
+            _piece_words(field, spot)
+            if spot.pieces
+            else f"{'factor of ' if scaled else ''}{NAMES[field]} of tube{'s' * (len(tubes) > 1)} "
             f"{', '.join(str(i + 1) for i in tubes)}"
-            for field, tubes, scaled in self.unknowns
+            for (field, tubes, scaled), spot in zip(self.unknowns, spots, strict=True)
         )
 
     def tubes(self, x: Array) -> tuple[Tube, ...]:
         """The tubes at x (D,); raises InputError where they are no tubes."""
-        if self.spots:
-            return changed_tubes(self.robot_tubes, given_of(self.of_pieces, x.tolist()))
         values: list[dict[str, float]] = [{} for _ in self.robot_tubes]
         for (field, tubes, scaled), value in zip(self.unknowns, x, strict=True):
-            for i in tubes:
+            for i in tubes if field in TUBE_FIELDS else ():
                 values[i][field] = float(value) * (getattr(self.robot_tubes[i], field) if scaled else 1.0)
-        return tuple(
+        whole = tuple(
             replace(tube, **changes) if changes else tube  # type: ignore[arg-type]
             for tube, changes in zip(self.robot_tubes, values, strict=True)
         )
+        return changed_tubes(whole, given_of(self.of_pieces, x.tolist())) if self.spots else whole
 
     def expressions(self, x: Any) -> dict[str, Any]:
         """Every one of GRADED (n,) as an expression of x (D,); what x does not move are numbers."""
@@ -211,11 +211,11 @@ class DesignSpace:
         """Change (n, D) of every one of GRADED with x, at these tubes."""
         n, count = len(tubes), len(self.unknowns)
         out = {name: np.zeros((n, count)) for name in GRADED}
+        for column, (field, chosen, scaled) in enumerate(self.unknowns):
+            for i in chosen if field in out else ():
+                out[field][i, column] = getattr(self.robot_tubes[i], field) if scaled else 1.0
         if self.spots:
             return out
-        for column, (field, chosen, scaled) in enumerate(self.unknowns):
-            for i in chosen:
-                out[field][i, column] = getattr(self.robot_tubes[i], field) if scaled else 1.0
         for i, tube in enumerate(tubes):
             # I = pi / 64 (OD^4 - ID^4), J = 2 I
             moved = (
@@ -247,20 +247,21 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     Raises:
         InputError: a tube that is not there, a dimension that is free twice, none that is free.
     """
-    if any(one.field in PIECE_FIELDS for one in free):
+    if any(one.field in PIECE_FIELDS for one in free) or any(tube.general for tube in tubes):
         return _piece_space(tuple(as_pieces(tube) for tube in tubes), free)
     entries = list(_entries(free, len(tubes)))
     if not entries:
         raise InputError("free is empty; a design needs at least one free dimension")
     lower = np.array([one.lower for one, _ in entries])
     upper = np.array([one.upper for one, _ in entries])
-    start = [
-        1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
-        for one, group in entries
-    ]
+    start = [_whole_start(one, group, tubes) for one, group in entries]
     begin, scale = _begin(start, lower, upper)
     unknowns = tuple((one.field, group, one.tie == "scaled") for one, group in entries)
     return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale)
+
+
+def _whole_start(one: Free, group: Sequence[int], tubes: Sequence[Tube]) -> float:
+    return 1.0 if one.tie == "scaled" else float(np.mean([getattr(tubes[i], one.field) for i in group]))
 
 
 def _begin(start: Sequence[float], lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -278,14 +279,18 @@ def _piece_words(field: str, spot: Spot) -> str:
 
 def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
     """The unknowns of a design of pieces."""
-    found: list[tuple[Free, Spot]] = []
+    straight = [one for one in free if one.field == "straight_length"]
+    found = [(one, Spot(()), group) for one, group in _entries(straight, len(tubes))]
     for one in free:
+        if one in straight:
+            continue
         if one.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only pieces are free"
+                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only these and straight_length "
+                "are free: an equilibrium block has lengths of pieces as unknowns"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
-        taken = {(other.field, place) for other, spot in found for place in spot.pieces}
+        taken = {(other.field, place) for other, spot, _ in found for place in spot.pieces}
         if one.slots is not None:
             tubes = with_slots(tubes, places, one.slots)
         for i, j in places:
@@ -297,14 +302,18 @@ def _piece_space(tubes: tuple[Tube, ...], free: Sequence[Free]) -> DesignSpace:
                     f"piece {j + 1} of tube {i + 1} has a free curvature and a free shape; it has one of them"
                 )
         for group in [(place,) for place in places] if one.tie == "each" else [tuple(places)]:
-            found += [(one, Spot(group, k, one.torsion_share)) for k in range(one.coefficients)]
-    lower, upper = (np.array([getattr(one, side) for one, _ in found]) for side in ("lower", "upper"))
+            own = tuple(sorted({i for i, _ in group}))
+            found += [(one, Spot(group, k, one.torsion_share), own) for k in range(one.coefficients)]
+    lower, upper = (np.array([getattr(one, side) for one, _, _ in found]) for side in ("lower", "upper"))
     start = [
-        float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces])) for one, spot in found
+        float(np.mean([start_of(tubes[i], j, one.field, spot.order) for i, j in spot.pieces]))
+        if spot.pieces
+        else _whole_start(one, group, tubes)
+        for one, spot, group in found
     ]
     begin, scale = _begin(start, lower, upper)
-    unknowns = tuple((one.field, tuple(sorted({i for i, _ in spot.pieces})), False) for one, spot in found)
-    return DesignSpace(tubes, unknowns, begin, lower, upper, scale, tuple(spot for _, spot in found))
+    unknowns = tuple((one.field, group, one.tie == "scaled") for one, _, group in found)
+    return DesignSpace(tubes, unknowns, begin, lower, upper, scale, tuple(spot for _, spot, _ in found))
 
 
 def _places(one: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:

@@ -182,7 +182,11 @@ class State:
         """What every unknown piece changes along a solved arm."""
         parts = self.layout.space.of_pieces
         given = given_of(parts, self.x[: self.layout.designs].tolist())
-        return [change_of(here, field, spot, given) for field, spot in parts]
+        straight = self.slopes["straight_length"]
+        return [
+            change_of(here, field, spot, given) if spot.pieces else here.held(straight[:, column])
+            for column, (field, spot) in enumerate(parts)
+        ]
 
     @cached_property
     def _reshaped(self) -> Array:

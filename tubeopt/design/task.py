@@ -61,8 +61,9 @@ class DesignTask(Displayed):
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
-        if not any(one.field in PIECE_FIELDS for one in self.free):
-            must_follow_section(self.robot.tubes, "a design whose pieces are not free")
+        general = any(tube.general for tube in self.robot.tubes)
+        if not general and not any(one.field in PIECE_FIELDS for one in self.free):
+            must_follow_section(self.robot.tubes, "a design whose pieces are not free (piece_curvature, ...)")
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):
             object.__setattr__(self, "objective", items("objective", self.objective, AnyObjective, "Objective"))
@@ -186,17 +187,23 @@ def _check_pieces(task: DesignTask) -> None:
             _check_slots(task.space)
         if isinstance(one, Coverage):
             raise InputError("Coverage is required; a design of pieces does not take it, but targets at its points")
-        if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
+        if isinstance(one, SnapFree) and one.max_force:
             raise InputError(
-                "snap_free names a box or a force; a design of pieces takes translations only: name those that matter"
+                "snap_free names a force; for tubes made of pieces nothing is proved under one: ask for a larger margin"
             )
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
-            raise InputError(f"objective is {wanted.kind}; of tubes made of pieces it is not one number")
+            raise InputError(
+                f"objective is {wanted.kind}; of tubes made of pieces it is not one number: ask for a direction of the "
+                "tip at a target"
+            )
         if isinstance(wanted, Objective) and wanted.kind == "strain":
             _check_slots(task.space)
         if isinstance(wanted, Objective) and wanted.kind in (*PUSHED, "stroke_force"):
-            raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
+            raise InputError(
+                f"objective is {wanted.kind}; a design of pieces does not take it, since how pieces change what a "
+                "force moves is not computed: an equilibrium block with a load has it"
+            )
 
 
 def _check_slots(space: DesignSpace) -> None:

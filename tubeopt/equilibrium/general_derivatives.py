@@ -243,6 +243,11 @@ class Linearised:
             return replace(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
         return self._moved(tube, one)
 
+    def held(self, longer: Array) -> Change:
+        """What straight parts change that are longer by so much (n,), at the same translations."""
+        each = [self.change("straight_length", tube) for tube in range(self.n)]
+        return replace(each[0], transmission=sum(by * one.transmission for by, one in zip(longer, each, strict=True)))
+
     def _bendable(self, tube: int) -> Array:
         """(P, K, n) where a tube that is straight would be curved if it had a curvature: behind its straight part, but
         straight pieces stay straight."""
