@@ -122,3 +122,19 @@ def test_labels_must_be_labels(tmp_path: Path) -> None:
         read_image(write_nifti(tmp_path / "nan.nii", broken)).chosen([1])
     with pytest.raises(InputError, match=r"lumen 9 is of no voxel of .*; its labels are 3"):
         read_image(write_nifti(tmp_path / "ok.nii")).chosen([9], "lumen")
+
+
+def test_two_places_in_one_header_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    image = nibabel.Nifti1Image(LABELS, None)
+    image.set_sform(affine(), 1)
+    image.set_qform(affine(), 1)
+    nibabel.save(image, tmp_path / "one.nii")
+    read_image(tmp_path / "one.nii")
+    assert not caplog.records
+    image.set_qform(np.diag([*SPACING, 1.0]), 1)
+    nibabel.save(image, tmp_path / "two.nii")
+    assert np.allclose(read_image(tmp_path / "two.nii").frame.origin, PLACE.origin)
+    assert "its sform and its qform say different places of the image; the sform is taken" in caplog.text
+    (tmp_path / "dicom.nii").mkdir()
+    with pytest.raises(InputError, match="this is a directory; it must be a file"):
+        read_image(tmp_path / "dicom.nii")

@@ -28,6 +28,9 @@ USUAL = 1e-5, 2e-2
 SKEW = 1e-3
 """Cosine between axes of an image up to which they count as square to each other."""
 
+AGREE = 0.1
+"""Share of a voxel by which two headers may differ."""
+
 MOST_LABELS = 4096
 """Distinct values beyond which an image is not one of labels."""
 
@@ -138,6 +141,10 @@ def read_image(path: str | PathLike[str]) -> LabelImage:
     """
     file = Path(path)
     name = file.name.lower()
+    if file.is_dir():
+        raise InputError(
+            f"{path}: this is a directory; it must be a file (of DICOM slices make one by Slicer or dcm2niix)"
+        )
     if not file.is_file():
         raise no_such_file(path)
     if name.endswith((".nii", ".nii.gz")):
@@ -213,6 +220,10 @@ def _nifti(path: Path) -> tuple[Any, Array, float]:
     _check_size(shape, int(header.get_data_dtype().itemsize), path)
     if not (int(header["sform_code"]) or int(header["qform_code"])):
         _no_orientation(path)
+    elif int(header["sform_code"]) and int(header["qform_code"]):
+        off = np.abs(header.get_sform() - header.get_qform()).max()
+        if off > AGREE * np.linalg.norm(header.get_sform()[:3, :3], axis=0).min():
+            LOGGER.warning(f"{path}: its sform and its qform say different places of the image; the sform is taken")
     unit = header.get_xyzt_units()[0]
     slope, inter = image.dataobj.slope, image.dataobj.inter  # which the header of a loaded image has no more
     raw = np.asarray(image.dataobj.get_unscaled()).reshape(shape)
