@@ -29,6 +29,9 @@ def affine() -> np.ndarray:
 
 
 def write_nifti(path: Path, data: np.ndarray = LABELS, where: np.ndarray | None = None, unit: str = "mm") -> Path:
+    if path.suffix == ".mgz":
+        nibabel.save(nibabel.freesurfer.MGHImage(data, affine()), path)
+        return path
     image = nibabel.Nifti1Image(data, None)
     image.set_sform(affine() if where is None else where, 1)
     image.header.set_xyzt_units(unit)
@@ -47,7 +50,7 @@ def write_nrrd(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.mgz", "a.nrrd"])
 def test_voxels_lie_where_they_were_written(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     image = read_image(write_nrrd(path) if name.endswith("nrrd") else write_nifti(path))
