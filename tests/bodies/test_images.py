@@ -29,6 +29,9 @@ def affine() -> np.ndarray:
 
 
 def write_nifti(path: Path, data: np.ndarray = LABELS, where: np.ndarray | None = None, unit: str = "mm") -> Path:
+    if path.suffix == ".mgz":
+        nibabel.save(nibabel.freesurfer.MGHImage(data, affine()), path)
+        return path
     image = nibabel.Nifti1Image(data, None)
     image.set_sform(affine() if where is None else where, 1)
     image.header.set_xyzt_units(unit)
@@ -47,7 +50,7 @@ def write_nrrd(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.mgz", "a.nrrd"])
 def test_voxels_lie_where_they_were_written(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     image = read_image(write_nrrd(path) if name.endswith("nrrd") else write_nifti(path))
@@ -122,3 +125,19 @@ def test_labels_must_be_labels(tmp_path: Path) -> None:
         read_image(write_nifti(tmp_path / "nan.nii", broken)).chosen([1])
     with pytest.raises(InputError, match=r"lumen 9 is of no voxel of .*; its labels are 3"):
         read_image(write_nifti(tmp_path / "ok.nii")).chosen([9], "lumen")
+
+
+def test_two_places_in_one_header_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    image = nibabel.Nifti1Image(LABELS, None)
+    image.set_sform(affine(), 1)
+    image.set_qform(affine(), 1)
+    nibabel.save(image, tmp_path / "one.nii")
+    read_image(tmp_path / "one.nii")
+    assert not caplog.records
+    image.set_qform(np.diag([*SPACING, 1.0]), 1)
+    nibabel.save(image, tmp_path / "two.nii")
+    assert np.allclose(read_image(tmp_path / "two.nii").frame.origin, PLACE.origin)
+    assert "its sform and its qform say different places of the image; the sform is taken" in caplog.text
+    (tmp_path / "dicom.nii").mkdir()
+    with pytest.raises(InputError, match="this is a directory; it must be a file"):
+        read_image(tmp_path / "dicom.nii")

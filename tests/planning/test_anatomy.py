@@ -156,8 +156,54 @@ def goal_of(study: PlanStudy) -> Array:
     return goal.position
 
 
+def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: Path) -> None:
+    """Files as those of Med-RAD: images of one structure, a start as a matrix, a target as three numbers."""
+    expected, base = write_case(tmp_path)
+    nibabel = pytest.importorskip("nibabel")
+    whole = nibabel.load(tmp_path / "lung.nii.gz")
+    values = np.asarray(whole.dataobj)
+    tissue = (values == 0).astype(np.int16)
+    for name, voxels in {"airway": 5.0 * (values > 0), "nodule": values == 2, "tissue": tissue}.items():
+        nibabel.save(nibabel.Nifti1Image(voxels.astype(np.float32), whole.affine), tmp_path / f"{name}.nii.gz")
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = base.axes, base.origin * 1e3
+    np.savetxt(tmp_path / "start1.txt", pose)
+    carina = base.placed(expected.landmarks["carina"]) * 1e3
+    np.savetxt(tmp_path / "target1.txt", carina)
+    case = {
+        "structures": [{"file": "airway.nii.gz", "keep": "in"}, {"file": "nodule.nii.gz", "keep": "target"}],
+        "landmarks": {"file": "target1.txt", "axes": "RAS"},
+        "base": {"pose": "start1.txt"},
+    }
+    (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
+    found = load_anatomy(tmp_path / "case.yaml")
+    points = np.random.default_rng(0).uniform([-0.02, -0.01, 0], [0.02, 0.01, 0.06], (500, 3))
+    inside = expected.bodies[0].signed_distance(points)
+    assert np.abs(found.bodies[0].signed_distance(points) - inside).max() < 1e-6
+    assert found.target is not None
+    assert expected.target is not None
+    assert len(found.target) == len(expected.target)
+    assert np.allclose(found.place("target1"), expected.landmarks["carina"], atol=1e-6)
+    case["structures"] = [{"file": "tissue.nii.gz"}]
+    (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
+    (barred,) = load_anatomy(tmp_path / "case.yaml").bodies
+    close = np.abs(inside) < 3e-3
+    assert close.sum() > 40
+    assert np.abs(barred.signed_distance(points) - inside)[close].max() < 2e-3  # but for the border of the image
+    np.savetxt(tmp_path / "start1.txt", 2 * pose)
+    with pytest.raises(InputError, match=r"start1.txt: its matrix is no pose: a right-handed rotation"):
+        load_anatomy(tmp_path / "case.yaml")
+    (tmp_path / "start1.txt").write_text("1 2 x")
+    with pytest.raises(
+        InputError, match=r"start1.txt: it must hold a matrix of four rows of four numbers, and nothing"
+    ):
+        load_anatomy(tmp_path / "case.yaml")
+
+
 WRONG = [
-    ({}, "anatomy has no image, meshes or points; it must have one of them"),
+    ({"structures": [{"file": "no.nii"}]}, "no.nii: there is no such file"),
+    ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"pose": "c.csv"}}, "c.csv: it must hold a matrix"),
+    ({}, "anatomy has no image, structures, meshes or points; it must have one of them"),
     ({"points": [{"file": "c.csv", "radius_mm": 0}]}, r"anatomy.points\[0\].radius_mm is 0; it must be greater than 0"),
     ({"points": [{"file": "no.csv", "radius_mm": 1}]}, "no.csv"),
     ({"meshes": [{"file": "no.stl"}]}, "no.stl: no mesh can be read from it"),

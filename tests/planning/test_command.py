@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,10 @@ def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
         "arms.gif",
     ):
         assert (tmp_path / name).stat().st_size > 0
+    if find_spec("viser") is not None:
+        page = (tmp_path / "arms.html").read_text(encoding="utf-8")
+        assert "<title>left and right, tubeopt</title>" in page
+        assert "__VISER_EMBED_DATA__" in page
     table = np.loadtxt(tmp_path / "between_arms.csv", delimiter=",", skiprows=1)
     assert table[:, 1].min() >= pair["least_clearance_mm"]
     assert answer(run("verify", str(tmp_path / "arm_1" / "trajectory.csv"), "--json"))["proved"]

@@ -28,6 +28,9 @@ USUAL = 1e-5, 2e-2
 SKEW = 1e-3
 """Cosine between axes of an image up to which they count as square to each other."""
 
+AGREE = 0.1
+"""Share of a voxel by which two headers may differ."""
+
 MOST_LABELS = 4096
 """Distinct values beyond which an image is not one of labels."""
 
@@ -130,7 +133,7 @@ class LabelImage:
 
 
 def read_image(path: str | PathLike[str]) -> LabelImage:
-    """The image in a NIfTI (.nii, .nii.gz) or NRRD (.nrrd, .nhdr) file.
+    """The image in a NIfTI (.nii, .nii.gz), FreeSurfer (.mgz, .mgh) or NRRD (.nrrd, .nhdr) file.
 
     Raises:
         InputError: no such file, one that cannot be read, with more than one number per voxel, axes that are not square
@@ -138,14 +141,18 @@ def read_image(path: str | PathLike[str]) -> LabelImage:
     """
     file = Path(path)
     name = file.name.lower()
+    if file.is_dir():
+        raise InputError(
+            f"{path}: this is a directory; it must be a file (of DICOM slices make one by Slicer or dcm2niix)"
+        )
     if not file.is_file():
         raise no_such_file(path)
-    if name.endswith((".nii", ".nii.gz")):
+    if name.endswith((".nii", ".nii.gz", ".mgz", ".mgh")):
         read: Callable[[Path], tuple[Any, Array, float]] = _nifti
     elif name.endswith((".nrrd", ".nhdr")):
         read = _nrrd
     else:
-        raise InputError(f"{path} is no image that is known; it must be .nii, .nii.gz, .nrrd or .nhdr")
+        raise InputError(f"{path} is no image that is known; it must be .nii, .nii.gz, .mgz, .nrrd or .nhdr")
     try:
         values, affine, length = read(file)
     except InputError:
@@ -211,15 +218,27 @@ def _nifti(path: Path) -> tuple[Any, Array, float]:
         shape = shape[:-1]
     header = image.header
     _check_size(shape, int(header.get_data_dtype().itemsize), path)
-    if not (int(header["sform_code"]) or int(header["qform_code"])):
-        _no_orientation(path)
-    unit = header.get_xyzt_units()[0]
+    unit = "mm"
+    if hasattr(header, "get_xyzt_units"):  # which those of FreeSurfer have not, nor another place than one in mm
+        _check_place(header, path)
+        unit = header.get_xyzt_units()[0]
     slope, inter = image.dataobj.slope, image.dataobj.inter  # which the header of a loaded image has no more
     raw = np.asarray(image.dataobj.get_unscaled()).reshape(shape)
     slope, inter = 1.0 if slope is None else float(slope), 0.0 if inter is None else float(inter)
     if (slope, inter) != (1.0, 0.0):
         raw = np.stack([part.astype(np.float32) * np.float32(slope) + np.float32(inter) for part in raw])
     return raw, np.asarray(image.affine), UNITS.get(unit, 1e-3)
+
+
+def _check_place(header: Any, path: Path) -> None:
+    """Warn where a header of NIfTI says no place of the image, or two."""
+    said = int(header["sform_code"]), int(header["qform_code"])
+    if not any(said):
+        _no_orientation(path)
+    elif all(said):
+        off = np.abs(header.get_sform() - header.get_qform()).max()
+        if off > AGREE * np.linalg.norm(header.get_sform()[:3, :3], axis=0).min():
+            LOGGER.warning(f"{path}: its sform and its qform say different places of the image; the sform is taken")
 
 
 def _nrrd(path: Path) -> tuple[Any, Array, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
@@ -20,6 +21,7 @@ from ..bodies.solids import field_of_mesh, field_of_points
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Whole, check, in_file
 from ..files.csv_file import read_csv
+from ..files.files import read_text
 from ..files.units import DEG, MM, to_si
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
@@ -30,15 +32,21 @@ Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
+SQUARE = 1e-3
+"""How far the axes of a pose may be from those of a frame."""
+
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def load_landmarks(path: str | PathLike[str]) -> dict[str, Array]:
-    """Named places in a CSV file with the columns name, x_mm, y_mm and z_mm, m, in the axes of the file.
+    """Named places in a CSV file with the columns name, x_mm, y_mm and z_mm, m, in the axes of the file; or the one
+    place that the three numbers (mm) of a .txt file are, by the name of the file.
 
     Raises:
         InputError: no such file, columns or cells that are not as they must be, a name twice.
     """
+    if Path(path).suffix.lower() == ".txt":
+        return {Path(path).stem: _numbers(path, (3,), "x, y and z in mm") * 1e-3}
     table = read_csv(path)
     table.expect(("name", *PLACE))
     places = table.numbers(PLACE, MM)
@@ -50,6 +58,64 @@ def load_landmarks(path: str | PathLike[str]) -> dict[str, Array]:
         found[name] = place
     table.check()
     return found
+
+
+def load_pose(path: str | PathLike[str]) -> Frame:
+    """The frame that the 4 x 4 matrix in a text file is, in the axes of the file: the axes of the plate as its first
+    three columns, the arm leaving along the third, and the position (mm) as its fourth.
+
+    Raises:
+        InputError: no such file, no such matrix, axes that are not those of a right-handed frame.
+    """
+    matrix = _numbers(path, (4, 4), "a matrix of four rows of four numbers")
+    axes = matrix[:3, :3]
+    off = max(np.abs(axes.T @ axes - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
+    if off > SQUARE or np.linalg.det(axes) < 0:
+        raise InputError(f"{path}: its matrix is no pose: a right-handed rotation, a position, and the row 0 0 0 1")
+    u, _, v = np.linalg.svd(axes)
+    return Frame(u @ v, matrix[:3, 3] * 1e-3)
+
+
+def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Array:
+    """All numbers of a text file, between blanks or commas."""
+    words = read_text(path).replace(",", " ").split()
+    try:
+        found = np.array([float(word) for word in words])
+    except ValueError:
+        found = np.zeros(0)
+    if found.size != np.prod(shape) or not np.isfinite(found).all():
+        raise InputError(f"{path}: it must hold {what}, and nothing else")
+    return found.reshape(shape)
+
+
+def read_structure(path: str | PathLike[str]) -> LabelImage:
+    """The voxels of an image that are not 0, as true.
+
+    Raises:
+        InputError: as `read_image`; voxels that are NaN or infinite, or no voxel but of 0.
+    """
+    image = read_image(path)
+    if not all(np.isfinite(part).all() for part in image.values):
+        raise InputError(f"{path} has voxels that are NaN or infinite; every one must be a number")
+    voxels = np.stack([part != 0 for part in image.values])  # a byte each: a case has many structures
+    if not voxels.any():
+        raise InputError(f"{path} has no voxel but those of value 0")
+    return replace(image, values=voxels)
+
+
+class StructurePart(Entry):
+    """An image of one structure: all of its voxels but those of value 0."""
+
+    file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file")]
+    keep: Literal["in", "out", "target"] = Field(
+        "out", description="in: the arm stays within it; out: outside of it; target: it is a region for the tip"
+    )
+
+    def build(self) -> DistanceField:
+        """Its distance field in the patient, RAS."""
+        image: LabelImage = self.file
+        chosen = {"lumen" if self.keep == "in" else "forbidden": image.values}
+        return field_of_image(image, **chosen, name=Path(image.name).name)
 
 
 class MeshPart(Entry):
@@ -99,13 +165,20 @@ class BasePart(Entry):
 
     position_mm: Triple | None = Field(None, description="in the patient")
     direction: Triple | None = Field(None, description="along which the arm leaves the plate, of any length")
+    pose: Annotated[Any, in_file(load_pose, "a text file with a 4 x 4 matrix, mm")] = Field(
+        None, description="position and direction as a matrix: its third column is the direction, its fourth the place"
+    )
     at: str | None = Field(None, description="a landmark in place of position_mm")
     towards: str | None = Field(None, description="a landmark in place of direction")
     roll_deg: Number = Field(Decimal(0), description="turn of the plate about that direction")
-    axes: Axes = Field("RAS", description="of position_mm and direction")
+    axes: Axes = Field("RAS", description="of position_mm, direction and pose")
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
+        if self.pose is not None:
+            if self.position_mm or self.direction or self.at or self.towards or self.roll_deg:
+                raise ValueError("gives a pose and what it is made of; one of them says where the robot stands")
+            return self
         for one, other in (("position_mm", "at"), ("direction", "towards")):
             if (getattr(self, one) is None) == (getattr(self, other) is None):
                 raise ValueError(f"must give one of {one} and {other}")
@@ -114,6 +187,8 @@ class BasePart(Entry):
     def frame(self, landmarks: Mapping[str, Array]) -> Frame:
         """The plate in the patient, RAS."""
         known = Anatomy(landmarks=landmarks)
+        if self.pose is not None:
+            return Frame(ras(self.pose.axes.T, self.axes).T, ras(self.pose.origin, self.axes))
         if self.at is not None:
             position = known.place(self.at)
         else:
@@ -145,6 +220,7 @@ class AnatomyPart(Entry):
         None,
         description="least and greatest corner (RAS) of the part of the image that counts; beyond all is forbidden",
     )
+    structures: list[StructurePart] = Field([])
     meshes: list[MeshPart] = Field([])
     points: list[PointsPart] = Field([])
     landmarks: LandmarksPart | None = None
@@ -156,8 +232,8 @@ class AnatomyPart(Entry):
         chosen = self.lumen or self.forbidden or self.target or self.lumen_between or self.forbidden_between
         if self.image is None and (chosen or self.region_mm):
             raise ValueError("chooses labels or a region without an image")
-        if self.image is None and not self.meshes and not self.points:
-            raise ValueError("has no image, meshes or points; it must have one of them")
+        if self.image is None and not self.structures and not self.meshes and not self.points:
+            raise ValueError("has no image, structures, meshes or points; it must have one of them")
         if self.base is not None and self.registration is not None:
             raise ValueError("gives base and registration; one of them says where the robot stands")
         if self.registration is not None and self.landmarks is None:
@@ -188,6 +264,10 @@ class AnatomyPart(Entry):
                     f"{found.errors[worst] * 1e3:.3g} mm); most_error_mm is {self.registration.most_error_mm}"
                 )
         fields, target = self._of_image()
+        fields += [part.build() for part in self.structures if part.keep != "target"]
+        regions = [centres(part.file, part.file.values) for part in self.structures if part.keep == "target"]
+        if regions:
+            target = np.concatenate([*regions, *([] if target is None else [target])])
         fields += [part.build() for part in self.meshes]
         fields += [part.build() for part in self.points]
         return anatomy_seen(fields, base, target=target, landmarks=landmarks, registration_error=error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -120,10 +121,15 @@ class ArmsReport(Report[ArmsPlan]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The arms and their distances, still and moving."""
+        """The arms and their distances, still and moving, and as a page that plays where viser is installed."""
         from .plots.arms import animate_arms, plot_arms
 
-        return {"arms": drawing(plot_arms, self.answer), "arms.gif": drawing(animate_arms, self.answer)}
+        shown = {"arms": drawing(plot_arms, self.answer), "arms.gif": drawing(animate_arms, self.answer)}
+        if find_spec("viser") is not None:
+            from .viewer.arms import save_arms_page
+
+            shown["arms.html"] = drawing(save_arms_page, self.answer)
+        return shown
 
     def conclude(self) -> None:
         """Raise NotProvedError where something is not proved."""

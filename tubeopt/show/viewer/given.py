@@ -14,7 +14,7 @@ from ...files.yaml_file import load_yaml
 from ...runs.anatomy_file import load_anatomy
 from ...runs.obstacle_file import load_obstacles
 
-TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".nrrd"), (".stl", ".ply", ".obj")
+TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj")
 
 BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
 """What a browser offers; of a name with two dots it looks at the last part only."""
