@@ -7,6 +7,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from ..block.quantities import PoseNumber
 from ..physics.strain import bend_from_own, surface_strain
 from ..typing import Array
 from .state import State
@@ -22,7 +23,7 @@ def _strain() -> ca.Function:
     return ca.Function("strain", [x], [strain, ca.densify(ca.jacobian(strain, x))])
 
 
-def pose_strain(state: State, index: int, tube: int) -> tuple[float, Array]:
+def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
     pose, shape = state.shaped(index, "strain"), state.tubes[tube]
     assembly, mesh = pose.problem.assembly, pose.problem.mesh

@@ -15,6 +15,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..stability import snap_free_certificate
 from ..typing import Array
+from .drawn import draw
 from .requirements import Strain
 from .verify_tubes import largest_strain, least_room
 
@@ -32,7 +33,7 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
             return np.array([snap_free_certificate(robot, np.array(one.at))])
         if one.pose is None:
             return np.array([getattr(tube, one.name) for tube in robot.tubes])
-        found = equilibria[one.pose]
+        found = equilibria[one.pose] if isinstance(one.pose, int) else draw(robot, equilibria[one.pose[0]], one.pose[1])
         match one.name:
             case "strain":
                 anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
@@ -43,6 +44,8 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                 force = Load(one.at)
                 pushed = forward_kinematics(robot, found.rotations, found.translations, load=force, guess=found)
                 return pushed.tip_position - found.tip_position
+            case "jacobian":
+                return found.jacobian().position.ravel(order="F")
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":
