@@ -36,7 +36,7 @@ AT_TIP, POINTED, SAME, TURNED = 0.1 * MM, np.radians(1.0), 1e-4, np.radians(0.1)
 LOOSE_MARGIN, LOOSE_CLEARANCE = 1e-3, 0.02 * MM
 """What may lack of margin and clearance, for the steps of the judge."""
 
-LOOKED_AT = 40
+LOOKED_AT = 24
 """States of a motion of which the margin is told; at all of them it is seen whether they are stable."""
 
 SPREAD = 2000

@@ -102,13 +102,23 @@ def plan(question: dict[str, Any]) -> dict[str, Any]:
 
 
 def design(question: dict[str, Any]) -> dict[str, Any]:
-    """The answer to a question of design."""
+    """The answer to a question of design; where a pose that was found is not the one that a robot takes at once, the
+    one that it moves to from the first without a snap."""
+    try:
+        return _designed(question, paths=False)
+    except SolveError:
+        if question["kind"] == "snap_free":
+            raise
+        return _designed(question, paths=True)
+
+
+def _designed(question: dict[str, Any], *, paths: bool) -> dict[str, Any]:
     robot, bodies = robot_of(question["robot"]), bodies_of(question["scene"])
     low, high = question["curvature_factors"]
     free = [Free("curvature", (i,), low * tube.curvature, high * tube.curvature) for i, tube in enumerate(robot.tubes)]
     if question["kind"] == "reach":
         targets = [Target(tuple(tip), question["tolerance_mm"] * MM) for tip in np.array(question["tips_mm"]) * MM]
-        requirements: list[Any] = [Reach(tuple(targets)), SnapFreeInUse(question["margin"], paths=False)]
+        requirements: list[Any] = [Reach(tuple(targets)), SnapFreeInUse(question["margin"], paths=paths)]
         requirements += [Avoid(bodies, CLEARANCE + SPARE)] if bodies else []
         wanted = Objective("change")
     else:
