@@ -64,13 +64,16 @@ class JointFamily:
     def member(self, t: float) -> Member:
         """The problem at t."""
         rotations, translations = self.path.at(t)
-        shift, load, factor = tuple(translations.tolist()), self.load, 1.0
-        if self.before is None:
-            factor = t
-        elif t < 1 and self.before != load:
-            load = between(self.before, load, t)
+        shift = tuple(translations.tolist())
+        load, factor = (self.load, t) if self.before is None else (self.load_at(t), 1.0)
         problem = loaded_problem(self.path.robot, shift, load, self.path.discretisation)
         return Member(problem, rotations, shift, factor)
+
+    def load_at(self, t: float) -> Load:
+        """The load at t."""
+        if self.before is None:
+            return self.load.scaled(t)
+        return self.load if t == 1 or self.before == self.load else between(self.before, self.load, t)
 
 
 @dataclass(frozen=True, eq=False)

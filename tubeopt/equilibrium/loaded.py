@@ -155,15 +155,18 @@ def loaded_kinematics(
     quick = compiled(robot, start, joints, load, tolerance, began)
     if quick is not None:
         return quick
-    point = None if start.load is None else _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
-    word = "guess"
-    if point is None:
-        own = np.concatenate([start.rotations, start.translations])
-        there = np.concatenate([rotations, shift])
-        if np.array_equal(own, there) and start.load is None:
-            point, word = ramp(robot, start, load, d), "the load before, from none"
-        else:
-            point = _along(JointFamily(JointPath(robot, own, there, d), load, start.load), start)
+    own, there = np.concatenate([start.rotations, start.translations]), np.concatenate([rotations, shift])
+    if start.load is None and np.array_equal(own, there):
+        point, word = ramp(robot, start, load, d), "the load before, from none"
+    else:
+        family, word = JointFamily(JointPath(robot, own, there, d), load, start.load), "guess"
+        here, t = _by_parts(family, start, tolerance, began)
+        if t == 1.0:
+            return here
+        close = None
+        if start.load is not None and t == 0.0:
+            close = _close(start, loaded_problem(robot, shift, load, d), rotations, shift)
+        point = _along(family, here, t) if close is None else close
     return to_tolerance(robot, point, load, d, tolerance, (word, began))
 
 
@@ -274,17 +277,47 @@ def _at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array
     return table[:, :n], table[:, n:]
 
 
-def _along(family: JointFamily, start: Equilibrium) -> LoadedPoint:
-    """The end of a way in joint values and load."""
+SMALLEST_PART = 1e-2
+"""Of a way in joint values and load, below which the compiled kernel leaves the rest to the general solver."""
+
+
+def _by_parts(family: JointFamily, start: Equilibrium, tolerance: float, began: float) -> tuple[Equilibrium, float]:
+    """The last equilibrium on a way, and where, to which the compiled kernel comes in small parts of it."""
+    robot, here = family.path.robot, start
+    if start.load is None:
+        own = start.rotations, tuple(start.translations.tolist())
+        first = compiled(robot, start, own, family.load_at(0.0), tolerance, began)
+        if first is None:
+            return start, 0.0
+        here = first
+    elif not start.load.has_energy:
+        return start, 0.0
+    t, part = 0.0, family.path.largest_step()
+    while t < 1:
+        goal = 1.0 if t + part >= 1 - 1e-12 else t + part
+        rotations, translations = family.path.at(goal)
+        joints = rotations, tuple(translations.tolist())
+        then = compiled(robot, here, joints, family.load_at(goal), tolerance, began)
+        if then is not None:
+            here, t, part = then, goal, min(2 * part, 1 - goal)
+            continue
+        part = (goal - t) / 3
+        if part < SMALLEST_PART:
+            break
+    return (here, t) if t > 0 else (start, 0.0)
+
+
+def _along(family: JointFamily, here: Equilibrium, t: float) -> LoadedPoint:
+    """The end of a way in joint values and load, `here` being the equilibrium at t."""
     first = family.member(0.0)
-    near = unloaded_point(first.problem, start) if start.load is None else loaded_point(start)
-    near = replace(near, t=0.0)
-    here = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
-    if here.t < 1.0:
+    near = unloaded_point(first.problem, here) if here.load is None else loaded_point(here)
+    near = replace(near, t=t)
+    last = reach(family, near, 1.0, longest=family.path.largest_step(), stable=not near.margin <= 0)
+    if last.t < 1.0:
         raise SolveError(
-            f"{Status.BRANCH_ENDED}: it ends {100 * here.t:.2f} % of the way from the guess to the goal", start
+            f"{Status.BRANCH_ENDED}: it ends {100 * last.t:.2f} % of the way from the guess to the goal", here
         )
-    return here
+    return last
 
 
 def _close(

@@ -100,11 +100,11 @@ class ArmsPlan(Displayed):
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:
-        """(T, pairs) distances between arms at the samples next to times (T,), s, as measured, m."""
-        lines = [_Lines.of(arm, each) for arm, each in zip(self.arms, self.trajectories, strict=True)]
-        rows = np.array([self.rows_at(float(t)) for t in np.asarray(times, dtype=float)])
-        pairs = combinations(range(len(self.arms)), 2)
-        return np.stack([lines[i].gaps(lines[j], rows[:, i], rows[:, j]) for i, j in pairs], axis=1)
+        """(T, pairs) distances between arms at times (T,), s, as measured, m."""
+        t = np.asarray(times, dtype=float)
+        lines = [_Lines.of(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
+        every, pairs = np.arange(len(t)), combinations(range(len(self.arms)), 2)
+        return np.stack([lines[i].gaps(lines[j], every, every) for i, j in pairs], axis=1)
 
 
 @small
@@ -289,6 +289,17 @@ class _Lines:
         """Those of a motion, at all of its samples."""
         return _Lines.at(arm, motion.arms, motion.time)
 
+    def at_times(self, times: Array) -> _Lines:
+        """The same at other times (T,), linear between instants, at rest before and after."""
+        row = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 1)
+        after = np.minimum(row + 1, len(self.time) - 1)
+        step = np.where(after > row, self.time[after] - self.time[row], 1.0)
+        share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
+        parts = [
+            a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
+        ]
+        return _Lines(times, *parts)
+
     def gaps(self, other: _Lines, rows: Index, others: Index) -> Array:
         """(r,) distances between the surfaces of two arms at rows (r,) of either, m."""
         out = []
@@ -301,8 +312,5 @@ class _Lines:
         """Least distance from an arm that moves too, m, if this one begins to move `delay` s after it."""
         end = max(self.time[-1] + delay, other.time[-1])
         times = np.linspace(min(delay, 0.0), end, INSTANTS)
-        rows, others = (
-            np.clip(np.searchsorted(each.time, t), 0, len(each.time) - 1)
-            for each, t in ((self, times - delay), (other, times))
-        )
-        return float(self.gaps(other, rows, others).min())
+        every = np.arange(len(times))
+        return float(self.at_times(times - delay).gaps(other.at_times(times), every, every).min())

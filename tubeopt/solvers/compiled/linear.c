@@ -205,12 +205,12 @@ typedef struct {
     void (*inverse)(const void *of, double *x);
     const void *of;
     int n, most, stride, settled;
-    double small, *basis;
+    double small, apart, *basis;
 } Lanczos;
 
 /* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
    Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
-   from 1 tells how far off the largest is. It ends when that is less than `small` of it. */
+   from 1, but at least `apart`, tells how far off the largest is. It ends when that is less than `small` of it. */
 static inline __attribute__((always_inline)) double least_of(Lanczos *l, double *vector) {
     double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value, *basis = l->basis;
     int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
@@ -233,7 +233,7 @@ static inline __attribute__((always_inline)) double least_of(Lanczos *l, double 
         value = largest_of_tridiagonal(diagonal, beside, m + 1);
         vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
         double residual = beside[m] * y[m];
-        l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * (value - 1);
+        l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * fmax(value - 1, l->apart);
         if (l->settled || m + 1 == steps) break;
         for (int k = 0; k < n; k++) next[k] /= beside[m];
     }
@@ -257,7 +257,7 @@ static void by_factor(const void *of, double *x) {
 static double least_eigenvalue(const double *r, int n, int stride, double small, double *vector) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS];
     Factored of = {r, n, stride};
-    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, basis[0]};
+    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, 0, basis[0]};
     return least_of(&lanczos, vector);
 }
 

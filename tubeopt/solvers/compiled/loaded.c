@@ -121,19 +121,22 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
 static double grow_roughly(const Rules *rules, const double *alpha, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage, *rough = &w->rough;
     State *here = &w->rough_state;
+    double soft[MOST_UNKNOWNS];
     carry_over(stage, &w->state, rough, rules->to_rough, here);
     for (int x = 0; x < rough->points; x++) memcpy(w->other.theta[x], here->theta[x], sizeof here->theta[x]);
     if (grow(rough, alpha, margin, &w->room, here, &w->trial, &w->step, out)) return NAN;
-    anywhere(w->room.vector, unknowns_of(rough));
-    margin = margin_of(rough, here, NAN, SOFTENING_ERROR, &w->step, &w->room);
+    margin = rough_margin(rough, 0, &w->step, &w->room);
+    carry_direction(rough, w->room.vector, stage, rules->from_rough, soft);
     for (int x = 0; x < rough->points; x++)
         for (int i = 0; i < N; i++) here->theta[x][i] -= w->other.theta[x][i];
     carry_over(rough, here, stage, rules->from_rough, &w->trial);
-    for (int x = 0; x < stage->points; x++)
-        for (int i = 0; i < N; i++) w->trial.theta[x][i] += w->state.theta[x][i];
-    w->state = w->trial;
+    for (int x = 0; x < stage->points; x++) {
+        for (int i = 0; i < N; i++) w->state.theta[x][i] += w->trial.theta[x][i];
+        memcpy(w->state.q[x], w->trial.q[x], sizeof w->state.q[x]);
+    }
     if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return NAN;
     anywhere(w->room.vector, unknowns_of(stage));
+    for (int k = 0; k < unknowns_of(stage); k++) w->room.vector[k] = soft[k] + ANYWHERE_PART * w->room.vector[k];
     return margin;
 }
 

@@ -37,8 +37,16 @@ FIRST_LANCZOS, LEAST_SOFTENING, BEYOND = 12, 1e-6, 1.2
 """Steps after which Lanczos' method looks for a better place to start from; the least 1 - margin expected; and how many
 times as far below 1 as the margin expected that place is."""
 
-ROUGH_STEP = 1e-2
-"""A step of Newton's method, rad, that is the last on few points, which are no better."""
+MARGIN_APART = 0.1
+"""Margins closer to 1 do not shorten the steps of a load, whatever they are."""
+
+ROUGH_STEP, ROUGH_CHORD_STEP = 1e-2, 0.1
+"""A step of Newton's method, rad, that is the last on few points, which are no better; and one after which its factors
+serve for the next there."""
+
+ANYWHERE_PART = 1e-3
+"""What of a direction is any other one where Lanczos' method begins with the softest on few points: on its own a
+symmetric one would never leave its plane."""
 
 PREDICTED_PART = 0.9
 """Of the largest change in one step of a load, the part that is gone for by the first derivative."""
@@ -69,6 +77,9 @@ def loaded_text(n: int, generator: ca.CodeGenerator, file: str) -> str:
         "FIRST_LANCZOS": FIRST_LANCZOS,
         "LEAST_SOFTENING": LEAST_SOFTENING,
         "BEYOND": BEYOND,
+        "MARGIN_APART": MARGIN_APART,
+        "ANYWHERE_PART": ANYWHERE_PART,
+        "ROUGH_CHORD_STEP": ROUGH_CHORD_STEP,
         "ROUGH_STEP": ROUGH_STEP,
         "PREDICTED_PART": PREDICTED_PART,
         "CHORD_STEP": CHORD_STEP,

@@ -138,7 +138,7 @@ static int newton(Stage *s, State *state, const double *alpha, double factor, do
         if (size <= s->enough) return SOLVED;
         if (size <= LAST_STEP && (size <= ROUND_OFF || residual_of(s, state, alpha, factor, &torsion) <= ROUND_OFF))
             return SOLVED;
-        fresh = size > CHORD_STEP;
+        fresh = size > s->chord;
         last = size;
     }
     return DECLINED;
@@ -239,10 +239,10 @@ static void carry_direction(const Stage *stage, const double *from, const Stage 
         }
 }
 
-/* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`. */
-static double least_factorised(const Stage *s, double small, int most, Step *step, Room *room, int *settled) {
+/* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`, see Lanczos. */
+static double least_factorised(const Stage *s, double small, double apart, int most, Step *step, Room *room, int *settled) {
     Softness of = {s, step};
-    Lanczos lanczos = {soften, &of, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, room->basis[0]};
+    Lanczos lanczos = {soften, &of, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, apart, room->basis[0]};
     memset(step->by.end, 0, sizeof step->by.end);
     step->by.has_orientation = 0;
     step->by.has_twist = 1;
@@ -251,11 +251,11 @@ static double least_factorised(const Stage *s, double small, int most, Step *ste
     return least;
 }
 
-/* About the margin, where the second variation is factorised: as much as the length of steps asks for. */
-static double rough_margin(const Stage *s, Step *step, Room *room) {
+/* About the margin, where the second variation is factorised; of margins closer to 1 than `apart` no more than that. */
+static double rough_margin(const Stage *s, double apart, Step *step, Room *room) {
     int settled;
     anywhere(room->vector, unknowns_of(s));
-    return fmin(1, least_factorised(s, SOFTENING_ERROR, FIRST_LANCZOS, step, room, &settled));
+    return fmin(1, least_factorised(s, SOFTENING_ERROR, apart, FIRST_LANCZOS, step, room, &settled));
 }
 
 /* The margin of a stable state under the whole load, at most 1, with its vector, for which there is a guess; `near` is
@@ -270,7 +270,7 @@ static double margin_of(Stage *s, const State *state, double near, double small,
             if (elastic == 1) return -1;
             elastic = fmin(1, 3 * elastic);
         }
-        margin = 1 - elastic + least_factorised(s, small, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
+        margin = 1 - elastic + least_factorised(s, small, 0, tries < 5 ? FIRST_LANCZOS : LANCZOS, step, room, &settled);
         elastic = fmin(1, fmax(BEYOND * (1 - margin), LEAST_SOFTENING));
     }
     return fmin(1, margin);
@@ -279,16 +279,19 @@ static double margin_of(Stage *s, const State *state, double near, double small,
 /* Largest change of the twist at a point in one step from an equilibrium of this margin, rad. */
 static double largest_twist(double margin) { return fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST); }
 
-/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left. */
+/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left: on few
+   points, which only lead to an answer, the last that it made. */
 static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
-    return newton(s, state, alpha, factor, LARGEST_RATIO, step, out) == SOLVED && factorise(s, state, factor, 1);
+    if (newton(s, state, alpha, factor, LARGEST_RATIO, step, out)) return 0;
+    return s->enough > 0 || factorise(s, state, factor, 1);
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and
    shortened where that fails. */
-static int grow(Stage *s, const double *alpha, double near, Room *room, State *state, State *trial, Step *step,
+static int grow(Stage *s, const double *alpha, double near, Room *room, State *grown, State *trial, Step *step,
                 Answer *out) {
     double longest = 1;
+    State *state = grown;
     evaluate(s, state, 0);
     if (!factorise(s, state, 0, 1)) return DECLINED;
     for (double t = 0; t < 1;) {
@@ -315,10 +318,12 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *s
             moved = fmax(moved, 2 * sqrt(square));
         }
         if (done && fmax(moved, largest_turn(s, trial, state->theta)) <= largest_twist(near)) {
-            *state = *trial;
+            State *last = state;
+            state = trial;
+            trial = last;
             t = goal;
             longest = fmin(2 * longest, 1);
-            if (t < 1) near = rough_margin(s, step, room);
+            if (t < 1) near = rough_margin(s, MARGIN_APART, step, room);
             continue;
         }
         longest /= 3;
@@ -326,6 +331,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *s
         evaluate(s, state, t); /* the factors are those of another state now */
         if (!factorise(s, state, t, 1)) return DECLINED;
     }
+    if (state != grown) *grown = *state;
     return SOLVED;
 }
 

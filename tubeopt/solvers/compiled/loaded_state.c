@@ -21,7 +21,7 @@ typedef struct {
 typedef struct {
     const Problem *problem;
     int pieces, degree, points, assembled;
-    double enough; /* a step, rad, below which Newton's method ends here */
+    double enough, chord; /* steps, rad, below which Newton's method ends, or keeps its factors */
     double weight[MOST_POINTS], soft[MOST_POINTS]; /* B, 1 / sqrt(B K) */
     double stiff[MOST_POINTS][N][N], gain[MOST_POINTS][N][2]; /* second derivative by theta, u0' / soft, as factorised */
     double root[N][N], root_spring[N];             /* Cholesky factor where the arm is held; sqrt of `held` */
@@ -72,6 +72,7 @@ static void prepare(Stage *s, const Problem *p) {
     s->pieces = (int)p->pieces;
     s->points = s->pieces * k;
     s->enough = k == ROUGH_DEGREE ? ROUGH_STEP : 0;
+    s->chord = k == ROUGH_DEGREE ? ROUGH_CHORD_STEP : CHORD_STEP;
     for (int x = 0; x < s->points; x++) {
         double total = 0;
         for (int i = 0; i < N; i++) total += p->stiffness[x * N + i];
@@ -159,8 +160,7 @@ static void orient(Stage *s, State *state) {
 }
 
 /* dW/du, the multipliers of the equations and dW/dQ at the plate, from dW/dQ_c = form Q_c and nothing at the tip. */
-static void feel(const Stage *s, State *state) {
-    int k = s->degree;
+OF_DEGREE void feel(const Stage *s, State *state, int k) {
     double ahead[4] = {0};
     for (int e = s->pieces - 1; e >= 0; e--) {
         const Piece *piece = &s->piece[e];
@@ -213,7 +213,7 @@ static void evaluate(Stage *s, State *state, double factor) {
             }
     }
     orient(s, state);
-    feel(s, state);
+    BY_DEGREE(feel, s, state);
     for (int x = 0; x < s->points; x++)
         for (int r = 0; r < 4; r++)
             state->work += factor * state->stage[x][r] * dot(state->form[x][r], state->stage[x], 4) / 2;

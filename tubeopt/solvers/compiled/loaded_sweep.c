@@ -29,16 +29,17 @@ OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *
         double through[MOST_DEGREE][4] = {{0}};
         for (int a = 0; a < k; a++)
             for (int c = 0; c < k; c++) FOUR(through[c]) += half * matrix[a * k + b] * FOUR(piece->inverse[a][c]);
+        double onwards[4] = {half * weights[b]};
+        for (int c = 0; c < k; c++) {
+            const double *u = state->curvature[e * k + c];
+            double rate[4] = {0, u[0], u[1], 0};
+            add_product(half * weights[c], through[c], rate, onwards);
+        }
         for (int j = 0; j < 2; j++) {
-            double axis[4] = {0, j == 0, j == 1, 0}, moved[4], *leaving = piece->leaving[b][j];
+            double axis[4] = {0, j == 0, j == 1, 0}, moved[4];
             product(state->stage[e * k + b], axis, moved);
-            FOUR(leaving) = half * weights[b] * FOUR(moved);
-            for (int c = 0; c < k; c++) {
-                const double *u = state->curvature[e * k + c];
-                double rate[4] = {0, u[0], u[1], 0};
-                product(moved, through[c], piece->own[c][b][j]);
-                add_product(half * weights[c], piece->own[c][b][j], rate, leaving);
-            }
+            product(moved, onwards, piece->leaving[b][j]);
+            for (int c = 0; c < k; c++) product(moved, through[c], piece->own[c][b][j]);
         }
     }
 }
@@ -107,12 +108,12 @@ OF_DEGREE void find_work(const Stage *s, const State *state, double factor, int 
         for (int j = 0; j < 2; j++) {
             double axis[4] = {0, j == 0, j == 1, 0}, mixed[4] = {0};
             add_transposed(factor * s->soft[x], state->multiplier[x], axis, mixed);
+            double across[WORK] = {0};
             for (int r = 0; r < 4; r++)
-                for (int v = 0; v < size; v++) {
-                    double across = mixed[r] * moved[r][v];
-                    if (v >= 2 * c + j) sum[2 * c + j][v] += across;
-                    if (v <= 2 * c + j) sum[v][2 * c + j] += across;
-                }
+                for (int v = 0; v < size; v++) across[v] += mixed[r] * moved[r][v];
+            int row = 2 * c + j;
+            for (int v = row; v < size; v++) sum[row][v] += across[v];
+            for (int v = 0; v <= row; v++) sum[v][row] += across[v];
         }
         for (int u = 0; u < size; u++)
             for (int v = u / 4 * 4; v < size; v++) {
@@ -161,6 +162,35 @@ OF_DEGREE void put_work(Piece *piece, int k) {
         for (int v = u; v < size; v++) piece->matrix[where[u] * WIDTH + where[v]] -= piece->work[u][v];
 }
 
+/* What lies ahead of a piece, a quadratic form of the state where it ends, by all that makes this state, upper triangle. A
+   twist makes the rotation of its tube alone, bending makes Q. */
+static void add_ahead(Piece *piece, double (*ahead)[STATE]) {
+    double pulled[STATE][WIDTH];
+    int whole = piece->whole;
+    for (int c = 0; c < whole; c += 4)
+        for (int m = 0; m < STATE; m++) {
+            Four sum = {0};
+            for (int d = 0; d < STATE; d++) sum += ahead[m][d] * FOUR(piece->map[d] + c);
+            FOUR(pulled[m] + c) = sum;
+        }
+    for (int r = 0; r < whole; r++) {
+        double *row = piece->matrix + r * WIDTH;
+        for (int i = 0; i < N; i++) {
+            double scale = piece->map[i][r];
+            if (scale == 0) continue;
+            for (int c = r / 4 * 4; c < whole; c += 4) FOUR(row + c) += scale * FOUR(pulled[i] + c);
+        }
+        if (r < piece->bend || (r >= piece->rows && r < piece->rows + N)) continue;
+        double scale[4];
+        for (int d = 0; d < 4; d++) scale[d] = piece->map[N + d][r];
+        for (int c = r / 4 * 4; c < whole; c += 4) {
+            Four sum = FOUR(row + c);
+            for (int d = 0; d < 4; d++) sum += scale[d] * FOUR(pulled[N + d] + c);
+            FOUR(row + c) = sum;
+        }
+    }
+}
+
 /* Factors of the second variation at `state`, its torsional and bending part taken `elastic` times: 1, or 1 - mu to ask
    whether the margin is above mu. 0 where it is not positive definite. */
 static int factorise(Stage *s, const State *state, double factor, double elastic) {
@@ -171,21 +201,12 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
         double *h = piece->matrix;
         int whole = piece->whole;
         for (int r = 0; r < whole; r++) {
-            memset(h + r * WIDTH, 0, whole * sizeof(double));
+            for (int c = r / 4 * 4; c < whole; c += 4) FOUR(h + r * WIDTH + c) = (Four){0};
             h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
         BY_DEGREE(put_torsion, s, state, factor, elastic, e, piece);
         BY_DEGREE(put_work, piece);
-        for (int m = 0; m < STATE && e + 1 < s->pieces; m++) {
-            double pulled[WIDTH] = {0};
-            for (int d = 0; d < STATE; d++)
-                for (int c = 0; c < whole; c++) pulled[c] += ahead[m][d] * piece->map[d][c];
-            for (int r = 0; r < whole; r++) {
-                double scale = piece->map[m][r];
-                if (scale == 0) continue;
-                for (int c = r / 4 * 4; c < whole; c++) h[r * WIDTH + c] += scale * pulled[c];
-            }
-        }
+        if (e + 1 < s->pieces) add_ahead(piece, ahead);
         if (!eliminate(h, piece->rows, whole, WIDTH)) return 0;
         for (int m = 0; m < STATE; m++)
             for (int d = m; d < STATE; d++)
@@ -200,9 +221,7 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
     return 1;
 }
 
-/* From the tip to the plate: step->local and ->root, whose squares sum to by' H^-1 by. */
-static void sweep_back(const Stage *s, const Functional *by, Step *step) {
-    int k = s->degree;
+OF_DEGREE void sweep_back_of(const Stage *s, const Functional *by, Step *step, int k) {
     double ahead[STATE];
     memcpy(ahead, by->end, sizeof ahead);
     for (int e = s->pieces - 1; e >= 0; e--) {
@@ -238,9 +257,10 @@ static void sweep_back(const Stage *s, const Functional *by, Step *step) {
     }
 }
 
-/* From the plate to the tip: minus H^-1 by, and the change of theta and, if `turned`, of Q that it makes. */
-static void sweep_forth(const Stage *s, Step *step, int turned) {
-    int k = s->degree;
+/* From the tip to the plate: step->local and ->root, whose squares sum to by' H^-1 by. */
+static void sweep_back(const Stage *s, const Functional *by, Step *step) { BY_DEGREE(sweep_back_of, s, by, step); }
+
+OF_DEGREE void sweep_forth_of(const Stage *s, Step *step, int turned, int k) {
     double here[STATE] = {0};
     for (int i = N - 1; i >= 0; i--) {
         double sum = -step->root[i];
@@ -272,3 +292,6 @@ static void sweep_forth(const Stage *s, Step *step, int turned) {
         memcpy(here, next, sizeof here);
     }
 }
+
+/* From the plate to the tip: minus H^-1 by, and the change of theta and, if `turned`, of Q that it makes. */
+static void sweep_forth(const Stage *s, Step *step, int turned) { BY_DEGREE(sweep_forth_of, s, step, turned); }
