@@ -21,7 +21,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 TITLES = {"inverse": "inverse kinematics", "plan": "plans", "design": "designs"}
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+COLOURS = {
+    "free": "#0072B2",
+    "corridors": "#D55E00",
+    "bronchial tree": "#009E73",
+    "ventricle": "#CC79A7",
+    "kidney": "#E69F00",
+    "cannot snap": "#56B4E9",
+}
 
 
 def read_scores(path: Path) -> list[Score]:
@@ -40,14 +47,17 @@ def draw(files: list[Path], out: Path) -> None:
             kind, scene = group_of(one)
             groups[kind][scene].append(one)
         for panel, kind in zip(axes, KINDS, strict=True):
-            for colour, (scene, some) in zip(COLOURS, groups[kind].items(), strict=False):
+            for scene, colour in COLOURS.items():
+                if not (some := groups[kind].get(scene, [])):
+                    continue
                 times = np.sort([one.seconds for one in some if one.success])
                 share = np.arange(1, len(times) + 1) / len(some)
                 panel.step(times, 100 * share, dash, where="post", color=colour, label=scene)
     for panel, kind in zip(axes, KINDS, strict=True):
         panel.set(xscale="log", xlabel="seconds of one processor", title=TITLES[kind], ylim=(0, 103))
+        panel.set_xlim(0.004, 40)
         panel.spines[["top", "right"]].set_visible(False)
-        panel.legend(frameon=False, fontsize=7, loc="lower right")
+        panel.legend(frameon=False, fontsize=7, loc="lower right" if kind == "inverse" else "upper left")
     axes[0].set_ylabel("answered and kept (%)")
     figure.savefig(out, dpi=150)
     plt.close(figure)

@@ -340,9 +340,8 @@ def main() -> None:
         if one.why not in ("", "no answer"):
             print(f"  {one.id} ({one.robot}, {one.scene}): {one.why}")
     if given.out is not None:
-        rows = [
-            json.dumps({key: value if value == value else None for key, value in asdict(one).items()}) for one in scores
-        ]
+        answered = (asdict(one) for one in scores if one.why != "no answer")
+        rows = [json.dumps({key: None if value != value else value for key, value in row.items()}) for row in answered]
         given.out.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
