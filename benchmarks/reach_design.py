@@ -5,7 +5,7 @@ The share of few places does not tell neighbours apart; the score that is search
 are not reached are missed by. What comes of it is judged by other places of the region, over larger roadmaps with other
 random numbers, and by plans with proof to some that are reached.
 
-Usage: python -m benchmarks.reach_design [--solver simplex|evolution|none] [--seconds 60] [--seed 1]
+Usage: python -m benchmarks.reach_design [--solvers none simplex evolution] [--seconds 180] [--seed 1] [--picture FILE]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import scipy
 
@@ -23,12 +24,12 @@ from tubeopt import ConcentricRobot, InputError, PlanOptions, SolveError
 from tubeopt.bodies.anatomy import field_of_image
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
-from tubeopt.planning import evaluate_reach, plan_trajectory
+from tubeopt.planning import ReachShare, evaluate_reach, plan_trajectory
 from tubeopt.typing import Array
 
 ROOT = Path(__file__).resolve().parents[1]
 WITHDRAWN = np.zeros(3), np.array([-0.033, -0.092, -0.096])
-OPTIONS = PlanOptions(clearance=2e-4, objective="none", time_limit=30)
+OPTIONS = PlanOptions(clearance=2e-4, objective="none", time_limit=120)
 RANGE = 0.4, 1.8
 """By what each tube's curvature may be multiplied."""
 
@@ -74,8 +75,12 @@ def loss(robot: ConcentricRobot, body: DistanceField, places: Array, options: Pl
     return float(np.minimum(beyond / CLOSE, 1.0).mean() + (1 - found.share)) / 2, found.share
 
 
-def searched(robot: ConcentricRobot, body: DistanceField, places: Array, given: argparse.Namespace) -> Array:
+def searched(
+    robot: ConcentricRobot, body: DistanceField, places: Array, solver: str, given: argparse.Namespace
+) -> Array:
     """The best factors (n,) that the solver finds in its time."""
+    if solver == "none":
+        return np.ones(robot.n_tubes)
     until = time.process_time() + given.seconds
     best: list[tuple[float, float, Array]] = []
 
@@ -88,7 +93,7 @@ def searched(robot: ConcentricRobot, body: DistanceField, places: Array, given: 
 
     begin, n = np.ones(robot.n_tubes), robot.n_tubes
     try:
-        if given.solver == "simplex":
+        if solver == "simplex":
             simplex = np.vstack([begin, begin + 0.3 * (np.eye(n) - 1 / n)])
             options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 0.0}
             scipy.optimize.minimize(value, begin, method="Nelder-Mead", bounds=[RANGE] * n, options=options)
@@ -99,11 +104,11 @@ def searched(robot: ConcentricRobot, body: DistanceField, places: Array, given: 
     except OverError:
         pass
     found, share, factors = min(best, key=lambda one: one[0])
-    print(f"{given.solver}: {len(best)} designs, loss {found:.3f}, share of the {PLACES} places {share:.2f}")
+    print(f"{solver}: {len(best)} designs, loss {found:.3f}, share of the {PLACES} places {share:.2f}")
     return factors
 
 
-def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> str:
+def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> tuple[ReachShare, str]:
     """What the robot reaches of places that were not searched with, and how many plans to some of them are proved."""
     options = replace(OPTIONS, seed=seed + 100)
     found = evaluate_reach(robot, WITHDRAWN, places, obstacles=[body], options=options, count=500)
@@ -115,24 +120,49 @@ def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int)
             proved += plan_trajectory(robot, WITHDRAWN, goal, obstacles=[body], options=options).proved
         except SolveError as error:
             print(f"  {error}")
-    return f"{found.share:.2f} of {len(places)} other places reached; {proved} of {len(some)} plans to them proved"
+    return found, f"{found.share:.2f} of {len(places)} other places reached; {proved} of {len(some)} plans proved"
+
+
+NAMES = {"none": "as it is", "simplex": "simplex", "evolution": "differential evolution"}
+
+
+def draw(judged: dict[str, ReachShare], path: Path) -> None:
+    """The places that are reached, and those that are not, seen from the front, with the way to them."""
+    figure, axes = plt.subplots(1, len(judged), figsize=(3.2 * len(judged), 3.6), layout="constrained", sharey=True)
+    centres = np.array([[start, stop] for start, stop, _, _ in bronchial_tree().stretches])
+    for panel, (solver, found) in zip(np.atleast_1d(axes), judged.items(), strict=True):
+        for line in centres:
+            panel.plot(line[:, 0], line[:, 2], color="0.85", lw=9, solid_capstyle="round", zorder=0)
+        for reached, colour in ((True, "#0072B2"), (False, "#D55E00")):
+            some = 1e3 * found.targets[found.reached == reached]
+            panel.plot(some[:, 0], some[:, 2], ".", color=colour, label="reached" if reached else "not reached")
+        panel.set(title=f"{NAMES[solver]}: {100 * found.share:.0f} %", xlabel="x (mm)", aspect="equal")
+        panel.set(xlim=(-55, 15), ylim=(20, 108))
+        panel.spines[["top", "right"]].set_visible(False)
+    np.atleast_1d(axes)[0].set_ylabel("z (mm)")
+    np.atleast_1d(axes)[0].legend(frameon=False, fontsize=8, loc="upper right")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--solver", choices=("simplex", "evolution", "none"), default="simplex")
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--solvers", nargs="+", choices=tuple(NAMES), default=list(NAMES))
+    parser.add_argument("--seconds", type=float, default=180.0, help="of processor time, for each search")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--picture", type=Path, default=None)
     given = parser.parse_args()
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     assert isinstance(robot, ConcentricRobot)
     body, places = region(given.seed)
-    factors = np.ones(robot.n_tubes)
-    if given.solver != "none":
-        factors = searched(robot, body, places[:PLACES], given)
-    robot = bent(robot, factors)
-    print("curvatures (1/m):", ", ".join(f"{tube.curvature:.2f}" for tube in robot.tubes))
-    print(judge(robot, body, places[PLACES : PLACES + HELD_OUT], given.seed), flush=True)
+    judged = {}
+    for solver in given.solvers:
+        found = bent(robot, searched(robot, body, places[:PLACES], solver, given))
+        print(f"{NAMES[solver]}, curvatures (1/m):", ", ".join(f"{tube.curvature:.2f}" for tube in found.tubes))
+        judged[solver], words = judge(found, body, places[PLACES : PLACES + HELD_OUT], given.seed)
+        print(words, flush=True)
+    if given.picture is not None:
+        draw(judged, given.picture)
 
 
 if __name__ == "__main__":

@@ -47,18 +47,24 @@ SIZES = {
 """Numbers that a quantity has; the others have one per tube."""
 
 
+PoseNumber = int | tuple[int, float]
+"""A pose by its number from 0; with a share, its arm drawn back to this share of its length."""
+
+
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name; the pose (from 0) of which it is, or None; and `at`: the fraction of the arm's length,
-    the translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection; of
-    a strain held straight the tube and its piece."""
+    """One quantity: its name; the pose of which it is, or None; and `at`: the fraction of the arm's length, the
+    translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection; of a
+    strain held straight the tube and its piece."""
 
     name: str
-    pose: int | None = None
+    pose: PoseNumber | None = None
     at: tuple[Any, ...] = ()
 
     def size(self, n: int) -> int:
         """Numbers that it has, for n tubes."""
+        if self.name == "jacobian":
+            return 6 * n
         return n if self.pose is None and self.name in TUBES else SIZES.get(self.name, n)
 
 
@@ -87,8 +93,8 @@ class Tubes(Mapping[str, Any]):
 class PoseQuantities:
     """One solved pose: SI units, plate frame."""
 
-    def __init__(self, look: Look, number: int) -> None:
-        self._look, self._number = look, number
+    def __init__(self, look: Look, number: PoseNumber, n_tubes: int) -> None:
+        self._look, self._number, self._n_tubes = look, number, n_tubes
 
     def _of(self, name: str, *at: Any) -> Any:
         return self._look(Quantity(name, self._number, at))
@@ -148,6 +154,20 @@ class PoseQuantities:
         bears that. Of poses with given joint values, in designs only."""
         return self._of("stroke_force")
 
+    @property
+    def jacobian(self) -> Any:
+        """(3, 2 n) change of the tip's place with rotations, m/rad, and translations. For designs only."""
+        return ca.reshape(self._of("jacobian"), 3, 2 * self._n_tubes)
+
+    def drawn(self, share: float) -> PoseQuantities:
+        """The arm on its way out: every tube as in the pose, or drawn back straight so that it ends at this share of
+        the arm's length. For designs only."""
+        if not isinstance(self._number, int):
+            raise InputError("an arm that is drawn back is drawn back again; name the share of the whole one")
+        if not 0 < finite("share", share) < 1:
+            raise InputError(f"share is {share:g}; it must lie between 0, the plate, and 1, the arm as it is")
+        return PoseQuantities(self._look, (self._number, float(share)), self._n_tubes)
+
 
 def _fraction(value: float) -> float:
     if not 0 <= finite("fraction", value) <= 1:
@@ -165,7 +185,7 @@ class Quantities:
     def __init__(self, look: Look, n_tubes: int, n_poses: int, pieces: Sequence[int] = ()) -> None:
         self._look, self.n_tubes, self._pieces = look, n_tubes, tuple(pieces)
         self.tubes = Tubes(look)
-        self.poses = tuple(PoseQuantities(look, k) for k in range(n_poses))
+        self.poses = tuple(PoseQuantities(look, k, n_tubes) for k in range(n_poses))
 
     def certificate(self, translations: Any = None) -> Any:
         """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is home."""

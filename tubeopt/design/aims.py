@@ -7,6 +7,7 @@ from functools import singledispatch
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, Quantities, recorded
@@ -14,7 +15,17 @@ from ..errors import InputError
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
 from .objectives import Objective
+from .requirements import ROUNDED, deviations
 from .statements import Points, Poses
+
+PER_TURN = 0.05
+"""Translation (m) that counts as much as a rotation of 1 rad."""
+
+UNIT, REGULAR = 0.01, 1e-8
+"""Length (m) in which singular values are counted, and what is added to their squares, so that none is 0."""
+
+TINY = 1e-12
+"""Volume (m^3) within which what may be 0 is rounded off."""
 
 
 @singledispatch
@@ -63,6 +74,12 @@ def _(
                 )
             case "stroke_force":
                 return ca.vertcat(*(q.poses[k].stroke_force for k in poses))
+            case "dexterity":
+                return sum(_least_motion(q.poses[k].jacobian) for k in poses) / len(poses)
+            case "workspace_volume":
+                return _swept([q.poses[k].tip_position for k in poses])
+            case "deployment":
+                return ca.sqrt(ca.sumsqr(deviations(q, poses)) * 3 / deviations(q, poses).numel() + ROUNDED**2)
             case "length":
                 return q.tubes["straight_length"] + q.tubes["curved_length"]
             case "reach_radius":
@@ -74,6 +91,24 @@ def _(
                 return 1 / _tip_curvature(one, q)
 
     return recorded(numbers, len(pieces), max([*poses, depth_pose or 0], default=-1) + 1, one.words, pieces)
+
+
+def _least_motion(jacobian: Any) -> Any:
+    """(sum s_k^-8)^(-1/8) of the singular values of a Jacobian of the tip (3, 2 n) by rotations and translations, m."""
+    n = jacobian.shape[1] // 2
+    scaled = ca.horzcat(jacobian[:, :n], PER_TURN * jacobian[:, n:]) / UNIT
+    inverse = ca.inv(scaled @ scaled.T + REGULAR * ca.DM.eye(3))
+    return UNIT * ca.trace(inverse @ inverse @ inverse @ inverse) ** (-1 / 8)
+
+
+def _swept(tips: Sequence[Any]) -> Any:
+    """Volume of the body of revolution of a polygon of places (3,), by Pappus: positive however it is walked round."""
+    radius = [ca.sqrt(tip[0] ** 2 + tip[1] ** 2 + ROUNDED**2) for tip in tips]
+    total = 0.0
+    for k, tip in enumerate(tips):
+        r, z, s, w = radius[k - 1], tips[k - 1][2], radius[k], tip[2]
+        total += (r * w - s * z) * (r + s)
+    return np.pi / 3 * ca.sqrt(total**2 + TINY**2)
 
 
 def _tip_curvature(one: Objective, q: Quantities) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.quantities import CLEARANCES
+from ..block.quantities import CLEARANCES, PoseNumber
 from ..typing import Array
 from .piece_pose import PiecePose
 from .pose import Pose
@@ -64,7 +64,7 @@ def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 
 
-def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Array]:
+def arm_radius(state: State, index: PoseNumber, share: Array) -> tuple[Array, Array, Array]:
     """Radius (K,) of the arm at parts (K,) of its length, its change (K, L) at fixed diameters, (K, n) by the radii.
 
     Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
@@ -92,7 +92,7 @@ def arm_radius(state: State, index: int, share: Array) -> tuple[Array, Array, Ar
 SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
-def arm_clearance(state: State, index: int, body: Any) -> tuple[Array, Array]:
+def arm_clearance(state: State, index: PoseNumber, body: Any) -> tuple[Array, Array]:
     """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
     the arm is held off, and its change (.., X)."""
     pose, radii = state.pose(index), 0.5 * state.slopes["outer_diameter"]

@@ -7,6 +7,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from ..block.quantities import PoseNumber
 from ..block.transcription.collocated import ENDS
 from ..equilibrium.general_derivatives import Answer, Linearised
 from ..physics.strain import bend_from_own, surface_strain
@@ -75,13 +76,13 @@ def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Ar
     return ratio * float(value[0]), ratio * change + float(value[0]) * raised
 
 
-def pose_strain(state: State, index: int, tube: int) -> tuple[float, Array]:
+def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
     pose = state.pose(index)
     return _of_pieces(state, pose, index, tube) if isinstance(pose, PiecePose) else _of_arcs(state, pose, index, tube)
 
 
-def _of_arcs(state: State, pose: Pose, index: int, tube: int) -> tuple[float, Array]:
+def _of_arcs(state: State, pose: Pose, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Of tubes of one curvature each."""
     shape = state.tubes[tube]
     assembly, mesh = pose.problem.assembly, pose.problem.mesh
@@ -100,7 +101,7 @@ def _of_arcs(state: State, pose: Pose, index: int, tube: int) -> tuple[float, Ar
     return float(strains[0, worst]), change + slope[4] * state.slopes["outer_diameter"][tube]
 
 
-def _of_pieces(state: State, pose: PiecePose, index: int, tube: int) -> tuple[float, Array]:
+def _of_pieces(state: State, pose: PiecePose, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Of tubes made of pieces: the largest of strain times what slots make of it."""
     shape, here = state.tubes[tube], pose.derivatives.here
     number = _pieces_there(here, shape, tube)

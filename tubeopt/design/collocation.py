@@ -16,7 +16,7 @@ import numpy as np
 
 from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
 from ..block.own import OwnRequirement
-from ..block.quantities import Quantity
+from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
@@ -37,13 +37,6 @@ from .task import DesignTask
 
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
 """Requirements that the program takes."""
-
-INSIDE = {
-    "clearance": "clearance from a body",
-    "deflection": "deflection under a force",
-    "stroke_force": "stroke force",
-}
-"""Quantities that only a program has in which equilibria are solved inside."""
 
 HELD = (3e-7, 3e-6)
 """Part of a step by which limits are held inside, for what blocks and the reduced program differ; the second where the
@@ -68,6 +61,13 @@ OPTIONS: dict[str, Any] = {
 }
 """Of IPOPT."""
 
+UNKNOWN = {
+    "clearance": "clearance from a body",
+    "deflection": "deflection under a force",
+    "stroke_force": "stroke force",
+    "jacobian": "Jacobian of the tip, whose second derivatives are many",
+}
+"""Quantities that no block of a design has."""
 
 REFUSED: dict[type[Any], str] = {
     Strain: "in poses, since it is largest between the points of a block",
@@ -126,7 +126,9 @@ class _Collocated:
         layout = program.layout
         self.dimensions = layout.space.expressions(self.x[: layout.designs])
         self.robot = ConcentricRobot(self.state.tubes)
-        self.blocks = [self._block(k) for k in range(len(layout.poses))]
+        self.blocks: dict[PoseNumber, EquilibriumBlock[Equilibrium]] = {}
+        for k in range(len(layout.poses)):
+            self._block(k)
         self._known: dict[Quantity, Any] = {}
         self._linear()
         self._requirements()
@@ -134,7 +136,13 @@ class _Collocated:
         aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
         self.opti.minimize(sum(aims) / size)
 
-    def _block(self, k: int) -> EquilibriumBlock[Equilibrium]:
+    def _block(self, k: PoseNumber) -> EquilibriumBlock[Equilibrium]:
+        """The block of a pose, or of its arm drawn back, posed where it is first asked for."""
+        if k not in self.blocks:
+            self.blocks[k] = self._posed(k)
+        return self.blocks[k]
+
+    def _posed(self, k: PoseNumber) -> EquilibriumBlock[Equilibrium]:
         joints = self.state.joint_values(k)
         slopes = self.state.joint_slopes(k)
         near = forward_kinematics(self.robot, *joints)
@@ -168,13 +176,12 @@ class _Collocated:
             return surface_strain(radius / 2, ca.fabs(natural), natural)
         if one.pose is None:
             return self.dimensions[one.name]
-        block = self.blocks[one.pose]
+        block = self._block(one.pose)
         match one.name:
             case "strain":
                 return ca.mmax(block.strain(one.at[0]))
-            case "clearance" | "deflection" | "stroke_force":
-                what = INSIDE[one.name]
-                raise InputError(f"method 'collocation' does not take the {what}; method 'reduced' does")
+            case name if name in UNKNOWN:
+                raise InputError(f"method 'collocation' does not take the {UNKNOWN[name]}; method 'reduced' does")
             case "tip_direction":
                 return block.tip_rotation[:, 2]
             case "margin":
@@ -184,12 +191,12 @@ class _Collocated:
             case name:
                 return ca.MX(getattr(block, name))
 
-    def _margin(self, pose: int) -> Any:
+    def _margin(self, pose: PoseNumber) -> Any:
         """An unknown that the margin of a pose is not below: as good as the margin where more of it is better."""
         margin = self.opti.variable()
         self.opti.set_initial(margin, min(max(self.state.pose(pose).margin - 0.01, 0.0), 0.9))
         self.opti.subject_to(margin <= MOST_MARGIN)
-        self.blocks[pose].margin_at_least(margin)
+        self._block(pose).margin_at_least(margin)
         return margin
 
     def _certificate(self, translations: tuple[float, ...]) -> Any:
@@ -247,9 +254,10 @@ class _Collocated:
             solution = self.opti.solve()
         except RuntimeError:
             solution = self.opti.debug
-        for k, block in enumerate(self.blocks, start=1):
+        for k, block in self.blocks.items():
             for text in block.meetings(solution):
-                words = f"at task pose {k} {text}: behind that may be better designs, which method 'reduced' looks for"
+                where = f"task pose {k + 1}" if isinstance(k, int) else f"task pose {k[0] + 1}, drawn back,"
+                words = f"at {where} {text}: behind that may be better designs, which method 'reduced' looks for"
                 warnings.warn(words, OrderWarning, stacklevel=2)
         stats = self.opti.stats()
         words = "" if stats["success"] else str(stats["return_status"]).replace("_", " ").lower()

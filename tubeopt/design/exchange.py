@@ -100,7 +100,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
     for one in of_kind(program.task.requirements, SnapFree):
         if one.box is not None:
             margin, row = worst_in_box(robot, one.box)
-            if margin < max(one.margin, promised) - one.tolerance:
+            if margin < max(one.floor, promised) - one.tolerance:
                 added = replace(added, translations=(*added.translations, row))
                 why.append(f"certificate {margin:.4f} in the box")
     for one in of_kind(program.task.requirements, SnapFreeInUse):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..block.quantities import Quantity
+from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.along import curvature_at, position_at
 from ..typing import Array
 from .anatomy import arm_clearance
@@ -37,6 +37,8 @@ def at_state(state: State) -> Linear:
             return state.deflection(one.pose, one.at)
         if one.name == "stroke_force":
             return _row(state.stroke_force(one.pose))
+        if one.name == "jacobian":
+            return state.jacobian(one.pose)
         if one.name == "clearance":
             return arm_clearance(state, one.pose, one.at[0])
         value, change = _of_pose(state, one, one.pose)
@@ -50,7 +52,7 @@ def _row(found: tuple[float, Array]) -> tuple[Array, Array]:
     return np.array(found[:1]), found[1][None]
 
 
-def _of_pose(state: State, one: Quantity, index: int) -> tuple[Array, Array]:
+def _of_pose(state: State, one: Quantity, index: PoseNumber) -> tuple[Array, Array]:
     """Value and change (.., 7 n) by what a pose is differentiated by."""
     pose = state.pose(index)
     match one.name:

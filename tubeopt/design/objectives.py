@@ -20,9 +20,15 @@ KINDS = {
     "tip_deflection": ("tip deflection", "mm", 1e3, 1),
     "tip_stiffness": ("tip stiffness", "N/m", 1.0, -1),
     "stroke_force": ("stroke force", "mN", 1e3, -1),
+    "dexterity": ("dexterity", "mm", 1e3, -1),
+    "workspace_volume": ("volume that is swept", "cm^3", 1e6, -1),
+    "deployment": ("deviation of the deployment", "mm", 1e3, 1),
     "change": ("change of the robot", "", 1.0, 1),
 }
 """Name, unit, what turns SI into it, and whether less (1) or more (-1) is better."""
+
+POSED = ("tip_deflection", "tip_stiffness", "stroke_force", "dexterity", "workspace_volume", "deployment")
+"""What is told of task poses."""
 
 PUSHED = ("tip_deflection", "tip_stiffness")
 """What is told under a force on the tip."""
@@ -43,6 +49,13 @@ class Objective:
             over how far it moves the tip along itself, the least of all task poses.
         "stroke_force": the largest force with which the tip can push along itself before the arm buckles or snaps, the
             least of all task poses, whose joint values are given; 10 N where all bear that.
+        "dexterity": by how much joints move the tip, for 1 rad or 50 mm, in the direction in which they move it least:
+            the least singular value s_3 of its Jacobian, smooth where two are equal, as the sum of s_k^-8 to the power
+            -1/8, which is s_3 or up to 13 % less; the mean of all task poses.
+        "workspace_volume": of what the polygon of the tips of the task poses, in their order, sweeps when it is turned
+            about the axis of the plate, as all tubes turned together do.
+        "deployment": root of the mean square distance between arms on their way out, their tubes drawn back straight,
+            and where the whole arm will be, over all task poses.
         "change": sum of squares of the changes from the start, each relative to its size.
     weight: where there are several objectives, what they are multiplied by before they are added, in SI.
     """

@@ -24,6 +24,7 @@ from .parameters import NAMES, UNITS
 from .pool import Progress
 from .program import Added, Program, compile_task, objective_value, state_at
 from .relaxation import InfeasibleDesignError, smallest_relaxations
+from .remarks import remarks
 from .requirements import SnapFree
 from .sensitivities import Sensitivity, sensitivities
 from .solve import METHODS, Attempt, Report, solve
@@ -101,6 +102,11 @@ class DesignSolution(Displayed):
     def value(self) -> ConcentricRobot:
         """The robot."""
         return self.robot
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is worth knowing of it: dimensions on a bound, tubes that hardly bend the arm."""
+        return remarks(self.robot, self.dimensions)
 
     @property
     def status(self) -> DesignStatus:

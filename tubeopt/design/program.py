@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..block.quantities import Expression, Quantity
+from ..block.quantities import Expression, PoseNumber, Quantity
 from ..errors import InputError, SolveError
 from ..solvers.smooth import Values
 from ..typing import Array
 from .aims import aim
 from .lookup import at_state
+from .objectives import POSED as OF_POSES
 from .objectives import AnyObjective, Objective, key_of
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
 from .rows import Rows, joint_rows, order_rows, stated_rows
@@ -81,7 +82,7 @@ class Program:
     upper: Array
     scale: Array
     elastic: bool = False
-    guesses: dict[int, Twist] = field(default_factory=dict)
+    guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
 
     @property
     def task_poses(self) -> tuple[int, ...]:
@@ -170,7 +171,7 @@ def _recorded(
                 stated.append(statements(one, pieces, posed, certified))
     aims = {}
     for wanted in task.objectives:
-        on_the_way = isinstance(wanted, Objective) and wanted.kind == "margin"
+        on_the_way = isinstance(wanted, Objective) and wanted.kind not in OF_POSES
         found = aim(wanted, pieces, passed if on_the_way else posed, certified, depth_pose)
         if found is not None:
             aims[wanted] = found

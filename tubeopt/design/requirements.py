@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
+import casadi as ca
 import numpy as np
 
 from ..block.own import OwnRequirement
+from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, finite, positive
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Usual, key, unit
 from ..typing import Array
 from .checks import Rows, items, table, triple, whole
+from .drawn import ALONG, SHARES
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,23 @@ class SnapFree:
         NOT_NEGATIVE,
         "the margin is kept whatever pushes on the tip with up to this force, in any direction that it keeps",
     ] = 0.0
+    curvature_error: Annotated[
+        float, unit("percent"), NOT_NEGATIVE, "the margin is kept by tubes whose curvatures are off by up to this"
+    ] = 0.0
+    stiffness_error: Annotated[
+        float, unit("percent"), NOT_NEGATIVE, "and whose bending and torsional stiffnesses are off by up to this"
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if finite("margin", self.margin) >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
         positive("tolerance of the certificate", self.tolerance)
         positive("max_force of the certificate", self.max_force, zero=True)
+        for name in ("curvature_error", "stiffness_error"):
+            if not 0 <= (share := finite(name, getattr(self, name))) < 1:
+                raise InputError(f"{name} of the certificate is {share:.6g}; it must be at least 0 and less than 1")
+        if self.max_force and self.growth > 1:
+            raise InputError("max_force is given beside errors of the tubes; a certificate is for one of them")
         if self.max_force and self.box is not None:
             raise InputError("max_force and box are given; under a force a certificate is for given translations")
         if self.translations is not None:
@@ -57,6 +71,26 @@ class SnapFree:
                 raise InputError("box of translations is crossed; its first row must not be above its second")
             object.__setattr__(self, "box", (low, high))
 
+    @property
+    def growth(self) -> float:
+        """By what 1 - mu_cert grows at most with tubes that are off by the errors, each for itself.
+
+        With errors c and s, the coupling c_ij = kb_i kappa_i kb_j kappa_j / sum kb grows by at most
+        ((1 + c)(1 + s))^2 / (1 - s), the torsional part of the second variation falls by 1 - s at most, and 1 - mu_cert
+        is the largest quotient of a sum of |c_ij| with that.
+        """
+        c, s = self.curvature_error, self.stiffness_error
+        return ((1 + c) * (1 + s) / (1 - s)) ** 2
+
+    @property
+    def floor(self) -> float:
+        """The certificate of the tubes as they should be with which all that are off by the errors keep the margin."""
+        return 1 - (1 - self.margin) / self.growth
+
+    def eased(self, amount: float) -> SnapFree:
+        """The requirement with its floor lowered by so much."""
+        return replace(self, margin=1 - (1 - self.floor + amount) * self.growth)
+
 
 @dataclass(frozen=True)
 class SnapFreeInUse:
@@ -64,6 +98,7 @@ class SnapFreeInUse:
 
     margin: Annotated[float, POSITIVE, "least of the poses and paths"] = 0.05
     paths: Annotated[bool, "whether it is kept on the straight joint path from each pose to the next"] = True
+    deployed: Annotated[bool, "whether it is kept by arms on their way out to the poses, drawn back straight"] = False
     tolerance: Annotated[float, POSITIVE, "to which it is kept on paths"] = 1e-3
 
     def __post_init__(self) -> None:
@@ -220,15 +255,50 @@ class Poses:
             raise InputError("poses have as many rows of rotations as of translations")
 
 
+def deviations(q: Quantities, poses: Sequence[int]) -> Any:
+    """Gaps between arms on their way out to poses and where the whole arm will be: (3 K,), m, one after the other."""
+    return ca.vertcat(
+        *(
+            q.poses[k].drawn(share).position(along) - q.poses[k].position(share * along)
+            for k in poses
+            for share in SHARES
+            for along in ALONG
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Deployment(OwnRequirement):
+    """On its way out to every task pose, its tubes drawn back straight, the arm lies where the whole arm will be: to
+    within `limit`, m, at SHARES of its length, ALONG it."""
+
+    limit: float
+    words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True
+
+    def __post_init__(self) -> None:
+        positive("deviation of the deployment", self.limit)
+
+    def expression(self, q: Quantities) -> Any:
+        """What is left of the limit, of every place."""
+        gaps = ca.reshape(deviations(q, range(len(q.poses))), 3, -1)
+        return self.limit - ca.sqrt(ca.sum1(gaps**2).T + ROUNDED**2)
+
+
+ROUNDED = 1e-6
+"""Length (m) within which what may be 0 is rounded off."""
+
+
 @dataclass(frozen=True)
 class Avoid:
-    """At every task pose the whole arm, with its thickness, is at least `clearance` (m) away from every obstacle.
+    """At every task pose the whole arm, with its thickness, is at least `clearance` (m) away from every obstacle; with
+    `deployed` also on its way out to the pose, its tubes drawn back straight, at the SHARES of its length.
 
     Nothing is said of the ways between poses: `plan_trajectory` finds and proves such.
     """
 
     obstacles: tuple[Obstacle, ...]
     clearance: float = 0.0
+    deployed: bool = False
 
     def __post_init__(self) -> None:
         bodies = items("obstacles", self.obstacles, object, "bodies")

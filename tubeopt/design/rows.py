@@ -74,7 +74,9 @@ def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[R
 def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
     """The requirement with the limit of one of its groups of rows moved by `amount` > 0, SI, to the easier side."""
     match requirement:
-        case SnapFree() | SnapFreeInUse():
+        case SnapFree():
+            return requirement.eased(amount)
+        case SnapFreeInUse():
             return replace(requirement, margin=requirement.margin - amount)
         case Strain(limits=limits):
             raised = [limit + amount * (i == part) for i, limit in enumerate(limits)]

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..block.quantities import PoseNumber
 from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
@@ -14,11 +15,18 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..typing import Array
 from .deflection import stroke_force, tip_deflection
+from .drawn import drawn_back
 from .parameters import DesignSpace
 from .piece_pose import PiecePose
 from .pieces import change_of, given_of
 from .pose import Pose
 from .solved import Solved, Twist, solve_pose, without_solving
+
+DIFFERENCE = 1e-4
+"""Step of the differences of derivatives, in units of the size of every unknown."""
+
+LENGTH_STEP = 0.1
+"""Size (m) of a translation in that."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +109,13 @@ class State:
     Raises, when asked: InputError where the dimensions make no tubes, SolveError where a pose has no equilibrium.
     """
 
-    def __init__(self, layout: Layout, x: Array, guesses: dict[int, Twist] | None = None) -> None:
+    def __init__(self, layout: Layout, x: Array, guesses: dict[PoseNumber, Twist] | None = None) -> None:
         self.layout = layout
         self.x = x
-        self._guesses = {} if guesses is None else guesses
-        self._poses: dict[int, Pose | PiecePose] = {}
-        self._deflected: dict[tuple[int, tuple[float, float, float]], tuple[Array, Array]] = {}
-        self._strokes: dict[int, tuple[float, Array]] = {}
+        self._guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
+        self._poses: dict[PoseNumber, Pose | PiecePose] = {}
+        self._deflected: dict[tuple[PoseNumber, tuple[float, float, float]], tuple[Array, Array]] = {}
+        self._strokes: dict[PoseNumber, tuple[float, Array]] = {}
         self._certified: dict[tuple[float, ...], Pose | PiecePose] = {}
 
     @cached_property
@@ -127,8 +135,11 @@ class State:
     def _straight(self) -> Array:
         return np.array([tube.straight_length for tube in self.tubes])
 
-    def joint_values(self, index: int) -> tuple[Array, Array]:
+    def joint_values(self, index: PoseNumber) -> tuple[Array, Array]:
         """Rotations and translations (n,) of a pose."""
+        if isinstance(index, tuple):
+            whole = self.joint_values(index[0])
+            return whole[0], drawn_back(self.tubes, whole[1], index[1])[0]
         pose = self.layout.poses[index]
         if isinstance(pose, FixedPose):
             return np.array(pose.rotations), np.array(pose.translations)
@@ -139,8 +150,13 @@ class State:
         t = pose.fraction
         return (1 - t) * first[0] + t * second[0], (1 - t) * first[1] + t * second[1]
 
-    def joint_slopes(self, index: int) -> tuple[Array, Array]:
+    def joint_slopes(self, index: PoseNumber) -> tuple[Array, Array]:
         """(n, X) change of the rotations and of the translations of a pose."""
+        if isinstance(index, tuple):
+            turned, shifted = self.joint_slopes(index[0])
+            _, drawn, last = drawn_back(self.tubes, self.joint_values(index[0])[1], index[1])
+            ended = shifted + self.slopes["curved_length"]
+            return turned, shifted - drawn[:, None] * (ended - index[1] * ended[last])
         pose, n, size = self.layout.poses[index], self.layout.n, self.layout.size
         rotations, translations = np.zeros((n, size)), np.zeros((n, size))
         if isinstance(pose, FreePose):
@@ -155,7 +171,7 @@ class State:
             translations = (1 - t) * first[1] + t * second[1]
         return rotations, translations
 
-    def pose(self, index: int) -> Pose | PiecePose:
+    def pose(self, index: PoseNumber) -> Pose | PiecePose:
         """The equilibrium of a pose."""
         if index not in self._poses:
             solved = solve_pose(self.tubes, *self.joint_values(index), self._guesses.get(index))
@@ -163,7 +179,7 @@ class State:
             self._poses[index] = self._pose(solved)
         return self._poses[index]
 
-    def shaped(self, index: int, what: str) -> Pose:
+    def shaped(self, index: PoseNumber, what: str) -> Pose:
         """The equilibrium of a pose, for what is told of its tubes along the arm.
 
         Raises:
@@ -195,11 +211,30 @@ class State:
             return np.eye(self.layout.designs, self.layout.size)
         return np.concatenate([self.slopes[name] for name in DIMENSIONS])
 
-    def chain(self, index: int) -> Array:
+    def chain(self, index: PoseNumber) -> Array:
         """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
         return np.concatenate([*self.joint_slopes(index), self._reshaped])
 
-    def deflection(self, index: int, force: tuple[float, float, float]) -> tuple[Array, Array]:
+    def jacobian(self, index: PoseNumber) -> tuple[Array, Array]:
+        """(6 n,) change of the tip of a pose with its joint values, joint by joint, and by how much that changes (6 n,
+        X): the central difference of exact derivatives."""
+
+        def here(state: State) -> Array:
+            return state.pose(index).tip_slopes[0][:, : 2 * state.layout.n].ravel(order="F")
+
+        size = np.ones(self.layout.size)
+        size[: self.layout.designs] = self.layout.space.scale
+        for pose in self.layout.poses:
+            if isinstance(pose, FreePose):
+                size[self.layout.joints(pose)[1]] = LENGTH_STEP
+        change = np.zeros((6 * self.layout.n, self.layout.size))
+        for column in np.flatnonzero(self.chain(index).any(0)).tolist():
+            step = np.eye(self.layout.size)[column] * DIFFERENCE * size[column]
+            ends = (here(State(self.layout, x, dict(self._guesses))) for x in (self.x + step, self.x - step))
+            change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
+        return here(self), change
+
+    def deflection(self, index: PoseNumber, force: tuple[float, float, float]) -> tuple[Array, Array]:
         """(3,) m, how far a force, N, moves the tip of a pose, and its change (3, X)."""
         key = index, force
         if key not in self._deflected:
@@ -208,7 +243,7 @@ class State:
             self._deflected[key] = tip_deflection(pose, robot, shift, force, self.chain(index))
         return self._deflected[key]
 
-    def stroke_force(self, index: int) -> tuple[float, Array]:
+    def stroke_force(self, index: PoseNumber) -> tuple[float, Array]:
         """The stroke force of a pose, N, and its change (X,)."""
         if index not in self._strokes:
             pose, shift = self.shaped(index, "stroke force"), self.joint_values(index)[1]
@@ -223,6 +258,6 @@ class State:
         return value, slope[2 * self.layout.n :] @ self._reshaped
 
     @property
-    def guesses(self) -> dict[int, Twist]:
+    def guesses(self) -> dict[PoseNumber, Twist]:
         """Where the next poses close by begin."""
         return self._guesses

@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from ..block.own import OwnRequirement
-from ..block.quantities import Expression, Quantities, recorded
+from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
+from .drawn import SHARES
 from .limit import Limit
 from .requirements import (
     Avoid,
@@ -94,12 +95,18 @@ def _(requirement: OwnRequirement, n: int, poses: Poses, points: Points) -> Stat
 
 @_stated.register
 def _(requirement: SnapFree, n: int, poses: Poses, points: Points) -> Stated:
-    limit = Limit("certified margin", requirement.margin, False, "", 1.0, 0.1)
+    limit = Limit("certified margin", requirement.floor, False, "", 1.0, 0.1)
 
     def room(q: Quantities) -> Any:
-        return ca.vertcat(*(q.certificate(row) for row in points)) - requirement.margin
+        return ca.vertcat(*(q.certificate(row) for row in points)) - requirement.floor
 
     return [(limit, room, None)]
+
+
+def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
+    """The arms of some poses; with `deployed` also those on their way out."""
+    drawn = SHARES if deployed else ()
+    return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(share) for share in drawn))]
 
 
 @_stated.register
@@ -107,7 +114,7 @@ def _(requirement: SnapFreeInUse, n: int, poses: Poses, points: Points) -> State
     limit = Limit("margin in use", requirement.margin, False, "", 1.0, 0.1)
 
     def room(q: Quantities) -> Any:
-        return ca.vertcat(*(q.poses[k].margin for k in poses)) - requirement.margin
+        return ca.vertcat(*(arm.margin for arm in arms(q, poses, requirement.deployed))) - requirement.margin
 
     return [(limit, room, None)] if poses else []
 
@@ -130,7 +137,8 @@ def _(requirement: Avoid, n: int, poses: Poses, points: Points) -> Stated:
     limit = Limit("clearance of the obstacles", requirement.clearance, False, "mm", 1e3, 1e-3)
 
     def room(q: Quantities) -> Any:
-        return ca.vertcat(*(q.poses[k].clearance(requirement) for k in poses)) - requirement.clearance
+        rooms = (arm.clearance(requirement) for arm in arms(q, poses, requirement.deployed))
+        return ca.vertcat(*rooms) - requirement.clearance
 
     return [(limit, room, None)] if poses else []
 

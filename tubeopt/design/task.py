@@ -14,13 +14,14 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import must_follow_section, slots_unknown
 from ..typing import Array
 from .checks import items
-from .objectives import KINDS, PUSHED, AnyObjective, Objective, key_of
+from .objectives import KINDS, POSED, PUSHED, AnyObjective, Objective, key_of
 from .order import Place, check_order, ordered_places
 from .parameters import DesignSpace, Free, design_space
 from .pieces import PIECE_FIELDS
 from .requirements import (
     Avoid,
     Coverage,
+    Deployment,
     Length,
     Poses,
     Reach,
@@ -155,7 +156,7 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(f"strain has {len(limits)} limits; it must be 1 or {n} (one per tube)")
             case Length(tube=tube) if not 0 <= tube < n:
                 raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
-            case SnapFreeInUse() | Stroke() | Avoid() if not task.has_poses:
+            case SnapFreeInUse() | Stroke() | Avoid() | Deployment() if not task.has_poses:
                 raise InputError(
                     f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
                 )
@@ -220,8 +221,28 @@ def _check_slots(space: DesignSpace) -> None:
                 )
 
 
+CORNERS = 3
+"""Of a polygon, at least."""
+
+
+def _poses_of(one: Requirement) -> int:
+    match one:
+        case Reach(targets=targets):
+            return len(targets)
+        case Poses(rotations=rotations):
+            return len(rotations)
+        case Coverage():
+            return CORNERS
+        case _:
+            return 0
+
+
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
+    if any(one.kind == "workspace_volume" for one in task.objectives if isinstance(one, Objective)):
+        count = sum(_poses_of(one) for one in task.requirements)
+        if count < CORNERS:
+            raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least {CORNERS}")
     for one in task.objectives:
         if isinstance(one, OwnObjective):
             one.checked()
@@ -235,7 +256,7 @@ def _check_objectives(task: DesignTask) -> None:
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
         if one.kind == "stroke_force":
             _given_poses(task, "objective stroke_force")
-        if one.kind in PUSHED and not task.has_poses:
+        if one.kind in POSED and not task.has_poses:
             raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
     if len({key_of(one) for one in task.objectives}) < len(task.objectives):
         raise InputError("an objective is given twice; each must be given once")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..solvers.parallel.blas import small
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .checks import whole
+from .drawn import SHARES, draw
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order
@@ -116,6 +117,10 @@ def verify(
         elif isinstance(one, SnapFreeInUse) and equilibria:
             least = min(e.margin for e in equilibria)
             checks.append(Check("margin at the task poses", f"{least:.4f}", least >= one.margin - one.tolerance))
+            if one.deployed:
+                least = min(e.margin for e in on_the_way(robot, equilibria))
+                words = "margin on the way out to the task poses"
+                checks.append(Check(words, f"{least:.4f}", least >= one.margin - one.tolerance))
             if one.paths and len(equilibria) > 1:
                 checks.append(_paths(program, robot, x, one))
         elif isinstance(one, StrokeForce):
@@ -133,7 +138,8 @@ def verify(
 def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns: int) -> list[Check]:
     rows = [np.array(row) for row in certified_at(program, robot)]
     values = [snap_free_certificate(robot, row) for row in rows]
-    checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.margin - one.tolerance - SLACK)]
+    checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.floor - one.tolerance - SLACK)]
+    checks += _erring(robot, one, rows)
     order = np.argsort(values)[:SEARCHED]
     for k in order:
         try:
@@ -148,6 +154,38 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
         words = f"snaps in {turns * len(order)} random full turns forth and back"
         checks.append(Check(words, str(snaps), snaps == 0))
     return checks
+
+
+ERRING = 12
+"""Robots with tubes that are off by all that is allowed, up or down at random, whose certificates are looked at."""
+
+
+def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array]) -> list[Check]:
+    """The certificate with curvatures and stiffnesses that are off by as much as they may be."""
+    if one.growth == 1 or any(tube.general for tube in robot.tubes):
+        return []
+    random, least = np.random.default_rng(0), np.inf
+    for _ in range(ERRING):
+        bent, bending, torsional = 1 + random.choice([-1.0, 1.0], (3, robot.n_tubes)) * np.array(
+            [[one.curvature_error], [one.stiffness_error], [one.stiffness_error]]
+        )
+        tubes = tuple(
+            replace(
+                tube,
+                curvature=tube.curvature * float(bent[i]),
+                bending_stiffness=float(tube.bending_stiffness) * float(bending[i]),
+                torsional_stiffness=float(tube.torsional_stiffness) * float(torsional[i]),
+            )
+            for i, tube in enumerate(robot.tubes)
+        )
+        least = min(least, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in rows))
+    words = f"least certificate of {ERRING} robots whose tubes are off"
+    return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
+
+
+def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Equilibrium]:
+    """Arms on their way out to poses."""
+    return [draw(robot, one, share) for one in equilibria for share in SHARES]
 
 
 def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
@@ -176,7 +214,8 @@ def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Eq
 
 
 def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
-    room = min((clearance(one, robot, e) for e in equilibria), default=np.inf)
+    drawn = on_the_way(robot, equilibria) if one.deployed else ()
+    room = min((clearance(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf)
     return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
 
 

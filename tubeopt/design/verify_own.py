@@ -17,6 +17,7 @@ from ..robots.tubes import piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .deflection import STRONGEST
+from .drawn import draw
 from .requirements import Strain
 from .verify_tubes import largest_strain, least_room
 
@@ -37,7 +38,7 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
             return np.array([piece_strain(tube, tube.pieces[one.at[1]]) if tube.pieces else tube.straightened_strain])
         if one.pose is None:
             return np.array([getattr(tube, one.name) for tube in robot.tubes])
-        found = equilibria[one.pose]
+        found = equilibria[one.pose] if isinstance(one.pose, int) else draw(robot, equilibria[one.pose[0]], one.pose[1])
         match one.name:
             case "strain":
                 anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
@@ -53,6 +54,8 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                     robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST
                 )
                 return np.array([STRONGEST if limit is None else limit.factor])
+            case "jacobian":
+                return found.jacobian().position.ravel(order="F")
             case "tip_direction":
                 return np.asarray(found.tip_rotation[:, 2])
             case "position" | "curvature":

@@ -99,7 +99,9 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
         """One quantity of the posture."""
         here = at.equilibrium
         match one.name:
-            case "strain" | "clearance" | "deflection" | "stroke_force":
+            case _ if isinstance(one.pose, tuple):
+                raise InputError("arms on their way out are known in designs only")
+            case "strain" | "clearance" | "deflection" | "jacobian" | "stroke_force":
                 raise InputError(f"the {one.name.replace('_', ' ')} of a pose is known in designs only")
             case "certificate":
                 return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])

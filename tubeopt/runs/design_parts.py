@@ -13,6 +13,7 @@ from ..bodies.corridors import Corridor
 from ..design import (
     Avoid,
     Coverage,
+    Deployment,
     Free,
     Length,
     Nesting,
@@ -156,13 +157,18 @@ class PoseEntry(Entry):
     translations_mm: Row
 
 
+DEPLOYED = "whether it holds for arms on their way out to the poses too, their tubes drawn back straight"
+
+
 @asking(Corridor)
 class CorridorEntry(Part):
     """A tube around a polyline in which the whole arm must stay."""
 
+    deployed: bool = Field(False, description=DEPLOYED)
+
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid((Corridor(**values(Corridor, self)),))
+        return Avoid((Corridor(**values(Corridor, self)),), deployed=self.deployed)
 
 
 class AvoidEntry(Part):
@@ -170,10 +176,11 @@ class AvoidEntry(Part):
 
     obstacles: Bodies
     clearance_mm: NotNegative = Decimal(0)
+    deployed: bool = Field(False, description=DEPLOYED)
 
     def build(self) -> Avoid:
         """The requirement in SI."""
-        return Avoid(self.obstacles, to_si(self.clearance_mm, MM))
+        return Avoid(self.obstacles, to_si(self.clearance_mm, MM), self.deployed)
 
 
 class Requirements(Part):
@@ -184,6 +191,9 @@ class Requirements(Part):
     strain: StrainEntry | None = None
     clearance_mm: NotNegative | None = Field(None, description="least difference of diameters of nested tubes")
     wall_mm: Positive | None = Field(None, description="least wall thickness")
+    deployment_mm: Positive | None = Field(
+        None, description="largest distance of arms on their way out to the task poses from the whole arm"
+    )
     lengths: list[LengthEntry] = Field([])
     stroke_force_mN: Positive | None = Field(None, description="least push along the tip that poses bear")
     stroke_mm: Positive | None = Field(None, description="longest travel of a carriage between task poses")
@@ -198,7 +208,12 @@ class Requirements(Part):
         out: list[Requirement] = []
         for entry in (self.snap_free, self.snap_free_in_use, self.strain, *self.lengths):
             out += [] if entry is None else [entry.build()]
-        singles = (Nesting, self.clearance_mm), (Wall, self.wall_mm), (Stroke, self.stroke_mm)
+        singles = (
+            (Nesting, self.clearance_mm),
+            (Wall, self.wall_mm),
+            (Stroke, self.stroke_mm),
+            (Deployment, self.deployment_mm),
+        )
         out += [kind(to_si(number, MM)) for kind, number in singles if number is not None]
         out += [] if self.stroke_force_mN is None else [StrokeForce(to_si(self.stroke_force_mN, UNITS["mN"]))]
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []

@@ -107,6 +107,9 @@ DESIGN: tuple[Quantity[DesignAnswer], ...] = (
             Quantity[DesignSolution](
                 "checks", "checked again by other code", lambda s: list(s.verification.checks), of=CHECK
             ),
+            Quantity[DesignSolution](
+                "remarks", "what holds the design, and tubes that it hardly needs", lambda s: list(s.remarks)
+            ),
             Quantity[DesignSolution]("starts", "that were tried", lambda s: s.ranking.starts),
             Quantity[DesignSolution]("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
             Quantity[DesignSolution]("failures", "of starts, by stage", lambda s: s.ranking.failures),
@@ -183,6 +186,7 @@ class DesignReport(Report[DesignAnswer]):
         s = self.answer.solution
         parts: list[Text | Table] = [two_columns(s.robot.name or "design", self.summary())]
         parts.append(grid(("", "before", "after", ""), self.dimension_rows(), title="dimensions", key=True))
+        parts += [Text(f"  {words}") for words in s.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
             parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
@@ -259,6 +263,7 @@ class DesignReport(Report[DesignAnswer]):
         lines = [f"# {s.robot.name or 'Design'}", ""]
         lines += _markdown(("", ""), self.summary())
         lines += ["", "## Dimensions", "", *_markdown(("", "before", "after", ""), self.dimension_rows())]
+        lines += ["", *(f"- {words}" for words in s.remarks)] if s.remarks else []
         lines += ["", "## Requirements that bind", ""]
         rows = [(o.limit.words, o.limit.shown(), o.sentence) for o in s.sensitivities]
         lines += _markdown(("limit", "at", "price"), rows) if rows else ["None."]

@@ -1,0 +1,1 @@
+"""A public benchmark of inverse kinematics, planning and design: questions, a model that judges, scores."""

@@ -1,0 +1,268 @@
+"""The model that judges answers: concentric tubes written out in NumPy, with nothing of tubeopt.
+
+The angles z of the tubes at their own ends, where torsion vanishes, and the places beta at which they are held tell
+one equilibrium: from the tip the equations are integrated to the plate (Runge and Kutta, fourth order), where the joint
+rotations follow. No equation is solved, so an equilibrium cannot be mistaken for another. Jacobi fields Y are
+integrated beside it: at the plate they give how the rotations change with z, and by the determinants of both whether
+the equilibrium is stable. SI units; B states of n tubes at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+STEPS = 16
+"""Of Runge and Kutta in every section."""
+
+BETWEEN = np.array([0.25, 0.5, 0.75])
+"""Of every step, where the arm is looked at beside its ends."""
+
+BISECTIONS = 14
+"""By which the margin is found: to 6e-5."""
+
+MOST_TURN, MOST_SHIFT = 0.1, 3e-3
+"""Largest change of a rotation (rad) and a translation (m) in one step along a motion."""
+
+MOST_JUMP = 0.25
+"""Largest distance (rad) of tip angles from what was foreseen, for a step that is taken."""
+
+LEAST_STEP = 1e-4
+"""Share of the longest step below which the branch counts as ended: a snap."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """Tubes, inner to outer, (n,) each: diameters, lengths, m; curvature, 1/m; stiffnesses E I and G J, N m^2."""
+
+    name: str
+    outer_diameter: Array
+    inner_diameter: Array
+    straight_length: Array
+    curved_length: Array
+    curvature: Array
+    bending_stiffness: Array
+    torsional_stiffness: Array
+
+    @property
+    def n(self) -> int:
+        """Number of tubes."""
+        return len(self.curvature)
+
+    @property
+    def length(self) -> Array:
+        """(n,) m."""
+        return np.asarray(self.straight_length + self.curved_length)
+
+    def order(self, beta: Array) -> Array:
+        """(B,) least room (m) for places (B, n) at which tubes are held: carriages and ends in order, every tube from
+        its whole length behind the plate to the plate itself."""
+        ends = beta + self.length
+        gaps = [np.diff(beta, axis=1), -np.diff(ends, axis=1), -beta, ends]
+        return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """Integrated states: rotations (B, n) at the plate's joints, rad; whether they are stable (B,); how the rotations
+    change with the tip angles (B, n, n); the arm at M places: points (B, M, 3), radius (B, M), m; its direction at the
+    tip (B, 3)."""
+
+    rotations: Array
+    stable: Mask
+    slope: Array
+    points: Array = field(repr=False)
+    radius: Array = field(repr=False)
+    direction: Array
+
+    @property
+    def tip(self) -> Array:
+        """(B, 3) m."""
+        return self.points[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """A stretch between breakpoints: (B,) step towards the plate; (B, n) EI of what is there, EI kappa of what is
+    curved, 1 / GJ of what is there."""
+
+    step: Array
+    bending: Array
+    pull: Array
+    twist: Array
+
+    def rates(self, state: tuple[Any, ...], scale: Any) -> tuple[Any, ...]:
+        """Of theta, theta', frame, place, Y, Y' along the arm."""
+        theta, turn, frame, _, fields, change = state
+        a = self.pull * np.exp(1j * theta)
+        whole = np.maximum(self.bending.sum(1), 1e-300)
+        u = a.sum(1) / whole
+        bent = np.stack([-u.imag, u.real, np.zeros_like(u.real)], axis=1)
+        # R' = R hat(u) with u_z = 0: the third column of hat(u) is (u_y, -u_x, 0).
+        hat = np.zeros((len(u), 3, 3))
+        hat[:, :2, 2] = -bent[:, :2]
+        hat[:, 2, :2] = bent[:, :2]
+        along = (np.conj(u)[:, None] * a).real
+        stiff = -np.real(a[:, :, None] * np.conj(a)[:, None, :]) / whole[:, None, None]
+        n = theta.shape[1]
+        stiff[:, range(n), range(n)] += along
+        bend = self.twist * (np.conj(u)[:, None] * a).imag
+        there = (self.twist > 0)[:, :, None]
+        return (
+            turn * there[:, :, 0], bend, frame @ hat, frame[:, :, 2], change * there,
+            scale * self.twist[:, :, None] * (stiff @ fields),
+        )  # fmt: skip
+
+
+def _sections(robot: Robot, beta: Array) -> list[_Section]:
+    """From the tip to the plate, some of no length."""
+    begin = np.maximum(beta + robot.straight_length, 0.0)
+    end = np.maximum(beta + robot.length, 0.0)
+    cuts = np.sort(np.concatenate([np.zeros((len(beta), 1)), begin, end], axis=1), axis=1)
+    out = []
+    for k in range(cuts.shape[1] - 1, 0, -1):
+        middle = (cuts[:, k] + cuts[:, k - 1])[:, None] / 2
+        there = middle < end
+        curved = there & (middle > begin)
+        out.append(
+            _Section(
+                -(cuts[:, k] - cuts[:, k - 1]) / STEPS,
+                there * robot.bending_stiffness,
+                curved * robot.bending_stiffness * robot.curvature,
+                there / robot.torsional_stiffness,
+            )
+        )
+    return out
+
+
+def integrate(robot: Robot, z: Array, beta: Array, scale: Array | float = 1.0) -> States:
+    """States of tip angles (B, n), rad, and of tubes held at beta (B, n), m. `scale` (B,) of the elastic coupling of
+    Jacobi fields: stable up to 1 / (1 - margin)."""
+    count, n = z.shape
+    factor = np.broadcast_to(np.asarray(scale, dtype=float), (count,))[:, None, None]
+    eye = np.broadcast_to(np.eye(n), (count, n, n)).copy()
+    frame = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
+    state: tuple[Any, ...] = (z.copy(), np.zeros((count, n)), frame, np.zeros((count, 3)), eye, np.zeros_like(eye))
+    stable = np.ones(count, dtype=bool)
+    points, radii = [], []
+    for section in _sections(robot, beta):
+        h = section.step
+        radius = np.where(section.twist > 0, robot.outer_diameter / 2, 0.0).max(axis=1)
+        points.append(state[3])
+        radii.append(radius)
+        for _ in range(STEPS):
+            before = state
+            k1 = section.rates(state, factor)
+            k2 = section.rates(_moved(state, k1, h / 2), factor)
+            k3 = section.rates(_moved(state, k2, h / 2), factor)
+            k4 = section.rates(_moved(state, k3, h), factor)
+            sums = tuple((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+            state = _moved(state, sums, h)
+            stable &= np.linalg.det(state[4]) > 0
+            points += [*_between(before, state, h), state[3]]
+            radii += [radius] * (len(BETWEEN) + 1)
+    theta, turn, frame, place, fields, change = state
+    slope = fields + beta[:, :, None] * change  # beta is negative: theta(0) = alpha + |beta| theta'(0)
+    stable &= np.linalg.det(slope) > 0
+    way = np.stack(points, axis=1) - place[:, None]
+    return States(theta + beta * turn, stable, slope, way @ frame, np.stack(radii, axis=1), frame[:, 2])
+
+
+def _moved(state: tuple[Any, ...], rates: tuple[Any, ...], h: Array) -> tuple[Any, ...]:
+    return tuple(
+        each + h.reshape((-1,) + (1,) * (each.ndim - 1)) * rate for each, rate in zip(state, rates, strict=True)
+    )
+
+
+def _between(before: tuple[Any, ...], after: tuple[Any, ...], h: Array) -> list[Array]:
+    """Places within a step, by the cubic through both ends with their directions."""
+    p, q, step = before[3], after[3], h[:, None]
+    a, b = before[2][:, :, 2] * step, after[2][:, :, 2] * step
+    return [
+        p + t * a + t**2 * (3 * (q - p) - 2 * a - b) + t**3 * (2 * (p - q) + a + b) for t in BETWEEN.tolist()
+    ]  # fmt: skip
+
+
+def margins(robot: Robot, z: Array, beta: Array) -> Array:
+    """(B,) least eigenvalue of the second variation relative to its torsional part, from 0 to 1; -1 where unstable."""
+    low, high = np.zeros(len(z)), np.ones(len(z))
+    stable = integrate(robot, z, beta).stable
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        holds = integrate(robot, z, beta, 1 / (1 - middle)).stable
+        low, high = np.where(holds, middle, low), np.where(holds, high, middle)
+    return np.where(stable, low, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A motion followed: tip angles (T, n) and joint values (T, 2 n) where it was looked at, and the share of it after
+    which the branch ended: 1 without a snap."""
+
+    z: Array
+    joints: Array
+    share: float
+
+
+def follow(robot: Robot, ways: Sequence[Array], starts: Array) -> list[Followed]:
+    """Motions (T, 2 n) of rotations and held places, straight between rows, each followed from its tip angles (n,).
+
+    Every step is Newton's method from where the motion was heading. A step is taken where that converges to a stable
+    equilibrium nearby, and halved where not; where nothing is left to halve, the branch has ended: the robot snaps.
+    """
+    n = robot.n
+    limit = np.array([MOST_TURN] * n + [MOST_SHIFT] * n)
+    lengths = [np.append(0.0, np.cumsum((np.abs(np.diff(way, axis=0)) / limit).max(axis=1))) for way in ways]
+
+    def at(k: int, t: float) -> Array:
+        return np.array([np.interp(t, lengths[k], column) for column in ways[k].T])
+
+    t, step, alive = np.zeros(len(ways)), np.ones(len(ways)), np.ones(len(ways), dtype=bool)
+    whole = np.array([each[-1] for each in lengths])
+    tracks = [([z], [way[0]], [0.0]) for z, way in zip(starts, ways, strict=True)]
+    while (active := np.flatnonzero(alive & (t < whole))).size:
+        new = np.minimum(t[active] + step[active], whole[active])
+        joints = np.array([at(k, each) for k, each in zip(active.tolist(), new.tolist(), strict=True)])
+        begun = np.array([_ahead(tracks[k], each) for k, each in zip(active.tolist(), new.tolist(), strict=True)])
+        z, good = _stepped(robot, joints, begun)
+        for row, k in enumerate(active.tolist()):
+            if good[row]:
+                t[k], step[k] = new[row], min(1.0, 1.5 * step[k])
+                for part, value in zip(tracks[k], (z[row], joints[row], t[k]), strict=True):
+                    part.append(value)
+            else:
+                step[k] /= 2
+                alive[k] = step[k] > LEAST_STEP
+    shares = np.where(whole > 0, t / np.maximum(whole, 1e-12), 1.0)
+    return [Followed(np.array(z), np.array(q), float(s)) for (z, q, _), s in zip(tracks, shares, strict=True)]
+
+
+def _ahead(track: tuple[list[Array], list[Array], list[float]], t: float) -> Array:
+    """Tip angles on the straight line through the last two."""
+    z, _, times = track
+    if len(z) < 2:
+        return z[-1]
+    return z[-1] + (z[-1] - z[-2]) * (t - times[-1]) / (times[-1] - times[-2])
+
+
+def _stepped(robot: Robot, joints: Array, begun: Array) -> tuple[Array, Mask]:
+    """Newton's method at joint values (B, 2 n) from tip angles: where it ends, and whether that counts."""
+    n, z = robot.n, begun.copy()
+    good = np.zeros(len(z), dtype=bool)
+    for _ in range(6):
+        found = integrate(robot, z, joints[:, n:])
+        gap = found.rotations - joints[:, :n]
+        good = found.stable & (np.abs(gap).max(axis=1) < 1e-9) & (np.abs(z - begun).max(axis=1) < MOST_JUMP)
+        lost = ~found.stable | (np.abs(z - begun).max(axis=1) >= MOST_JUMP)
+        if (good | lost).all():
+            break
+        step = np.linalg.solve(found.slope + 1e-14 * np.eye(n), gap[:, :, None])[:, :, 0]
+        z = np.where((good | lost)[:, None], z, z - step)
+    return z, good
