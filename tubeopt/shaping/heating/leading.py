@@ -173,12 +173,12 @@ def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopH
 
 def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: Array) -> tuple[Contribution, ...]:
     """Standard deviations of the middle of the hold's temperatures by each of the draws, from a linear fit."""
-    middle = 0.5 * (lowest + highest)
-    good = np.isfinite(middle)
+    # A hold that never began has no temperatures.
+    good = np.isfinite(lowest) & np.isfinite(highest)
     if good.sum() <= draws.shape[1] + 2:
         return ()
-    spread = draws[good].std(0)
+    middle, spread = 0.5 * (lowest[good] + highest[good]), draws[good].std(0)
     columns = np.column_stack([np.ones(int(good.sum())), draws[good]])
-    slope = np.linalg.lstsq(columns, middle[good], rcond=None)[0][1:]
+    slope = np.linalg.lstsq(columns, middle, rcond=None)[0][1:]
     found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
     return tuple(sorted(found, key=lambda item: -item.deviation))
