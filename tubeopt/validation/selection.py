@@ -313,8 +313,8 @@ class _Search:
             self.steps = [step for step in self.steps if step.effect != kind]
 
     def _exchange(self) -> bool:
-        """Put an effect in the place of one that is kept, if it predicts better, or no worse and stands before it in the
-        table: the first may be the shadow of several, which then pay no more one by one."""
+        """Put an effect in the place of one that is kept, if it predicts better, or no worse and stands before it in
+        the table: the first may be the shadow of several, which then pay no more one by one."""
         order, left = list(self.known), [kind for kind in self.known if kind not in self.now.effects]
         slopes = self._slopes(left)
         linear = {(a, b): self._losses(self._instead(a, b, slopes[b])).sum() for a in self.now.effects for b in left}
