@@ -313,15 +313,15 @@ class _Search:
             self.steps = [step for step in self.steps if step.effect != kind]
 
     def _exchange(self) -> bool:
-        """Put an effect in the place of one that is kept, if it predicts better, or as well and stands before it in the
-        table: the first may be the shadow of several, which then pay no more one by one."""
+        """Put an effect in the place of one that is kept, if it predicts better, or no worse and stands before it in
+        the table: the first may be the shadow of several, which then pay no more one by one."""
         order, left = list(self.known), [kind for kind in self.known if kind not in self.now.effects]
         slopes = self._slopes(left)
         linear = {(a, b): self._losses(self._instead(a, b, slopes[b])).sum() for a in self.now.effects for b in left}
         for kind, other in sorted(linear, key=lambda pair: float(linear[pair]))[:TRIED]:
             trial = self._some((*(k for k in self.now.effects if k != kind), other))
             gain = self._gain(self.now.losses, trial.losses)[0]
-            if gain > PAYS or (gain > -PAYS and order.index(other) < order.index(kind)):
+            if gain > PAYS or (gain >= 0 and order.index(other) < order.index(kind)):
                 kept = replace(self._step(other, trial.residuals), kept=True)
                 self.steps = [*(step for step in self.steps if step.effect != kind), kept]
                 self.now, self.dropped = trial, [*self.dropped, kind]
